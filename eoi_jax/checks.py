@@ -1,0 +1,69 @@
+"""Shape and range checks: the one place that words the errors of a wrong call.
+
+Every message names the field in backquotes, then the rule, the value that broke it, and what
+to do. All raise `ValueError`, so that a caller needs one `except`.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+
+class RecordWarning(UserWarning):
+    """A record was changed on the way in (resampled, masked): nothing is done silently."""
+
+
+def check(condition: bool, name: str, rule: str, value: object, advice: str = "") -> None:
+    """Raise ``"`name` rule, got value. advice"`` unless `condition` holds.
+
+    Args:
+        condition: what must be true.
+        name: the field, as the user wrote it.
+        rule: what it must be, e.g. ``"must be positive"``.
+        value: what it was.
+        advice: one sentence on what to do.
+    """
+    if not condition:
+        shown = f"`{name}` {rule}, got {_short(value)}."
+        raise ValueError(f"{shown} {advice}".rstrip())
+
+
+def check_positive(name: str, value: object, advice: str = "") -> None:
+    """`value` (number or array) must be finite and > 0 everywhere."""
+    array = np.asarray(value, dtype=float)
+    check(
+        bool(np.all(np.isfinite(array) & (array > 0))),
+        name,
+        "must be positive and finite",
+        value,
+        advice,
+    )
+
+
+def check_shape(name: str, array: np.ndarray, shape: Sequence[int | None], meaning: str) -> None:
+    """`array` must have `shape`; `None` in it matches any length."""
+    fits = len(array.shape) == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
+    check(fits, name, f"must have shape {wanted}: {meaning}", f"shape {array.shape}")
+
+
+def check_choice(name: str, value: str, known: Iterable[str]) -> None:
+    """`value` must be one of `known`; the message lists them and the closest."""
+    known = tuple(known)
+    close = difflib.get_close_matches(str(value), known, n=1)
+    hint = f" Did you mean `{close[0]}`?" if close else ""
+    check(
+        value in known,
+        name,
+        f"must be one of {', '.join(known)}",
+        repr(value),
+        hint.strip(),
+    )
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 200 else text[:197] + "..."

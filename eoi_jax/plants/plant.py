@@ -1,0 +1,325 @@
+"""The grey-box model: a chain of integrators for each measured output.
+
+    y^(r) = f(t, y, ẏ, …, y^(r−1), z, u; θ)        ż = g(t, y, …, z, u; θ)
+
+The paper's eq. (1)–(3) in chain form; z are internal states that nobody measures.
+"""
+
+import keyword
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax.checks import check, check_choice
+from eoi_jax.types import Input, Output, Regressor, Scalar
+
+# f just above and just below rest; small enough that only a jump shows between the two.
+_REST = 1e-9
+
+
+class State(eqx.Module):
+    """What a model sees: outputs with their derivatives, and internal states.
+
+    Attributes:
+        y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
+            relative degree than the plant's highest has zeros in the rows it does not own.
+        z: internal states, shape (nz,).
+    """
+
+    y: Float[Array, "r ny"]
+    z: Float[Array, " nz"]
+
+
+Dynamics = Callable[[Any, State, Any, Any], Any]
+
+
+class Plant(eqx.Module):
+    r"""A model with named parameters; the one that made the data or the one that fits it.
+
+    $y^{(r)} = f(t, x, u; \theta)$, $\dot z = g(t, x, u; \theta)$, `x.y` of shape (r, ny) and
+    `x.z` of shape (nz,). Parameters are reached by name, ``p.a``; the regressor
+    $\varphi = \partial f/\partial\theta$ of eq. (2) is taken by automatic differentiation, so
+    parameters may be shared between outputs and may enter nonlinearly.
+
+    Dry friction is written ``p.c * jnp.sign(rate)``. The jump at rest is found by evaluating f
+    just above and just below zero velocity: simulation sticks, estimation leaves stuck samples out.
+
+    Args:
+        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,) (a scalar does for one output).
+        parameters: names and nominal values θ_0, in the order that every array of parameters uses.
+        relative_degree: r ≥ 1, one number or one for each output.
+        inputs, outputs: names.
+        internal: ``g(t, x, u, p)`` → dz/dt, shape (nz,), or None.
+        internal_initial: z at the start of a record, shape (nz,), or a function of p (then the
+            start may hold parameters of its own).
+        bounds: ``{name: (lower, upper)}``; estimates are kept inside.
+        fixed: names that keep their nominal value.
+        units: ``{name: unit}`` of parameters, inputs and outputs, for tables and figures.
+        name: what to call it.
+
+    Raises:
+        ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
+            r < 1, an `internal` without `internal_initial`.
+    """
+
+    dynamics: Dynamics = eqx.field(static=True)
+    internal: Dynamics | None = eqx.field(static=True)
+    internal_initial: Any = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    theta: Float[np.ndarray | Array, " np"]
+    lower: Float[np.ndarray | Array, " np"]
+    upper: Float[np.ndarray | Array, " np"]
+    degrees: tuple[int, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    fixed: tuple[str, ...] = eqx.field(static=True)
+    unit_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        parameters: Mapping[str, float],
+        relative_degree: int | Sequence[int] = 1,
+        inputs: Sequence[str] = ("u",),
+        outputs: Sequence[str] = ("y",),
+        internal: Dynamics | None = None,
+        internal_initial: Sequence[float] | Callable[[Any], Any] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        fixed: Sequence[str] = (),
+        units: Mapping[str, str] | None = None,
+        name: str | None = None,
+    ):
+        self.dynamics = dynamics
+        self.internal = internal
+        self.names = tuple(parameters)
+        self.inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
+        self.outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.name = name or getattr(dynamics, "__name__", "plant")
+        _check_names(self.names, self.fixed, bounds or {})
+        self.theta = np.asarray([float(parameters[key]) for key in self.names])
+        check(bool(np.all(np.isfinite(self.theta))), "parameters", "must be finite", parameters)
+        limits = [(bounds or {}).get(key, (-np.inf, np.inf)) for key in self.names]
+        self.lower = np.asarray([low for low, _ in limits], dtype=float)
+        self.upper = np.asarray([high for _, high in limits], dtype=float)
+        for key, low, value, high in zip(
+            self.names, self.lower, self.theta, self.upper, strict=True
+        ):
+            check(low < high, f"bounds[{key}]", "must be (lower, upper) with lower < upper",
+                  (float(low), float(high)))
+            check(low <= value <= high, f"parameters[{key}]",
+                  f"must lie in its bounds [{low:g}, {high:g}]", float(value),
+                  "Move the nominal value or widen the bounds.")
+        self.degrees = _degrees(relative_degree, len(self.outputs))
+        self.internal_initial = _internal_initial(internal, internal_initial)
+        self.unit_items = tuple((units or {}).items())
+        self._check_shapes()
+
+    # -- what it is made of ---------------------------------------------------------------
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return {key: float(value) for key, value in zip(self.names, self.theta, strict=True)}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name, as given."""
+        return dict(self.unit_items)
+
+    @property
+    def relative_degree(self) -> int:
+        """The highest relative degree r of the outputs."""
+        return max(self.degrees)
+
+    @property
+    def free(self) -> Float[np.ndarray, " np"]:
+        """1.0 where a parameter is estimated, 0.0 where it is fixed."""
+        return np.asarray([float(key not in self.fixed) for key in self.names])
+
+    def with_parameters(self, values: Mapping[str, float] | Any) -> "Plant":
+        """The same plant with other parameter values.
+
+        Args:
+            values: ``{name: value}`` for some or all names, or an array (np,).
+
+        Raises:
+            ValueError: an unknown name.
+        """
+        if isinstance(values, Mapping):
+            for key in values:
+                check_choice("parameters", key, self.names)
+            theta = np.asarray([float(values.get(key, old)) for key, old in self.parameters.items()])
+        else:
+            theta = values
+        return eqx.tree_at(lambda plant: plant.theta, self, theta)
+
+    # -- equations ------------------------------------------------------------------------
+
+    def named(self, theta: Float[Array | np.ndarray, " np"]) -> Any:
+        """θ as the `p` that model functions take: ``p.a``, ``p.b``, …"""
+        return _parameter_type(self.names)(*theta)
+
+    def derivative(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> Output:
+        """f(t, x, u; θ): the highest derivative of each output [its unit / s^r]."""
+        value = jnp.asarray(self.dynamics(t, x, u, self.named(theta)))
+        return jnp.reshape(value, (len(self.outputs),))
+
+    def internal_rate(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> Float[Array, " nz"]:
+        """g(t, x, u; θ): the rate of the internal states [their unit / s]."""
+        if self.internal is None:
+            return jnp.zeros_like(x.z)
+        value = jnp.asarray(self.internal(t, x, u, self.named(theta)))
+        return jnp.reshape(value, x.z.shape)
+
+    def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
+        """z at the start of a record."""
+        start = self.internal_initial
+        value = start(self.named(theta)) if callable(start) else start
+        return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
+
+    def regressor(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Regressor:
+        r"""$\varphi = \partial f/\partial\theta$ at θ, eq. (2), shape (ny, np)."""
+        return jax.jacfwd(lambda value: self.derivative(t, x, u, value))(theta)
+
+    def at_rest(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> tuple[Output, Output]:
+        """f with each output's velocity just above and just below zero, each (ny,).
+
+        A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
+        Only outputs of relative degree 2 or more have a velocity among their states.
+        """
+
+        def own(j: int, velocity: float) -> Scalar:
+            moved = State(x.y.at[1, j].set(velocity), x.z)
+            return self.derivative(t, moved, u, theta)[j]
+
+        if self.relative_degree < 2:
+            f = self.derivative(t, x, u, theta)
+            return f, f
+        ny = len(self.outputs)
+        above = jnp.stack([own(j, _REST) for j in range(ny)])
+        below = jnp.stack([own(j, -_REST) for j in range(ny)])
+        return above, below
+
+    # -- structure, found by probing ------------------------------------------------------
+
+    @property
+    def is_affine(self) -> bool:
+        """Whether θ enters f linearly (plus a constant), so that one least squares suffices."""
+        if self.internal is not None:
+            return False
+        for t, x, u, theta in _probes(self):
+            other = theta * 1.37 + 0.21
+            middle = self.derivative(t, x, u, 0.5 * (theta + other))
+            ends = 0.5 * (self.derivative(t, x, u, theta) + self.derivative(t, x, u, other))
+            scale = 1.0 + jnp.abs(middle) + jnp.abs(ends)
+            if bool(jnp.any(jnp.abs(middle - ends) > 1e3 * jnp.finfo(middle.dtype).eps * scale)):
+                return False
+        return True
+
+    @property
+    def dry_friction(self) -> tuple[bool, ...]:
+        """For each output, whether f jumps where its velocity changes sign."""
+        jumps = np.zeros(len(self.outputs), dtype=bool)
+        if self.relative_degree < 2:
+            return tuple(jumps.tolist())
+        for t, x, u, theta in _probes(self):
+            above, below = self.at_rest(t, x, u, theta)
+            scale = 1.0 + jnp.abs(above) + jnp.abs(below)
+            jumps |= np.asarray(jnp.abs(above - below) > 1e-4 * scale)
+        return tuple((jumps & (np.asarray(self.degrees) >= 2)).tolist())
+
+    def _check_shapes(self) -> None:
+        """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
+        theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
+        start = jax.eval_shape(self.internal_start, theta)
+        r, ny, nu = self.relative_degree, len(self.outputs), len(self.inputs)
+
+        def shapes(function: Dynamics) -> tuple[int, ...]:
+            def call(theta, z):
+                x = State(jnp.zeros((r, ny)), z)
+                return jnp.asarray(
+                    function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta))
+                )
+
+            return jax.eval_shape(call, theta, start).shape
+
+        shape = shapes(self.dynamics)
+        check(shape == (ny,) or (ny == 1 and shape == ()), "dynamics",
+              f"must return shape ({ny},), one value for each of the outputs "
+              f"{', '.join(self.outputs)}", f"shape {shape}")
+        if self.internal is not None:
+            shape = shapes(self.internal)
+            check(shape == start.shape or (start.shape == (1,) and shape == ()), "internal",
+                  f"must return the shape of `internal_initial` {start.shape}", f"shape {shape}")
+
+
+_TYPES: dict[tuple[str, ...], Any] = {}
+
+
+def _parameter_type(names: tuple[str, ...]) -> Any:
+    # One class per set of names: jit compares pytree types by identity.
+    if names not in _TYPES:
+        _TYPES[names] = namedtuple("Parameters", names)
+    return _TYPES[names]
+
+
+def _check_names(
+    names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]
+) -> None:
+    check(len(names) > 0, "parameters", "must name at least one parameter", "none")
+    for key in names:
+        good = key.isidentifier() and not keyword.iskeyword(key) and not key.startswith("_")
+        check(good, "parameters", "must have names that are Python identifiers", repr(key),
+              "The model reads them as `p.name`.")
+    for key in fixed:
+        check_choice("fixed", key, names)
+    for key in bounds:
+        check_choice("bounds", key, names)
+    check(len(set(fixed)) < len(names), "fixed", "must leave a parameter to estimate",
+          ", ".join(fixed))
+
+
+def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
+    many = isinstance(relative_degree, Sequence)
+    degrees = tuple(relative_degree) if many else (relative_degree,) * ny  # type: ignore[arg-type]
+    good = len(degrees) == ny and all(isinstance(r, int) and r >= 1 for r in degrees)
+    check(good, "relative_degree", f"must be an integer ≥ 1, or {ny} of them, one an output",
+          relative_degree)
+    return degrees
+
+
+def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
+    if internal is None:
+        check(initial is None, "internal_initial", "must be left out without `internal`", initial)
+        return ()
+    check(initial is not None, "internal_initial", "must be given with `internal`", "none",
+          "Give z at the start of the record, or a function of the parameters.")
+    return initial if callable(initial) else tuple(float(value) for value in initial)
+
+
+def _probes(plant: Plant) -> list[tuple[Scalar, State, Array, Array]]:
+    """A few fixed pseudo-random points (seed 0) at which structure is looked for."""
+    draw = np.random.default_rng(0)
+    r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
+    points = []
+    for _ in range(4):
+        # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
+        theta = jnp.asarray(plant.theta * draw.uniform(0.8, 1.2, plant.theta.shape) + 0.1)
+        z = plant.internal_start(theta)
+        x = State(jnp.asarray(draw.uniform(0.1, 1.0, (r, ny))), z + 0.1)
+        points.append((jnp.asarray(0.3), x, jnp.asarray(draw.uniform(0.1, 1.0, nu)), theta))
+    return points

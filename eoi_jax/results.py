@@ -1,0 +1,25 @@
+"""How a run can end, in words: what happened, the likely cause, what to try."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Status:
+    """The end of a run.
+
+    Attributes:
+        code: one word for programs: ``"converged"``, ``"passes_exhausted"``,
+            ``"unidentifiable"``, ``"diverged"``, ``"no_data"``.
+        message: what happened, the likely cause, what to try.
+    """
+
+    code: str
+    message: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run has an answer for every free parameter."""
+        return self.code in ("converged", "passes_exhausted")
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.message}"

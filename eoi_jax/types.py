@@ -1,0 +1,24 @@
+"""Array aliases and axis names used in every signature.
+
+Axes: ``time`` samples N, ``nu`` inputs, ``ny`` outputs, ``np`` parameters, ``nz`` internal
+states, ``r`` the highest relative degree, ``rates`` = r - 1 derivatives of an output.
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float
+
+Scalar: TypeAlias = Float[Array, ""]
+Theta: TypeAlias = Float[Array, " np"]
+Output: TypeAlias = Float[Array, " ny"]
+Input: TypeAlias = Float[Array, " nu"]
+Rates: TypeAlias = Float[Array, "rates ny"]
+Regressor: TypeAlias = Float[Array, "ny np"]
+Flags: TypeAlias = Bool[Array, " ny"]
+
+# Host side: records are NumPy arrays until a kernel takes them.
+TimeAxis: TypeAlias = Float[np.ndarray, " time"]
+Signals: TypeAlias = Float[np.ndarray, "time channel"]
+Mask: TypeAlias = Bool[np.ndarray, " time"]
