@@ -1,0 +1,600 @@
+"""A run as a TOML file: what the tables may hold, and the objects they stand for.
+
+``load`` reads and checks a file; ``plant``, ``observer``, ``lowpass``, ``records`` and
+``validation_records`` build what `identify` takes. A mistake in the file is a `ValueError` that
+names the field with its table, the rule and the value.
+"""
+
+import importlib.util
+import os
+import re
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+import numpy as np
+
+from eoi_jax import observers, plants
+from eoi_jax.checks import check, check_choice
+from eoi_jax.data import excitation
+from eoi_jax.data.readers import read_record
+from eoi_jax.data.record import Record
+from eoi_jax.lowpass import LowPass
+from eoi_jax.plants.plant import Plant
+from eoi_jax.simulate import simulate
+
+DATA_VARIABLE = "EOI_DATA"
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Gain = Positive | tuple[Positive, ...]
+# The name becomes a folder under runs/: nothing that could leave it or hide in it.
+FolderName = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+
+
+class ParameterTable(msgspec.Struct, frozen=True):
+    """[parameters]: changes to the plant's own declaration.
+
+    Attributes:
+        nominal: starting values θ_0 by name; the others keep the plant's.
+        fixed: names that are not estimated.
+        bounds: ``[lower, upper]`` by name.
+    """
+
+    nominal: dict[str, float] = {}
+    fixed: tuple[str, ...] = ()
+    bounds: dict[str, tuple[float, float]] = {}
+
+
+class FirstOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="first_order"):
+    """[observer] of eq. (5): a gain for all outputs or one for each."""
+
+    delta: Gain
+    leak: Gain = 1.0
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SecondOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="second_order"):
+    """[observer] of eq. (9): a gain for all outputs or one for each."""
+
+    c1: Gain
+    c2: Gain
+    c3: Gain
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SuperTwistingTable(msgspec.Struct, frozen=True, tag_field="kind", tag="super_twisting"):
+    """[observer] of Davila, Fridman, Poznyak (2006): a gain for all outputs or one for each."""
+
+    alpha: Gain
+    lambda1: Gain | None = None
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class HighOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="high_order"):
+    """[observer] of Levant (2003) for relative degree `degree`; implicit only."""
+
+    bound: Gain
+    degree: Count
+    lambdas: tuple[Positive, ...] | None = None
+
+
+ObserverTable = FirstOrderTable | SecondOrderTable | SuperTwistingTable | HighOrderTable
+
+
+class LowPassTable(msgspec.Struct, frozen=True):
+    """[lowpass] of eq. (19): cut-off [rad/s] and order."""
+
+    cutoff: Positive
+    order: Count = 2
+
+
+class IdentifyTable(msgspec.Struct, frozen=True):
+    """[identify]: how the passes run.
+
+    Attributes:
+        passes: the most passes to make.
+        transient: not scored at the start of each record [s]; absent: ten time constants of the
+            filter.
+        substeps: observer steps per sample.
+        smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
+            absent: decided from the record's noise.
+    """
+
+    passes: Count = 10
+    transient: NotNegative | None = None
+    substeps: Count = 1
+    smoothing: Positive | bool | None = None
+
+    def __post_init__(self) -> None:
+        rule = "must be a cut-off [rad/s], or false"
+        check(self.smoothing is not True, "identify.smoothing", rule, "true")
+
+
+class SquareTable(msgspec.Struct, frozen=True, tag_field="kind", tag="square"):
+    """A square wave offset ± amplitude; frequency [Hz]."""
+
+    amplitude: float
+    frequency: Positive
+    offset: float = 0.0
+    duty: Positive = 0.5
+
+
+class PrbsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="prbs"):
+    """A pseudo-random binary sequence offset ± amplitude that may switch every period [s]."""
+
+    amplitude: float
+    switching_period: Positive
+    seed: int = 0
+    offset: float = 0.0
+
+
+class ChirpTable(msgspec.Struct, frozen=True, tag_field="kind", tag="chirp"):
+    """A sine whose frequency runs from start to stop [Hz] over the record."""
+
+    amplitude: float
+    start: Positive
+    stop: Positive
+    offset: float = 0.0
+
+
+class MultisineTable(msgspec.Struct, frozen=True, tag_field="kind", tag="multisine"):
+    """Cosines of equal size and random phase between two frequencies [Hz]; amplitude is the rms."""
+
+    amplitude: float
+    frequencies: tuple[Positive, Positive]
+    components: Count = 20
+    seed: int = 0
+    offset: float = 0.0
+
+
+class RandomStepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="random_steps"):
+    """Levels drawn from [low, high], each held for a while [s]."""
+
+    low: float
+    high: float
+    holding_time: Positive
+    seed: int = 0
+
+
+class StepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="steps"):
+    """Levels one after the other, each held for a while [s]."""
+
+    levels: tuple[float, ...]
+    holding_time: Positive
+
+
+SignalTable = SquareTable | PrbsTable | ChirpTable | MultisineTable | StepsTable | RandomStepsTable
+
+
+class SimulateTable(msgspec.Struct, frozen=True):
+    """[simulate]: a record made by the plant itself, with other parameters.
+
+    Attributes:
+        sample_period, duration: [s].
+        input: one signal for each input of the plant.
+        truth: parameter values that make the record; the others keep the nominal value.
+        increments: the same, as what is added to the nominal values (Δθ of the paper).
+        initial: for each output its value, or [value, rate, …], at the start; absent: zero.
+        noise: standard deviation of white noise for each output [its unit].
+        quantisation: step of each output's sensor [its unit].
+        seed: of the noise.
+    """
+
+    sample_period: Positive
+    duration: Positive
+    input: dict[str, SignalTable]
+    truth: dict[str, float] = {}
+    increments: dict[str, float] = {}
+    initial: dict[str, float | tuple[float, ...]] = {}
+    noise: dict[str, NotNegative] = {}
+    quantisation: dict[str, NotNegative] = {}
+    seed: int = 0
+
+
+class DataTable(msgspec.Struct, frozen=True):
+    """[data] and [validation]: measured files, all read the same way.
+
+    Attributes:
+        files: one record each; relative to ``--data``, else to $EOI_DATA, else to the config.
+        inputs, outputs: columns, in the order of the plant's inputs and outputs.
+        time: column of time [s]; absent where `sample_period` [s] is given.
+        scale: factor by column, to convert units.
+        units: unit by column, after scaling.
+        slice: first and last (excluded) sample used.
+        hold: what the input did between samples: zero, linear, smooth, or auto.
+        burn_in: not scored at the start [s].
+    """
+
+    files: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    time: str | None = None
+    sample_period: Positive | None = None
+    scale: dict[str, float] = {}
+    units: dict[str, str] = {}
+    slice: tuple[int, int] | None = None
+    hold: Literal["auto", "zero", "linear", "smooth"] = "auto"
+    burn_in: NotNegative = 0.0
+
+
+class Config(msgspec.Struct, frozen=True):
+    """A whole run.
+
+    Attributes:
+        name: of the run, and of its folder.
+        plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
+            the object is a `Plant` or a function that returns one.
+        observer, lowpass: absent: chosen from the records.
+        simulate, data: where the records come from; exactly one of the two.
+        validation: held-out files; what the table leaves out is as in [data].
+    """
+
+    name: FolderName
+    plant: str
+    parameters: ParameterTable = ParameterTable()
+    observer: ObserverTable | None = None
+    lowpass: LowPassTable | None = None
+    identify: IdentifyTable = IdentifyTable()
+    simulate: SimulateTable | None = None
+    data: DataTable | None = None
+    validation: DataTable | None = None
+
+
+# -- from text to tables ----------------------------------------------------------------------
+
+
+def load(path: Path) -> Config:
+    """Read and check a TOML file.
+
+    Raises:
+        ValueError: the file is missing or no TOML, a key is unknown (the known ones are listed),
+            a value is missing, of the wrong type or out of range.
+    """
+    check(path.is_file(), "config", "must be a file that exists", path)
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"`config` must be a TOML file, got {path}: {error}.") from None
+    data, validation = tables.get("data"), tables.get("validation")
+    if isinstance(data, dict) and isinstance(validation, dict):
+        tables["validation"] = {**data, **validation}
+    config = _table((Config,), tables, "")
+    check(
+        (config.simulate is None) != (config.data is None),
+        "config",
+        "must have exactly one of the tables [simulate] and [data]",
+        "none" if config.data is None else "both",
+    )
+    return config
+
+
+def _table(kinds: Sequence[Any], table: Any, name: str) -> Any:
+    """The Struct among `kinds` that a TOML table stands for, built field by field.
+
+    msgspec alone would do it, but its messages know neither the key of a dictionary nor the value.
+    """
+    check(isinstance(table, dict), name, "must be a table", table)
+    kind, table = kinds[0], dict(table)
+    if kind.__struct_config__.tag is not None:
+        by_tag = {each.__struct_config__.tag: each for each in kinds}
+        tag = table.pop("kind", None)
+        check(tag is not None, f"{name}.kind", f"must be one of {', '.join(by_tag)}", "nothing")
+        check_choice(f"{name}.kind", str(tag), by_tag)
+        kind = by_tag[tag]
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    for key in table:
+        check_choice(f"a key of [{name}]" if name else "a key of the config", key, fields)
+    values = {}
+    for key, field in fields.items():
+        where = f"{name}.{key}" if name else key
+        check(key in table or not field.required, where, "must be given", "nothing")
+        if key in table:
+            values[key] = _value(field.type, table[key], where)
+    return kind(**values)
+
+
+def _value(annotation: Any, value: Any, name: str) -> Any:
+    members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else [annotation]
+    kinds = [m for m in members if isinstance(m, type) and issubclass(m, msgspec.Struct)]
+    if kinds:
+        return _table(kinds, value, name)
+    if get_origin(annotation) is dict:
+        check(isinstance(value, dict), name, "must be a table", value)
+        item = get_args(annotation)[1]
+        return {key: _value(item, each, f"{name}.{key}") for key, each in value.items()}
+    if get_origin(annotation) is Literal:
+        check_choice(name, str(value), get_args(annotation))
+    try:
+        return msgspec.convert(value, annotation)
+    except msgspec.ValidationError as error:
+        rule, place = _in_words(str(error))
+        check(False, name + place, rule, repr(value))
+
+
+_WORDS = {
+    "`str`": "a text",
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`array`": "a list",
+    "`float | array`": "a number or a list of numbers",
+    "`str | null`": "a text",
+    "`int | null`": "a whole number",
+    "`float | null`": "a number",
+    "`array | null`": "a list",
+}
+
+
+def _in_words(message: str) -> tuple[str, str]:
+    """Say msgspec's "Expected `float` > 0.0 - at `$[1]`" as a rule and the place in the value."""
+    message, _, place = message.partition(" - at `$")
+    expected = re.sub(r"^Expected |, got .*$", "", message)
+    for word, plain in _WORDS.items():
+        expected = expected.replace(word, plain)
+    return f"must be {expected}", place.rstrip("`")
+
+
+# -- from tables to objects -------------------------------------------------------------------
+
+_PLANTS: dict[str, Callable[[], Plant]] = {
+    factory.__name__: factory
+    for factory in (
+        plants.level_tank,
+        plants.mass_spring_damper,
+        plants.three_mass_spring_damper,
+        plants.pendulum,
+        plants.positioning_system,
+        plants.duffing_oscillator,
+        plants.cascaded_tanks,
+        plants.propeller_arm,
+    )
+}
+
+
+def plant(config: Config, folder: Path) -> Plant:
+    """The model with its nominal parameters, bounds and fixed names.
+
+    Args:
+        config: what was loaded.
+        folder: of the config; a plant's own file is relative to it.
+
+    Raises:
+        ValueError: an unknown plant or parameter, a value outside its bounds, a file that fails.
+    """
+    if ":" in config.plant:
+        base = _plant_from_file(config.plant, folder)
+    else:
+        check_choice("plant", config.plant, _PLANTS)
+        base = _PLANTS[config.plant]()
+    table = config.parameters
+    for field in ("nominal", "bounds"):
+        for key in getattr(table, field):
+            check_choice(f"parameters.{field}", key, base.names)
+    limits = {
+        key: (float(low), float(high))
+        for key, low, high in zip(base.names, base.lower, base.upper, strict=True)
+    }
+    return Plant(
+        base.dynamics,
+        {**base.parameters, **table.nominal},
+        relative_degree=base.degrees,
+        inputs=base.inputs,
+        outputs=base.outputs,
+        internal=base.internal,
+        internal_initial=base.internal_initial if base.internal else None,
+        bounds={**limits, **table.bounds},
+        fixed=(*base.fixed, *(key for key in table.fixed if key not in base.fixed)),
+        units=base.units,
+        name=base.name,
+    )
+
+
+def _plant_from_file(reference: str, folder: Path) -> Plant:
+    file, _, name = reference.rpartition(":")
+    path = folder / file
+    rule = 'must be "file.py:object"'
+    check(path.is_file(), "plant", f"{rule} with a file that exists", path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    check(spec is not None, "plant", f"{rule} with a Python file", path)
+    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    try:
+        spec.loader.exec_module(module)  # type: ignore[union-attr]
+        made = getattr(module, name, None)
+        made = made() if made is not None and not isinstance(made, Plant) else made
+    except Exception as error:  # the user's code: whatever it raises is the user's to mend
+        raise ValueError(
+            f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
+        ) from error
+    check(
+        isinstance(made, Plant),
+        "plant",
+        f"{rule} where the object is a Plant or a function that returns one",
+        reference,
+    )
+    return made  # type: ignore[return-value]
+
+
+def observer(config: Config) -> Any:
+    """The observer of the [observer] table, or None: chosen from the records."""
+    table = config.observer
+    if table is None:
+        return None
+    kinds = {
+        FirstOrderTable: observers.FirstOrder,
+        SecondOrderTable: observers.SecondOrder,
+        SuperTwistingTable: observers.SuperTwisting,
+        HighOrderTable: observers.HighOrder,
+    }
+    return kinds[type(table)](**msgspec.structs.asdict(table))
+
+
+def lowpass(config: Config) -> LowPass | None:
+    """The filter of the [lowpass] table, or None: chosen from the records."""
+    table = config.lowpass
+    return None if table is None else LowPass(table.cutoff, order=table.order)
+
+
+def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
+    """The records to identify from, simulated or read.
+
+    Args:
+        config: what was loaded.
+        model: the plant with its nominal parameters.
+        folder: of the config.
+        data: folder of measured files; None: $EOI_DATA, else `folder`.
+
+    Raises:
+        ValueError: what `simulate` or `read_record` object to, or a name the plant does not have.
+    """
+    if config.data is not None:
+        return _read(config.data, "data", model, folder, data)
+    return [_simulated(config, model)]
+
+
+def validation_records(
+    config: Config, model: Plant, folder: Path, data: Path | None = None
+) -> list[Record]:
+    """The held-out records; none if the config names none. Arguments as in `records`."""
+    if config.validation is None:
+        return []
+    return _read(config.validation, "validation", model, folder, data)
+
+
+def _read(
+    table: DataTable, name: str, model: Plant, folder: Path, data: Path | None
+) -> list[Record]:
+    for field, own in (("inputs", model.inputs), ("outputs", model.outputs)):
+        columns = getattr(table, field)
+        check(
+            len(columns) == len(own),
+            f"{name}.{field}",
+            f"must name {len(own)} column(s), for the plant's {', '.join(own) or 'none'}",
+            ", ".join(columns) or "none",
+        )
+    root = data or Path(os.environ.get(DATA_VARIABLE) or folder)
+    return [
+        read_record(
+            root / file,
+            time=table.time,
+            inputs=list(table.inputs),
+            outputs=list(table.outputs),
+            sample_period=table.sample_period,
+            scale=dict(table.scale),
+            units=dict(table.units),
+            hold=table.hold,
+            burn_in=table.burn_in,
+            slice=table.slice,
+        )
+        for file in table.files
+    ]
+
+
+# -- simulated records ------------------------------------------------------------------------
+
+_SIGNALS: dict[type, Callable[..., Any]] = {
+    SquareTable: excitation.square,
+    PrbsTable: excitation.prbs,
+    ChirpTable: excitation.chirp,
+    MultisineTable: excitation.multisine,
+    StepsTable: excitation.steps,
+    RandomStepsTable: excitation.random_steps,
+}
+
+
+def _simulated(config: Config, model: Plant) -> Record:
+    table = config.simulate
+    assert table is not None
+    count = table.duration / table.sample_period
+    check(
+        count < 1e8,
+        "simulate.duration",
+        "must be less than 1e8 samples long",
+        table.duration,
+        "Choose a longer sample period.",
+    )
+    time = np.arange(round(count) + 1) * table.sample_period
+    check(
+        set(table.input) == set(model.inputs),
+        "simulate.input",
+        f"must have one table for each of the inputs {', '.join(model.inputs)}",
+        ", ".join(table.input) or "none",
+    )
+    signals = [_signal(table.input[name], time, name) for name in model.inputs]
+    record = simulate(
+        model.with_parameters(_truth(table, model)),
+        time,
+        np.stack(signals, axis=1),
+        initial=_initial(table, model),
+        name=config.name,
+    )
+    return _measured(record, table, model)
+
+
+def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
+    arguments = msgspec.structs.asdict(table)
+    offset = arguments.pop("offset", 0.0)
+    try:
+        return offset + _SIGNALS[type(table)](time, **arguments)
+    except ValueError as error:
+        raise ValueError(f"[simulate.input.{name}] {error}") from None
+
+
+def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
+    check(
+        bool(table.truth) != bool(table.increments),
+        "simulate",
+        "must have one of the tables `truth` and `increments`",
+        "both" if table.truth else "neither",
+    )
+    for field in ("truth", "increments"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.names)
+    nominal = model.parameters
+    return table.truth or {key: nominal[key] + add for key, add in table.increments.items()}
+
+
+def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
+    """Outputs and their derivatives at the start, shape (r, ny)."""
+    start = np.zeros((model.relative_degree, len(model.outputs)))
+    for name, given in table.initial.items():
+        check_choice("simulate.initial", name, model.outputs)
+        values = np.atleast_1d(given)
+        j = model.outputs.index(name)
+        check(
+            len(values) <= model.degrees[j],
+            f"simulate.initial.{name}",
+            f"must have at most {model.degrees[j]} value(s): the output and its derivatives",
+            list(values),
+        )
+        start[: len(values), j] = values
+    return start
+
+
+def _measured(record: Record, table: SimulateTable, model: Plant) -> Record:
+    """The record as a sensor gives it: white noise added, then rounded to the sensor's step."""
+    if not table.noise and not table.quantisation:
+        return record
+    for field in ("noise", "quantisation"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.outputs)
+    draw = np.random.default_rng(table.seed)
+    outputs = np.array(record.outputs)
+    for j, name in enumerate(model.outputs):
+        outputs[:, j] += table.noise.get(name, 0.0) * draw.standard_normal(len(outputs))
+        step = table.quantisation.get(name, 0.0)
+        if step > 0:
+            outputs[:, j] = step * np.round(outputs[:, j] / step)
+    return Record(
+        record.time,
+        record.inputs,
+        outputs,
+        name=record.name,
+        input_names=record.input_names,
+        output_names=record.output_names,
+        units=record.units,
+        hold=record.hold,
+    )

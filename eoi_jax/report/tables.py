@@ -1,0 +1,117 @@
+"""Results as plain text: aligned columns, no colours, so that they read the same everywhere."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eoi_jax.identify import Identification
+
+
+def identification_text(result: Identification) -> str:
+    """The whole result: status, parameters, index per pass, gains and notes.
+
+    Args:
+        result: of `identify`.
+
+    Returns:
+        Several lines of at most about 100 characters.
+    """
+    blocks = [
+        f"{result.plant.name}: {result.status}",
+        parameter_table(result),
+        index_table(result),
+        health_table(result),
+        f"observer  {_gains(result.observer)}\nlow-pass  {_gains(result.lowpass)}",
+        "\n".join(f"- {line}" for line in (*result.reasons, *result.notes)),
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def parameter_table(result: Identification) -> str:
+    """A line for each parameter: nominal, estimate, standard error, change [%], unit."""
+    nominal, units = result.nominal.parameters, result.plant.units
+    rows = [("parameter", "nominal", "estimate", "± std. error", "change", "unit")]
+    for name, value in result.parameters.items():
+        fixed = name in result.plant.fixed
+        error = result.standard_errors.get(name, np.nan)
+        rows.append(
+            (
+                name,
+                f"{nominal[name]:.6g}",
+                f"{value:.6g}",
+                "fixed" if fixed else f"{error:.2g}",
+                "" if fixed else _change(nominal[name], value),
+                units.get(name, ""),
+            )
+        )
+    return _columns(rows, "<>>>><")
+
+
+def index_table(result: Identification) -> str:
+    """The index P of eq. (14) and the increments of each pass, as in the paper's tables.
+
+    Passes count from 1. ``*`` marks the smallest index: the estimate is the nominal value plus
+    the increments of the passes *before* it.
+    """
+    outputs, names = result.plant.outputs, result.plant.names
+    rows = [("pass", *(f"P({name})" for name in outputs), *(f"Δ{name}" for name in names))]
+    for row, (index, increments) in enumerate(zip(result.index, result.increments, strict=True)):
+        mark = "*" if row == result.best_pass else ""
+        rows.append(
+            (
+                f"{row + 1}{mark or ' '}",
+                *(f"{value:.4g}" for value in index),
+                *(f"{value:.4g}" if np.isfinite(value) else "-" for value in increments),
+            )
+        )
+    return "\n\n".join(_columns(part, ">" * len(part[0])) for part in _narrow(rows, len(outputs)))
+
+
+def health_table(result: Identification) -> str:
+    """For each output the share of steps in sliding, and the injection left over y^(r) [%]."""
+    rows = [("output", "in sliding", "unexplained")]
+    for name, sliding, left in zip(
+        result.plant.outputs, result.sliding_fraction, result.unexplained, strict=True
+    ):
+        rows.append((name, f"{100 * sliding:.4g} %", f"{100 * left:.2g} %"))
+    return _columns(rows, "<>>")
+
+
+def _gains(module: Any) -> str:
+    """An observer or a filter as its name and gains: ``SecondOrder(c1 17.5, c2 57.2, …)``."""
+    shown = []
+    for name, value in vars(module).items():
+        if isinstance(value, tuple) and value and not np.isscalar(value[0]):
+            shown += [_gains(one) for one in value]
+        elif isinstance(value, str):
+            shown.append(value)
+        else:
+            numbers = " ".join(f"{one:.4g}" for one in np.atleast_1d(np.asarray(value, float)))
+            shown.append(f"{name} {numbers}")
+    return f"{type(module).__name__}({', '.join(shown)})"
+
+
+def _change(nominal: float, value: float) -> str:
+    return f"{100 * (value - nominal) / abs(nominal):+.2f} %" if nominal else "new"
+
+
+def _narrow(rows: list[tuple[str, ...]], outputs: int) -> list[list[tuple[str, ...]]]:
+    """Tables of about nine columns; the number of the pass stands in each."""
+    head, step = 1 + outputs, max(8 - outputs, 3)
+    parts = [[row[: head + step] for row in rows]]
+    for start in range(head + step, len(rows[0]), step):
+        parts.append([(row[0], *row[start : start + step]) for row in rows])
+    return parts
+
+
+def _columns(rows: Sequence[Sequence[str]], sides: str) -> str:
+    """Rows padded to common widths; `sides` holds < or > for each column."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(
+            f"{cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
+    return "\n".join(lines)
