@@ -1,0 +1,1 @@
+"""Records of measured signals: reading, resampling, excitation."""

@@ -1,0 +1,183 @@
+"""Input signals for experiments and simulations: NumPy functions of time, float64.
+
+Every signal starts at the first stamp, wherever the clock stands there. What is random takes a
+seed, and the same seed gives the same signal.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eoi_jax.checks import check, check_positive
+from eoi_jax.data.resample import Real
+from eoi_jax.types import TimeAxis
+
+
+def square(
+    time: Any, amplitude: Real, frequency: Real, offset: Real = 0.0, duty: Real = 0.5
+) -> TimeAxis:
+    """Square wave: offset + amplitude, then offset − amplitude.
+
+    Args:
+        time: stamps (N,) [s].
+        amplitude: half of the jump.
+        frequency: [Hz].
+        offset: mean at half duty.
+        duty: share of each period spent at the upper level, in (0, 1).
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    tau = _elapsed(time)
+    _check_finite("amplitude", amplitude)
+    check_positive("frequency", frequency)
+    _check_finite("offset", offset)
+    check(bool(0 < duty < 1), "duty", "must lie in (0, 1)", duty)
+    # The shift keeps a stamp that rounding left just short of an edge on the right side of it.
+    phase = np.mod(tau * float(frequency) + 1e-9, 1.0)
+    return float(offset) + float(amplitude) * np.where(phase < duty, 1.0, -1.0)
+
+
+def prbs(time: Any, amplitude: Real, switching_period: Real, seed: int) -> TimeAxis:
+    """Pseudo-random binary signal: ± amplitude, drawn anew every `switching_period`.
+
+    Args:
+        time: stamps (N,) [s].
+        amplitude: of both levels.
+        switching_period: shortest time between two switches [s].
+        seed: integer ≥ 0.
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    _check_finite("amplitude", amplitude)
+    slot = _slot(_elapsed(time), "switching_period", switching_period)
+    signs = 2.0 * _draw(seed).integers(0, 2, int(slot[-1]) + 1) - 1.0
+    return float(amplitude) * signs[slot]
+
+
+def chirp(time: Any, amplitude: Real, start: Real, stop: Real) -> TimeAxis:
+    """Sine whose frequency runs linearly from `start` to `stop` [Hz] over the whole of `time`.
+
+    Args:
+        time: stamps (N,) [s].
+        amplitude: peak value.
+        start: frequency at the first stamp [Hz].
+        stop: frequency at the last stamp [Hz].
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    tau = _elapsed(time)
+    _check_finite("amplitude", amplitude)
+    check_positive("start", start)
+    check_positive("stop", stop)
+    rate = (float(stop) - float(start)) / tau[-1]
+    return float(amplitude) * np.sin(2 * np.pi * (float(start) * tau + 0.5 * rate * tau**2))
+
+
+def multisine(
+    time: Any, amplitude: Real, frequencies: tuple[Real, Real], components: int, seed: int
+) -> TimeAxis:
+    r"""Sum of cosines of equal size and random phase, $a\sqrt{2/n}\sum\cos(2\pi f_i t + \phi_i)$.
+
+    The frequencies are spread over the band and moved to the nearest multiple of 1/duration: the
+    record is one period, and its rms is `amplitude`.
+
+    Args:
+        time: uniform stamps (N,) [s].
+        amplitude: root mean square of the signal (not its peak).
+        frequencies: band (low, high) [Hz], below half the sampling frequency.
+        components: number n of cosines.
+        seed: of the phases, integer ≥ 0.
+
+    Raises:
+        ValueError: an argument out of its range, or more components than multiples of
+            1/duration in the band.
+    """
+    tau = _elapsed(time)
+    _check_finite("amplitude", amplitude)
+    check(
+        isinstance(components, int) and components >= 1,
+        "components",
+        "must be an integer ≥ 1",
+        components,
+    )
+    duration = tau[-1] * len(tau) / (len(tau) - 1)
+    low, high = (float(value) for value in frequencies)
+    nyquist = 0.5 * len(tau) / duration
+    check(
+        0 < low <= high < nyquist,
+        "frequencies",
+        f"must be (low, high) with 0 < low ≤ high < {nyquist:g} Hz, half the sampling frequency",
+        (low, high),
+    )
+    lines = np.rint(np.linspace(low, high, components) * duration)
+    check(
+        len(np.unique(lines)) == components and lines[0] >= 1,
+        "components",
+        f"must fit between {low:g} and {high:g} Hz at a spacing of {1 / duration:g} Hz",
+        components,
+        "Take fewer components, a wider band or a longer record.",
+    )
+    phases = _draw(seed).uniform(0, 2 * np.pi, components)
+    total = np.zeros_like(tau)
+    for line, phase in zip(lines, phases, strict=True):  # N × n at once may not fit in memory
+        total += np.cos(2 * np.pi * line / duration * tau + phase)
+    return float(amplitude) * np.sqrt(2 / components) * total
+
+
+def steps(time: Any, levels: Sequence[Real] | np.ndarray, holding_time: Real) -> TimeAxis:
+    """Levels one after the other, each for `holding_time` [s]; the last one stays.
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    values = np.asarray(levels, dtype=float)
+    good = values.ndim == 1 and values.size > 0 and bool(np.all(np.isfinite(values)))
+    check(good, "levels", "must be a list of finite numbers", levels)
+    slot = _slot(_elapsed(time), "holding_time", holding_time)
+    return values[np.minimum(slot, len(values) - 1)]
+
+
+def random_steps(time: Any, low: Real, high: Real, holding_time: Real, seed: int) -> TimeAxis:
+    """Levels drawn uniformly from [low, high], a new one every `holding_time` [s].
+
+    Raises:
+        ValueError: an argument out of its range.
+    """
+    _check_finite("low", low)
+    _check_finite("high", high)
+    check(bool(low < high), "low", f"must be below `high` = {high}", low)
+    slot = _slot(_elapsed(time), "holding_time", holding_time)
+    return _draw(seed).uniform(float(low), float(high), int(slot[-1]) + 1)[slot]
+
+
+def _elapsed(time: Any) -> TimeAxis:
+    stamps = np.asarray(time, dtype=float)
+    check(
+        stamps.ndim == 1 and stamps.size >= 2,
+        "time",
+        "must have shape (N,) with N ≥ 2",
+        f"shape {stamps.shape}",
+    )
+    increasing = bool(np.all(np.isfinite(stamps)) and np.all(np.diff(stamps) > 0))
+    check(increasing, "time", "must be finite and increasing", stamps)
+    return stamps - stamps[0]
+
+
+def _slot(tau: TimeAxis, name: str, length: Real) -> np.ndarray:
+    """Number of whole lengths elapsed; a stamp that rounding left just short counts as there."""
+    check_positive(name, length)
+    return np.floor(tau / float(length) + 1e-6).astype(np.int64)
+
+
+def _draw(seed: int) -> np.random.Generator:
+    good = isinstance(seed, int | np.integer) and seed >= 0
+    check(good, "seed", "must be an integer ≥ 0", seed)
+    return np.random.default_rng(seed)
+
+
+def _check_finite(name: str, value: Real) -> None:
+    check(bool(np.isfinite(value)), name, "must be finite", value)

@@ -1,0 +1,267 @@
+"""From stamps to a uniform grid, and between the samples of a uniform record.
+
+Positions are counted in samples wherever a spline is built, not in seconds: splines are then
+equally well conditioned for a record in microseconds and for one in hours.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from eoi_jax.checks import check, check_choice
+from eoi_jax.types import Mask, Signals, TimeAxis
+
+# A number as a caller writes it: an integer is as good as a float.
+Real: TypeAlias = float | int | np.number
+Segments: TypeAlias = Sequence[tuple[int, int]]
+
+HOLDS = ("zero", "linear", "smooth")
+_JITTER = 1e-3  # a stamp within this many periods of its grid point is on it
+GAP = 2.5  # a spacing of more periods than this is a gap, not one late sample
+_GROWTH = 10  # a grid this many times longer than the stamps is no regular sampling
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The uniform grid that fits a set of stamps.
+
+    Attributes:
+        time: the grid [s], shape (M,).
+        sample_period: its step [s].
+        index: the grid point on which each stamp lies; None if stamps lie between grid points,
+            so that values must be interpolated.
+        deviation: largest distance of a stamp from the straight line through them [periods].
+        resolution: step of the clock's last digit [s], where rounding to it explains a
+            `deviation` above the tolerance; otherwise 0.
+    """
+
+    time: TimeAxis
+    sample_period: float
+    index: Int[np.ndarray, " stamps"] | None
+    deviation: float
+    resolution: float
+
+
+def uniform_grid(stamps: TimeAxis) -> Grid:
+    """The uniform grid of strictly increasing stamps; missing samples leave holes in it.
+
+    The period is the slope of the least-squares line through (sample number, stamp): a nominal
+    step with rounded digits, such as 1/610.35 s, then neither drifts nor counts as jitter. Stamps
+    within 1e-3 of a period of that line, or as near as the clock's last digit tells, are on
+    the grid. Otherwise the period is the median spacing, and the grid starts at the first stamp.
+
+    Args:
+        stamps: strictly increasing time [s], at least two.
+
+    Raises:
+        ValueError: the grid would be more than ten times longer than the stamps.
+    """
+    spacing = np.diff(stamps)
+    period = float(np.median(spacing))
+    _check_regular(stamps, period)
+    steps = np.maximum(np.rint(spacing / period), 1).astype(np.int64)
+    index = np.concatenate([[0], np.cumsum(steps)])
+    start, slope = _line(index, stamps)
+    deviation = float(np.max(np.abs(stamps - (start + slope * index)))) / slope
+    resolution = _resolution(stamps, slope) / slope
+    rounded = deviation > _JITTER and deviation <= 0.6 * resolution + _JITTER
+    if deviation <= _JITTER or rounded:
+        count = int(index[-1]) + 1
+        slope = _snap(slope, count)
+        start = float(stamps[0]) if deviation < 1e-6 else start
+        time = start + slope * np.arange(count)
+        return Grid(time, slope, index, deviation, resolution * slope if rounded else 0.0)
+    count = int(np.floor((stamps[-1] - stamps[0]) / period + _JITTER)) + 1
+    period = _snap(period, count)
+    time = stamps[0] + period * np.arange(count)
+    return Grid(time, period, None, deviation, 0.0)
+
+
+def sample_segments(stamps: TimeAxis, good: Mask, sample_period: float) -> list[tuple[int, int]]:
+    """Runs (start, stop) of good samples without a gap.
+
+    A gap is a spacing above 2.5 periods. Below that it is one late sample, as clocks of an
+    operating system produce them, and a spline crosses it.
+    """
+    joined = np.diff(stamps) <= GAP * sample_period
+    return runs(good, joined)
+
+
+def runs(good: Mask, joined: Bool[np.ndarray, " steps"] | None = None) -> list[tuple[int, int]]:
+    """Runs (start, stop) of consecutive True; `joined` (N-1,) may break them further."""
+    links = good[1:] & good[:-1]
+    if joined is not None:
+        links = links & joined
+    starts = np.flatnonzero(good & ~np.concatenate([[False], links]))
+    stops = np.flatnonzero(good & ~np.concatenate([links, [False]])) + 1
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
+def covered(position: Float[np.ndarray, " stamps"], segments: Segments, query: TimeAxis) -> Mask:
+    """Whether each query lies within a segment, between its first and its last sample."""
+    inside = np.zeros(query.shape, dtype=bool)
+    for start, stop in segments:
+        inside[_within(position, start, stop, query)] = True
+    return inside
+
+
+def fill(
+    position: Float[np.ndarray, " stamps"],
+    values: Float[np.ndarray, "stamps channel"],
+    query: TimeAxis,
+) -> Signals:
+    """Linear interpolation of each channel over its own finite values, constant at the ends."""
+    filled = np.zeros((query.size, values.shape[1]))
+    for j, channel in enumerate(values.T):
+        known = np.isfinite(channel)
+        filled[:, j] = np.interp(query, position[known], channel[known]) if known.any() else 0.0
+    return filled
+
+
+def spline(
+    position: Float[np.ndarray, " stamps"],
+    values: Float[np.ndarray, "stamps channel"],
+    segments: Segments,
+    query: TimeAxis,
+    degree: int,
+) -> Signals:
+    """Interpolating spline of each segment, linear interpolation between the segments.
+
+    Not-a-knot ends: polynomials up to `degree` are reproduced. A segment too short for the
+    degree gets the next lower odd one.
+
+    Args:
+        position: where the samples lie, increasing [samples].
+        values: at the samples.
+        segments: runs (start, stop) to be interpolated separately.
+        query: where values are wanted, sorted [samples].
+        degree: 1, 3 or 5.
+
+    Source: de Boor, A Practical Guide to Splines, 1978.
+    """
+    from scipy.interpolate import make_interp_spline  # 0.2 s of import that few calls need
+
+    result = fill(position, values, query)
+    for start, stop in segments:
+        wanted = _within(position, start, stop, query)
+        order = next((k for k in (5, 3, 1) if k <= degree and k < stop - start), 0)
+        if order and wanted.stop > wanted.start and values.shape[1]:
+            piece = make_interp_spline(position[start:stop], values[start:stop], k=order)
+            result[wanted] = piece(query[wanted])
+    return result
+
+
+def hold_inputs(
+    position: Float[np.ndarray, " stamps"],
+    inputs: Float[np.ndarray, "stamps nu"],
+    segments: Segments,
+    query: TimeAxis,
+    hold: str,
+) -> Signals:
+    """The inputs between their samples: held (`zero`), straight lines, or a quintic spline."""
+    check_choice("hold", hold, HOLDS)
+    if hold == "smooth":
+        return spline(position, inputs, segments, query, degree=5)
+    if hold == "linear":
+        return fill(position, inputs, query)
+    last = np.searchsorted(position, query + _JITTER, side="right") - 1
+    return inputs[np.clip(last, 0, len(inputs) - 1)]
+
+
+def staircase_to_smooth(levels: Signals) -> Signals:
+    """Samples of the smooth signal that has the mean of a staircase over every step.
+
+    A value held from sample k to k + 1 belongs, on average, to the instant k + 1/2. To read the
+    levels as samples of a smooth signal would shift it by half a sample. Its running integral is
+    known without any shift, at the samples, whatever the signal does between them: the levels
+    summed up. The derivative of a quintic spline through that sum is the smooth signal.
+
+    For slow signals this is (−v[k−2] + 13 v[k−1] + 13 v[k] − v[k+1]) / 24 plus higher
+    orders, the fourth-order refinement of the mean of the two neighbours.
+
+    Args:
+        levels: value held over each step, at least two steps.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    integral = np.concatenate([np.zeros((1, levels.shape[1])), np.cumsum(levels, axis=0)])
+    position = np.arange(len(integral), dtype=float)
+    order = next(k for k in (5, 3, 1) if k < len(integral))
+    if not levels.shape[1]:
+        return levels
+    return make_interp_spline(position, integral, k=order).derivative()(position[:-1])
+
+
+def low_pass(values: Signals, cutoff: float) -> Signals:
+    """Butterworth filter of order four, forward and backward: no phase, |F|² = 1/4 at cut-off.
+
+    Args:
+        values: one segment.
+        cutoff: as a fraction of the Nyquist frequency, in (0, 1).
+
+    Source: scipy.signal.sosfiltfilt (odd extension at the ends).
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if not values.shape[1] or len(values) < 2:
+        return values
+    # The extension must outlast the filter's memory, or its start-up leaks into the record.
+    memory = int(np.ceil(4 / cutoff)) + 15
+    sections = butter(4, cutoff, output="sos")
+    return sosfiltfilt(sections, values, axis=0, padlen=min(memory, len(values) - 1))
+
+
+def low_pass_noise(cutoff: float) -> float:
+    """Standard deviation that `low_pass` leaves of white noise of standard deviation one."""
+    from scipy.signal import butter, sosfreqz
+
+    response = sosfreqz(butter(4, cutoff, output="sos"), worN=4096)[1]
+    return float(np.sqrt(np.mean(np.abs(response) ** 4)))
+
+
+def _within(
+    position: Float[np.ndarray, " stamps"], start: int, stop: int, query: TimeAxis
+) -> slice:
+    first = np.searchsorted(query, position[start] - _JITTER, side="left")
+    last = np.searchsorted(query, position[stop - 1] + _JITTER, side="right")
+    return slice(int(first), int(last))
+
+
+def _line(index: Int[np.ndarray, " time"], stamps: TimeAxis) -> tuple[float, float]:
+    """Least-squares line: value at index 0 and slope."""
+    middle = index.mean()
+    offset = index - middle
+    slope = float(offset @ (stamps - stamps.mean()) / (offset @ offset))
+    return float(stamps.mean() - slope * middle), slope
+
+
+def _resolution(stamps: TimeAxis, period: float) -> float:
+    """The largest power of ten, at most a tenth of the period, that divides every stamp."""
+    top = int(np.floor(np.log10(period))) - 1
+    for power in range(top, top - 3, -1):
+        digits = stamps / 10.0**power
+        slack = 1e-6 + 4 * np.finfo(float).eps * np.max(np.abs(digits))
+        if np.max(np.abs(digits - np.rint(digits))) <= slack:
+            return 10.0**power
+    return 0.0
+
+
+def _snap(period: float, count: int) -> float:
+    """Twelve digits if that moves no sample: 0.001, not 0.0009999999999999996."""
+    short = float(f"{period:.12g}")
+    return short if abs(short - period) * count < 1e-6 * period else period
+
+
+def _check_regular(stamps: TimeAxis, period: float) -> None:
+    span = float(stamps[-1] - stamps[0])
+    check(
+        span <= _GROWTH * period * len(stamps),
+        "time",
+        f"must be sampled regularly: {len(stamps)} samples span {span / period:.3g} times "
+        "their median spacing",
+        f"median {period:g} s, span {span:g} s",
+        "Split the record at its long pauses.",
+    )
