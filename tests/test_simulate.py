@@ -1,0 +1,446 @@
+"""Free runs: closed forms, an independent solver, and friction that sticks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from eoi_jax.plants import (
+    Plant,
+    State,
+    cascaded_tanks,
+    duffing_oscillator,
+    pendulum,
+    three_mass_spring_damper,
+)
+from eoi_jax.simulate import drive, free_run, frictional, simulate, trajectory
+
+
+def block_dynamics(t, x, u, p):
+    position, rate = x.y
+    return u - p.stiffness * position - p.viscous * rate - p.coulomb * jnp.sign(rate)
+
+
+def block(stiffness=0.0, viscous=0.0, coulomb=1.0):
+    parameters = {"stiffness": stiffness, "viscous": viscous, "coulomb": coulomb}
+    return Plant(block_dynamics, parameters, relative_degree=2)
+
+
+def convergence_order(error_at, counts=(40, 100, 320)):
+    """Slope of log error against log h over all refinements, from the first to the last."""
+    errors = [error_at(np.linspace(0.0, 4.0, count + 1)) for count in counts]
+    return np.log2(errors[0] / errors[-1]) / np.log2(counts[-1] / counts[0])
+
+
+def free(plant, time, initial):
+    return simulate(plant, time, np.zeros_like(time), initial).outputs[:, 0]
+
+
+# -- smooth plants ------------------------------------------------------------------------
+
+
+def oscillation(plant, time):
+    """Damped oscillation of `block(stiffness, viscous, 0)` from y = 1, ẏ = 0."""
+    p = plant.parameters
+    decay = 0.5 * p["viscous"]
+    w = np.sqrt(p["stiffness"] - decay**2)
+    return np.exp(-decay * time) * (np.cos(w * time) + decay / w * np.sin(w * time))
+
+
+def test_smooth_plant_converges_at_fourth_order():
+    plant = block(9.0, 0.4, 0.0)
+
+    def error(time):
+        return np.max(np.abs(free(plant, time, [1.0, 0.0]) - oscillation(plant, time)))
+
+    assert convergence_order(error) > 3.9
+
+
+def test_substeps_equal_a_finer_grid():
+    plant, time = block(9.0, 0.4, 0.3), np.linspace(0.0, 4.0, 41)
+    fine = np.linspace(0.0, 4.0, 161)
+    coarse = simulate(plant, time, np.sin(time), [1.0, 0.0], hold="linear", substeps=4)
+    u = np.interp(fine, time, np.sin(time))
+    same = simulate(plant, fine, u, [1.0, 0.0], hold="linear")
+    # The same steps up to rounding of the grid.
+    np.testing.assert_allclose(coarse.outputs, same.outputs[::4], atol=1e-12)
+
+
+HOLDS = {
+    "zero": lambda t, time, u: u[np.clip(np.searchsorted(time, t, "right") - 1, 0, len(u) - 2)],
+    "linear": lambda t, time, u: np.interp(t, time, u),
+    "smooth": lambda t, time, u: np.sin(3.0 * t),
+}
+
+
+@pytest.mark.parametrize("solver", ["fixed", "adaptive"])
+@pytest.mark.parametrize("hold", list(HOLDS))
+def test_duffing_oscillator_agrees_with_scipy_for_every_hold(hold, solver):
+    plant = duffing_oscillator().with_parameters(
+        {"gain": 2.0, "damping": 0.3, "stiffness": 4.0, "cubic_stiffness": 3.0, "offset": 0.1}
+    )
+    time = np.arange(201) * 0.02
+    u = np.sin(3.0 * time)
+    got = simulate(plant, time, u, [0.4, -1.0], hold=hold, solver=solver, substeps=4)
+
+    def field(t, x):
+        force = 2.0 * HOLDS[hold](t, time, u)
+        return [x[1], force - 0.3 * x[1] - 4.0 * x[0] - 3.0 * x[0] ** 3 + 0.1]
+
+    want = [np.asarray([0.4, -1.0])]
+    for k in range(200):  # from sample to sample: the input has a kink at each
+        end = np.nextafter(time[k + 1], 0.0)
+        want.append(solve_ivp(field, (time[k], end), want[-1], rtol=1e-11, atol=1e-13).y[:, -1])
+    # Runge-Kutta at h = 5 ms and |λ| = 2…5: (hλ)^4 / 120 of a signal of size 1, over some periods.
+    np.testing.assert_allclose(got.outputs[:, 0], np.asarray(want)[:, 0], atol=2e-8)
+    assert got.hold == hold
+
+
+def test_three_masses_agree_with_matrix_exponential():
+    from scipy.linalg import expm
+
+    plant = three_mass_spring_damper(true=True)
+    p = plant.parameters
+    A = np.zeros((6, 6))
+    A[:3, 3:] = np.eye(3)
+    A[3, [0, 1, 3]] = -p["a2"], p["a3"], -p["a4"]
+    A[4, [0, 1, 2, 4]] = p["b1"], -p["b2"], p["b3"], -p["b4"]
+    A[5, [1, 2, 5]] = p["c1"], -p["c2"], -p["c3"]
+    initial = np.asarray([[0.01, -0.02, 0.005], [0.1, 0.0, -0.2]])
+    time = np.arange(301) * 1e-3
+    got = simulate(plant, time, np.zeros(301), initial).outputs
+    step = expm(A * 1e-3)
+    x, want = initial.ravel(), [initial.ravel()]
+    for _ in range(300):
+        x = step @ x
+        want.append(x)
+    # hω = 0.04: (hω)^4 ωt / 120 = 3e-7 of 0.02.
+    np.testing.assert_allclose(got, np.asarray(want)[:, :3], atol=1e-8)
+
+
+def test_internal_states_agree_with_scipy():
+    plant = cascaded_tanks()
+    time = np.arange(101) * 2.0
+    u = 2.0 + np.sin(0.1 * time)
+    got = simulate(plant, time, u, 3.0, internal=[4.0], hold="linear")
+
+    def field(t, x):
+        upper = 0.05 * np.sqrt(x[1])
+        return [upper - 0.05 * np.sqrt(x[0]), 0.05 * np.interp(t, time, u) - upper]
+
+    want = solve_ivp(field, (0, 200), [3.0, 4.0], t_eval=time, rtol=1e-10, atol=1e-10, max_step=2)
+    np.testing.assert_allclose(got.outputs[:, 0], want.y[0], atol=1e-7)  # the field is slow: 1e-8
+    default = simulate(plant, time, u, 3.0)
+    own = simulate(plant, time, u, 3.0, internal=[5.0])  # the plant's own start
+    np.testing.assert_array_equal(default.outputs, own.outputs)
+
+
+def test_mixed_relative_degrees_agree_with_scipy():
+    def dynamics(t, x, u, p):
+        position, level = x.y[0]
+        return jnp.stack([u[0] - p.k * position - 0.2 * x.y[1, 0] + level, -level + position])
+
+    plant = Plant(dynamics, {"k": 4.0}, relative_degree=(2, 1), outputs=("position", "level"))
+    time = np.linspace(0.0, 3.0, 301)
+    initial = [[0.5, 1.0], [0.1, 7.0]]  # the 7 belongs to no state: level has degree 1
+    got = simulate(plant, time, np.ones(301), initial)
+
+    def field(t, x):
+        return [x[1], 1.0 - 4.0 * x[0] - 0.2 * x[1] + x[2], -x[2] + x[0]]
+
+    want = solve_ivp(field, (0, 3), [0.5, 0.1, 1.0], t_eval=time, rtol=1e-11, atol=1e-12).y
+    np.testing.assert_allclose(got.outputs, want[[0, 2]].T, atol=1e-8)
+
+
+# -- dry friction -------------------------------------------------------------------------
+
+
+def test_coulomb_friction_alone_is_exact_at_any_step():
+    """Deceleration c from v0: y = v0 t − c t²/2 until v0/c; Runge-Kutta is exact on parabolas."""
+    for count in (20, 77):
+        time = np.linspace(0.0, 4.0, count + 1)
+        until = np.minimum(time, 1.3)
+        got = free(block(), time, [0.0, 1.3])
+        np.testing.assert_allclose(got, 1.3 * until - until**2 / 2, atol=1e-13)
+
+
+def sliding(time, v0=1.3, b=0.7, c=1.0):
+    """Viscous and Coulomb friction: v = (v0 + c/b) e^(−bt) − c/b until it is zero."""
+    until = np.minimum(time, np.log(1 + b * v0 / c) / b)
+    return (v0 + c / b) / b * (1 - np.exp(-b * until)) - c / b * until
+
+
+def spring_and_coulomb(time, y0=0.37, stiffness=30.0, c=1.0):
+    """Half cycles around ∓c/k; at rest for good at the first turn within that dead band."""
+    w, band = np.sqrt(stiffness), c / stiffness
+    amplitude, since, y = y0, 0.0, np.full_like(time, np.nan)
+    while abs(amplitude) > band:
+        centre = np.sign(amplitude) * band
+        now = (time >= since) & (time <= since + np.pi / w)
+        y[now] = centre + (amplitude - centre) * np.cos(w * (time[now] - since))
+        amplitude, since = 2 * centre - amplitude, since + np.pi / w
+    y[time >= since] = amplitude
+    return y
+
+
+def breakaway(time, ramp=0.7, c=1.0):
+    """Force ramp·t from rest: nothing until c/ramp, then y = ramp (t − c/ramp)³ / 6."""
+    return ramp * np.maximum(time - c / ramp, 0.0) ** 3 / 6
+
+
+def test_stopping_converges_at_fourth_order():
+    def error(time):
+        got = free(block(viscous=0.7), time, [0.0, 1.3])
+        return np.max(np.abs(got - sliding(time)))
+
+    assert convergence_order(error) > 3.5
+
+
+def test_spring_with_coulomb_friction_converges_at_fourth_order():
+    def error(time):
+        got = free(block(stiffness=30.0), time, [0.37, 0.0])
+        return np.max(np.abs(got - spring_and_coulomb(time)))
+
+    assert convergence_order(error) > 3.5
+
+
+def test_breakaway_under_a_ramp_is_late_by_less_than_a_step():
+    """Leaving rest is decided at the start of a step: second order, ½ ramp h² of velocity."""
+    for count in (40, 110, 320):
+        time = np.linspace(0.0, 4.0, count + 1)
+        got = simulate(block(), time, 0.7 * time, hold="linear").outputs[:, 0]
+        h, moving = 4.0 / count, 4.0 - 1.0 / 0.7
+        # δ < h late: y misses ramp (δ (t−t0)²/2 − …) less the part of the force that is not lost.
+        bound = 0.5 * 0.7 * h**2 * moving + 0.7 * h**3
+        assert np.max(np.abs(got - breakaway(time))) <= bound
+
+
+def test_a_stuck_block_stays_exactly_put():
+    time = np.linspace(0.0, 10.0, 501)
+    force = 0.95 * np.sin(40.0 * time)  # below the friction level of 1
+    got = simulate(block(stiffness=1.0, coulomb=1.3), time, force, [0.2, 0.0], hold="linear")
+    np.testing.assert_array_equal(got.outputs, np.full((501, 1), 0.2))
+    stopped = free(block(), time, [0.0, 0.5])
+    assert len(np.unique(stopped[time > 0.53])) == 1
+
+
+def test_energy_never_increases_without_input():
+    plant, time = block(stiffness=30.0), np.linspace(0.0, 16.0, 641)
+    start = State(jnp.asarray([[1.0], [0.5]]), jnp.zeros(0))
+    still = drive(time, np.zeros((641, 1)), "zero")
+    y, _ = free_run(plant, jnp.asarray(plant.theta), still, start, frictional(plant))
+    energy = np.asarray(0.5 * y[:, 1, 0] ** 2 + 15.0 * y[:, 0, 0] ** 2)
+    assert np.max(np.diff(energy)) <= 1e-12 * energy[0]
+    assert energy[-1] < 0.01 * energy[0]
+
+
+def test_outputs_that_stop_within_the_same_step_both_stop_where_they_should():
+    def dynamics(t, x, u, p):
+        return -p.c * jnp.sign(x.y[1])
+
+    plant = Plant(
+        dynamics, {"c": 1.0}, relative_degree=2, inputs=(), outputs=("y1", "y2", "y3", "y4")
+    )
+    time, v0 = np.linspace(0.0, 2.0, 11), np.asarray([1.01, -1.05, 1.05, 1.17])
+    got = simulate(plant, time, np.zeros((11, 0)), np.stack([np.zeros(4), v0]))
+    want = np.sign(v0) * v0**2 / 2
+    np.testing.assert_allclose(got.outputs[-1], want, atol=1e-13)  # parabolas: exact
+
+
+def test_reversal_within_a_step_is_not_smeared():
+    """A force beyond the friction turns the block round: deceleration 3, then acceleration −1."""
+    time = np.linspace(0.0, 3.0, 8)
+    got = simulate(block(), time, np.full(8, -2.0), [0.0, 2.0]).outputs[:, 0]
+    turn = 2.0 / 3.0
+    before = 2.0 * time - 1.5 * time**2
+    after = 2.0 / 3.0 - 0.5 * (time - turn) ** 2
+    np.testing.assert_allclose(got, np.where(time < turn, before, after), atol=1e-13)
+
+
+def branch(u, direction, p):
+    """Motion in one direction with scipy, and the event that ends it."""
+
+    def field(_, x):
+        drag = p["b"] * x[1] + p["c"] * direction
+        return [x[1], p["d"] * u - p["a"] * np.sin(x[0]) - drag]
+
+    def stop(_, x):
+        return direction * x[1]
+
+    stop.terminal, stop.direction = True, -1
+    return field, stop
+
+
+def pendulum_by_events(time, u, p):
+    """The paper's pendulum with scipy: integrate a branch, stop at an event, choose the next."""
+    angle, rate, direction, result = 0.0, 0.0, 0, [0.0]
+    for k in range(len(time) - 1):
+        t = time[k]
+        while t < time[k + 1]:
+            force = p["d"] * u[k] - p["a"] * np.sin(angle)
+            if direction == 0:
+                direction = int(np.sign(force)) if abs(force) > p["c"] else 0
+            if direction == 0:
+                break  # the input is held: stuck until the next sample
+
+            field, stop = branch(u[k], direction, p)
+            # From exact rest the event would fire at once: start an instant into the motion.
+            x0 = [angle, rate if rate else direction * 1e-13]
+            run = solve_ivp(field, (t, time[k + 1]), x0, events=stop, rtol=1e-10, atol=1e-12)
+            t, (angle, rate) = run.t[-1], run.y[:, -1]
+            if run.status == 1:
+                rate, direction = 0.0, 0
+        result.append(angle)
+    return np.asarray(result)
+
+
+def test_pendulum_with_friction_agrees_with_event_driven_scipy():
+    # Ten times the paper's friction, so that it comes to rest at either input.
+    plant = pendulum(true=True).with_parameters({"c": 3.0})
+    time = np.arange(1501) * 4e-3
+    u = np.where(time < 3.0, 0.2, -0.05)
+    got = simulate(plant, time, u, hold="zero", substeps=2).outputs[:, 0]
+    want = pendulum_by_events(time, u, plant.parameters)
+    # hω = 0.02 over 50 rad: (hω)^4 / 120 * 50 = 7e-8.
+    np.testing.assert_allclose(got, want, atol=5e-7)
+    assert len(np.unique(got[-100:])) == 1  # it has come to rest
+
+
+# -- derivatives, compilation -------------------------------------------------------------
+
+
+def test_forward_derivatives_pass_through_a_stop():
+    """Stopping distance v0² / (2c): its derivatives with c and v0."""
+    plant, time = block(), np.linspace(0.0, 4.0, 41)
+    still, friction = drive(time, np.zeros((41, 1)), "zero"), frictional(plant)
+
+    def end(values):
+        c, v0 = values
+        theta = jnp.stack([jnp.zeros_like(c), jnp.zeros_like(c), c])
+        start = State(jnp.stack([jnp.zeros_like(v0), v0])[:, None], jnp.zeros(0))
+        return trajectory(plant, theta, still, start, friction)[0][-1, 0, 0]
+
+    got = jax.jacfwd(end)(jnp.asarray([1.0, 1.33]))
+    np.testing.assert_allclose(got, [-(1.33**2) / 2, 1.33], rtol=1e-9)
+
+
+def test_sensitivities_equal_differences_for_the_pendulum():
+    plant, time = pendulum(true=True), np.arange(801) * 5e-3
+    push = drive(time, np.full((801, 1), 0.2), "zero")
+    friction, start = frictional(plant), State(jnp.zeros((2, 1)), jnp.zeros(0))
+
+    @jax.jit
+    def run(theta):
+        return trajectory(plant, theta, push, start, friction)[0][:, 0, 0]
+
+    theta = jnp.asarray(plant.theta)
+    got = np.asarray(jax.jit(jax.jacfwd(run))(theta))
+    for i, size in enumerate(1e-6 * np.asarray(theta)):
+        move = jnp.asarray(np.eye(4)[i] * size)
+        want = np.asarray((run(theta + move) - run(theta - move)) / (2 * size))
+        # The difference itself is good to 1e-6 of the sensitivity.
+        np.testing.assert_allclose(got[:, i], want, atol=1e-5 * np.max(np.abs(want)))
+
+
+def test_vmap_over_parameters_equals_a_loop():
+    plant, time = pendulum(), np.arange(301) * 1e-2
+    push = drive(time, np.full((301, 1), 0.1), "zero")
+    friction, start = frictional(plant), State(jnp.zeros((2, 1)), jnp.zeros(0))
+    thetas = jnp.asarray(np.outer([0.9, 1.0, 1.1], plant.theta))
+
+    @jax.jit
+    def run(theta):
+        return trajectory(plant, theta, push, start, friction)[0]
+
+    together = jax.jit(jax.vmap(run))(thetas)
+    for theta, lane in zip(thetas, together, strict=True):
+        # Fused differently: rounding, amplified over 3 s.
+        np.testing.assert_allclose(lane, run(theta), atol=1e-11)
+
+
+def test_one_trace_per_shape():
+    traces = []
+
+    def dynamics(t, x, u, p):
+        traces.append(None)
+        return p.a * u - x.y[0]
+
+    plant, time = Plant(dynamics, {"a": 1.0}), np.linspace(0.0, 1.0, 11)
+    simulate(plant, time, np.ones(11))
+    other = plant.with_parameters({"a": 2.0})
+    count = len(traces)
+    got = simulate(other, time, np.sin(time), 0.3, hold="linear").outputs
+    # `dry_friction` of a plant without velocity does not evaluate f.
+    assert len(traces) == count
+    assert not np.allclose(got, simulate(plant, time, np.sin(time), 0.3, hold="linear").outputs)
+
+
+# -- the record it returns, and its errors ------------------------------------------------
+
+
+def test_record_carries_names_units_and_hold():
+    plant, time = pendulum(), np.linspace(0.0, 1.0, 101)
+    record = simulate(plant, time, np.where(time < 0.5, 0.0, 0.1), name="swing")
+    assert (record.name, record.input_names, record.output_names) == (
+        "swing",
+        ("voltage",),
+        ("angle",),
+    )
+    assert record.units == {"voltage": "V", "angle": "rad"}
+    assert record.hold == "zero"
+    assert simulate(plant, time, np.sin(time)).hold == "linear"
+    np.testing.assert_array_equal(record.outputs[:50], 0.0)  # hangs at rest until it is pushed
+
+
+TIME = np.linspace(0.0, 1.0, 11)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time": TIME[:3], "inputs": TIME[:3]}, "`time` must be a line of at least 8 samples"),
+        ({"time": TIME**2}, "`time` must be a uniform grid"),
+        ({"time": TIME[::-1]}, "`time` must increase"),
+        ({"time": np.where(TIME == 0, np.nan, TIME)}, "`time` must be finite"),
+        ({"inputs": np.zeros((11, 2))}, r"`inputs` must have shape \(11, 1\)"),
+        ({"inputs": np.full(11, np.nan)}, "`inputs` must be finite"),
+        ({"initial": np.zeros((3, 1))}, r"`initial` must have shape \(2, 1\)"),
+        ({"initial": [np.inf, 0.0]}, "`initial` must be finite"),
+        ({"internal": [1.0]}, r"`internal` must have shape \(0\)"),
+        ({"hold": "cubic"}, "`hold` must be one of auto, zero, linear, smooth"),
+        ({"solver": "euler"}, "`solver` must be one of fixed, adaptive"),
+        ({"solver": "adaptive"}, '`solver` must be "fixed" for a plant with dry friction'),
+        ({"substeps": 0}, "`substeps` must be an integer ≥ 1"),
+    ],
+)
+def test_wrong_calls_name_field_rule_and_value(change, message):
+    call = {"time": TIME, "inputs": np.zeros(11)} | change
+    with pytest.raises(ValueError, match=message):
+        simulate(pendulum(), **call)
+
+
+def test_internal_start_must_be_finite():
+    with pytest.raises(ValueError, match="`internal` must be finite"):
+        simulate(cascaded_tanks(), TIME, np.zeros(11), internal=[np.nan])
+
+
+def test_a_jump_that_cannot_stick_is_refused():
+    def dynamics(t, x, u, p):
+        return u - p.c * jnp.sign(x.y[1])
+
+    plant = Plant(dynamics, {"c": 1.0}, relative_degree=3)
+    with pytest.raises(ValueError, match="`plant` must have relative degree 2 wherever f jumps"):
+        simulate(plant, TIME, np.zeros(11))
+
+
+def test_divergence_names_the_first_time_that_is_not_finite():
+    def dynamics(t, x, u, p):
+        return p.a * x.y[0] ** 2
+
+    plant = Plant(dynamics, {"a": 1.0})  # 1 / (1 − t): escapes at t = 1
+    time = np.linspace(0.0, 5.0, 501)
+    with pytest.raises(
+        ValueError, match=r"must stay finite, got NaN or infinity from t = 1\.\d+ s"
+    ):
+        simulate(plant, time, np.zeros(501), 1.0)
