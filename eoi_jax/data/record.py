@@ -151,7 +151,8 @@ class Record:
             "burn_in": float(burn_in),
             "notes": (*notes, *why),
             "_noise": None,
-            "_quantum": None,
+            # Interpolation hides the steps of the raw values, so they are looked for in those.
+            "_quantum": _quanta(y[good]) if grid.index is None else None,
         }
         self._assign(labels)
 
@@ -363,7 +364,7 @@ class Record:
         """
         if self._quantum is not None:
             return self._quantum
-        return np.asarray([_quantum(channel) for channel in self.outputs[self.valid].T])
+        return _quanta(self.outputs[self.valid])
 
     @property
     def data_hash(self) -> str:
@@ -422,6 +423,10 @@ class Record:
         """The one way around `frozen`, for records that are still being made."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
+
+
+def _quanta(y: Outputs) -> Float[np.ndarray, " ny"]:
+    return np.asarray([_quantum(channel) for channel in y.T])
 
 
 def _quantum(values: TimeAxis) -> float:

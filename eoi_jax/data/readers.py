@@ -1,0 +1,375 @@
+"""From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ.
+
+A reader turns a file into columns by name, each (N,) or, for a matrix variable, (N, k). Its
+columns are then reached as ``name[0]`` … ``name[k-1]``.
+"""
+
+import csv
+import gzip
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from eoi_jax.checks import check, check_choice
+from eoi_jax.data.record import Record
+from eoi_jax.data.resample import Real
+
+Columns: TypeAlias = dict[str, np.ndarray]
+
+
+def read_record(
+    path: str | Path,
+    time: str | None = None,
+    inputs: str | Sequence[str] = (),
+    outputs: str | Sequence[str] = (),
+    name: str | None = None,
+    sample_period: Real | None = None,
+    scale: Mapping[str, Real] | None = None,
+    units: Mapping[str, str] | None = None,
+    hold: str = "auto",
+    burn_in: Real = 0.0,
+    slice: tuple[int, int | None] | None = None,
+    renames: Mapping[str, str] | None = None,
+) -> Record:
+    """A record from named columns of a file.
+
+    Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab or spaces; a header
+    line, which may start with % or #, or none: columns are then called ``0``, ``1``, …),
+    .parquet, .mat (any version), .h5, .hdf5, .npz. Structures and groups are reached as
+    ``group.name`` in .mat up to version 7 and ``group/name`` otherwise; column 2 of a matrix as
+    ``name[2]``, counted from 0.
+
+    Args:
+        path: the file.
+        time: column of the stamps [s, after `scale`]; without it, `sample_period` is needed.
+        inputs: columns of the inputs; none for a free system.
+        outputs: columns of the outputs.
+        name: of the record; default: the file's name.
+        sample_period: time between samples [s].
+        scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
+        units: ``{column: unit}`` after scaling, for tables and figures.
+        hold: of the inputs, as in `Record`.
+        burn_in: time at the start that is not to be scored [s], as in `Record`.
+        slice: ``(start, stop)``, the only samples to be taken; stop may be None.
+        renames: ``{column: name in the record}``.
+
+    Raises:
+        ValueError: a file that is missing, of an unknown kind or not what its name says; a column
+            that is unknown, not numeric or of another length; no stamps and no sample period;
+            a `scale`, `units` or `renames` for a column that is not read; whatever `Record` finds.
+    """
+    path = Path(path)
+    suffix = _known_suffix(path)
+    _check_clock(time, sample_period)
+    columns = _load(path, suffix)
+    u_columns = [inputs] if isinstance(inputs, str) else list(inputs)
+    y_columns = [outputs] if isinstance(outputs, str) else list(outputs)
+    check(
+        len(y_columns) > 0,
+        "outputs",
+        "must name at least one column",
+        "none",
+        f"Columns present: {_listed(columns)}.",
+    )
+    picked = _pick(path, columns, time, u_columns, y_columns)
+    for field, mapping in (("scale", scale), ("units", units), ("renames", renames)):
+        for key in mapping or {}:
+            check_choice(field, key, tuple(picked))
+    for key, factor in (scale or {}).items():
+        check(bool(np.isfinite(factor)), f"scale[{key}]", "must be finite", factor)
+        picked[key] = picked[key] * float(factor)
+    rows = _rows(slice, len(picked[y_columns[0]]))
+    count = len(range(*rows.indices(len(picked[y_columns[0]]))))
+    labels = {key: (renames or {}).get(key, key) for key in picked}
+    unit = {"time" if key == time else labels[key]: value for key, value in (units or {}).items()}
+    u = np.stack([picked[key][rows] for key in u_columns], axis=1) if u_columns else None
+    u = np.zeros((count, 0)) if u is None else u
+    y = np.stack([picked[key][rows] for key in y_columns], axis=1)
+    name = _stem(path) if name is None else name
+    u_names, y_names = [labels[key] for key in u_columns], [labels[key] for key in y_columns]
+    if time is None:
+        assert sample_period is not None  # checked above
+        return Record.from_period(
+            sample_period,
+            u,
+            y,
+            name,
+            input_names=u_names,
+            hold=hold,
+            output_names=y_names,
+            units=unit,
+            burn_in=burn_in,
+        )
+    return Record(
+        picked[time][rows],
+        u,
+        y,
+        name,
+        input_names=u_names,
+        output_names=y_names,
+        units=unit,
+        hold=hold,
+        burn_in=burn_in,
+    )
+
+
+# -- choosing columns ---------------------------------------------------------------------
+
+
+def _pick(
+    path: Path, columns: Columns, time: str | None, u_columns: list[str], y_columns: list[str]
+) -> Columns:
+    """The columns asked for, as float64 of equal length."""
+    fields = [("time", time)] if time is not None else []
+    fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]
+    picked = {key: _numeric(path, key, _column(path, columns, field, key)) for field, key in fields}
+    lengths = {key: len(values) for key, values in picked.items()}
+    check(
+        len(set(lengths.values())) == 1,
+        ", ".join(lengths),
+        f"must be equally long in {path}",
+        ", ".join(f"{key} {length}" for key, length in lengths.items()),
+    )
+    return picked
+
+
+def _column(path: Path, columns: Columns, field: str, key: str) -> np.ndarray:
+    if key in columns:
+        values = columns[key]
+        check(
+            values.ndim == 1,
+            field,
+            f"must name one column of {path}",
+            f"`{key}` of shape {values.shape}",
+            f"Write {key}[0] for the first one.",
+        )
+        return values
+    match = re.fullmatch(r"(.+)\[(\d+)\]", key)
+    if match and match[1] in columns:
+        table = columns[match[1]]
+        wide = table.shape[1] if table.ndim == 2 else 1
+        check(
+            int(match[2]) < wide,
+            field,
+            f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}",
+            key,
+        )
+        return table.reshape(len(table), wide)[:, int(match[2])]
+    import difflib
+
+    close = difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
+    hint = f" Did you mean `{close[0]}`?" if close else ""
+    check(
+        False,
+        field,
+        f"must be a column of {path} (present: {_listed(columns)})",
+        f"`{key}`",
+        hint.strip(),
+    )
+    raise AssertionError
+
+
+def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind in "Mm":  # seconds from the first stamp
+        return (values - values[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind in "biuf":
+        return values.astype(np.float64)
+    for row, value in enumerate(values.tolist()):
+        try:
+            float("nan" if value is None else value)
+        except (TypeError, ValueError):
+            check(False, key, f"must be a numeric column of {path}", f"{value!r} in row {row}")
+    return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _check_clock(time: str | None, sample_period: Real | None) -> None:
+    check(
+        (time is None) != (sample_period is None),
+        "time, sample_period",
+        "must be given one and not the other",
+        f"time={time}, sample_period={sample_period}",
+        "Name the column of the stamps, or give the time between samples in seconds.",
+    )
+
+
+def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:
+    start, stop = (0, None) if chosen is None else chosen
+    good = 0 <= start < (count if stop is None else min(stop, count))
+    check(
+        good and (stop is None or stop <= count),
+        "slice",
+        f"must be (start, stop) with 0 ≤ start < stop ≤ {count}, the number of samples",
+        chosen,
+    )
+    return slice(start, stop)
+
+
+def _listed(columns: Columns) -> str:
+    names = list(columns)
+    shown = ", ".join(names[:30]) or "none"
+    return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "")
+
+
+# -- files --------------------------------------------------------------------------------
+
+
+def _known_suffix(path: Path) -> str:
+    check(path.is_file(), "path", "must be an existing file", path)
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes and suffixes[-1] == ".gz":
+        suffixes.pop()
+    suffix = suffixes[-1] if suffixes else ""
+    known = ", ".join(_READERS)
+    check(suffix in _READERS, "path", f"must end in {known} (text also with .gz)", path.name)
+    return suffix
+
+
+def _load(path: Path, suffix: str) -> Columns:
+    try:
+        columns = _READERS[suffix](path)
+    except Exception as failure:  # each library raises its own kinds for a damaged file
+        cause = str(failure).splitlines()[0] if str(failure) else type(failure).__name__
+        check(False, "path", f"must be a readable {suffix} file", path, f"The reader says: {cause}")
+        raise
+    check(bool(columns), "path", "must hold columns", path)
+    return columns
+
+
+def _stem(path: Path) -> str:
+    stem = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return Path(stem).stem
+
+
+def _read_text(path: Path) -> Columns:
+    import pandas as pd  # heavy; only files need it
+
+    opener = gzip.open if path.suffix.lower() == ".gz" else open
+    with opener(path, "rt", encoding="utf-8-sig", errors="replace") as stream:
+        head = stream.read(65536)
+    if "\0" in head:
+        raise ValueError("it is not text")
+    names, skip, separator = _header(head.split("\n"))
+    table = pd.read_csv(
+        path,
+        header=None,
+        skiprows=skip,
+        sep=separator or r"\s+",
+        skipinitialspace=True,
+        # A file that separates by semicolons may write 1,5 for 1.5.
+        decimal="," if separator == ";" and re.search(r"\d,\d", head) else ".",
+        encoding_errors="replace",
+    )
+    while len(names) < table.shape[1] and names and bool(table.iloc[:, -1].isna().all()):
+        table = table.iloc[:, :-1]  # rows that end in a separator
+    keys = names if len(names) == table.shape[1] else [str(i) for i in range(table.shape[1])]
+    if len(set(keys)) < len(keys):
+        raise ValueError(f"its header repeats a name: {', '.join(keys)}")
+    return {key: table[i].to_numpy() for i, key in enumerate(keys)}
+
+
+def _header(lines: list[str]) -> tuple[list[str], int, str]:
+    """Column names (none if there is no header), lines to skip, separator ("" for spaces)."""
+    names, skip = "", 0
+    while skip < len(lines) and (not lines[skip].strip() or lines[skip].lstrip()[0] in "%#"):
+        names = lines[skip].strip().lstrip("%#").strip() or names
+        skip += 1
+    if skip == len(lines):
+        raise ValueError("it holds no data")
+    first = lines[skip]
+    separator = next((mark for mark in (";", "\t", ",") if mark in first), "")
+    if not all(_is_number(cell) for cell in _cells(first, separator) if cell):
+        names = first
+        skip += 1
+    mark = separator if separator in names else ""
+    keys = _cells(names, mark) if names else []
+    while keys and not keys[-1]:
+        keys.pop()
+    return keys, skip, separator
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if not separator:
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _read_parquet(path: Path) -> Columns:
+    import pandas as pd
+
+    table = pd.read_parquet(path)
+    return {str(key): table[key].to_numpy() for key in table.columns}
+
+
+def _read_mat(path: Path) -> Columns:
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path, simplify_cells=True)
+    except NotImplementedError:  # version 7.3 is an HDF5 file
+        return _read_hdf5(path)
+    return _flat({key: value for key, value in content.items() if not key.startswith("__")})
+
+
+def _flat(content: Mapping[str, Any], prefix: str = "") -> Columns:
+    """Arrays of nested structures as ``structure.field``."""
+    columns: Columns = {}
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            columns |= _flat(value, f"{prefix}{key}.")
+        else:
+            _add(columns, prefix + key, np.asarray(value))
+    return columns
+
+
+def _read_hdf5(path: Path) -> Columns:
+    import h5py
+
+    columns: Columns = {}
+
+    def visit(key: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not key.startswith("#"):
+            _add(columns, key, np.asarray(item[()]))
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return columns
+
+
+def _read_npz(path: Path) -> Columns:
+    columns: Columns = {}
+    with np.load(path, allow_pickle=False) as file:
+        for key in file.files:
+            _add(columns, key, file[key])
+    return columns
+
+
+def _add(columns: Columns, key: str, values: np.ndarray) -> None:
+    """Scalars, vectors and matrices; samples run along a matrix's longer axis."""
+    values = np.atleast_1d(np.squeeze(values))
+    if values.ndim <= 2:
+        wide = values.ndim == 2 and values.shape[0] < values.shape[1]
+        columns[key] = values.T if wide else values
+
+
+_READERS: dict[str, Callable[[Path], Columns]] = {
+    ".csv": _read_text,
+    ".tsv": _read_text,
+    ".txt": _read_text,
+    ".dat": _read_text,
+    ".parquet": _read_parquet,
+    ".mat": _read_mat,
+    ".h5": _read_hdf5,
+    ".hdf5": _read_hdf5,
+    ".npz": _read_npz,
+}
