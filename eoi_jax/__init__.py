@@ -1,0 +1,16 @@
+"""Identify dynamical systems from the equivalent output injection of sliding-mode observers."""
+
+from eoi_jax import observers as observers
+from eoi_jax import plants as plants
+from eoi_jax.backend import configure as configure
+from eoi_jax.checks import RecordWarning as RecordWarning
+from eoi_jax.data import excitation as excitation
+from eoi_jax.data.readers import read_record as read_record
+from eoi_jax.data.record import Record as Record
+from eoi_jax.identify import Identification as Identification
+from eoi_jax.identify import identify as identify
+from eoi_jax.lowpass import LowPass as LowPass
+from eoi_jax.plants.plant import Plant as Plant
+from eoi_jax.plants.plant import State as State
+from eoi_jax.results import Status as Status
+from eoi_jax.simulate import simulate as simulate

@@ -1,0 +1,9 @@
+"""Sliding-mode observers; one file each."""
+
+from eoi_jax.observers.first_order import FirstOrder as FirstOrder
+from eoi_jax.observers.high_order import HighOrder as HighOrder
+from eoi_jax.observers.observer import AbstractObserver as AbstractObserver
+from eoi_jax.observers.observer import Observation as Observation
+from eoi_jax.observers.per_output import PerOutput as PerOutput
+from eoi_jax.observers.second_order import SecondOrder as SecondOrder
+from eoi_jax.observers.super_twisting import SuperTwisting as SuperTwisting

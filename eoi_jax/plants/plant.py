@@ -112,11 +112,19 @@ class Plant(eqx.Module):
         for key, low, value, high in zip(
             self.names, self.lower, self.theta, self.upper, strict=True
         ):
-            check(low < high, f"bounds[{key}]", "must be (lower, upper) with lower < upper",
-                  (float(low), float(high)))
-            check(low <= value <= high, f"parameters[{key}]",
-                  f"must lie in its bounds [{low:g}, {high:g}]", float(value),
-                  "Move the nominal value or widen the bounds.")
+            check(
+                low < high,
+                f"bounds[{key}]",
+                "must be (lower, upper) with lower < upper",
+                (float(low), float(high)),
+            )
+            check(
+                low <= value <= high,
+                f"parameters[{key}]",
+                f"must lie in its bounds [{low:g}, {high:g}]",
+                float(value),
+                "Move the nominal value or widen the bounds.",
+            )
         self.degrees = _degrees(relative_degree, len(self.outputs))
         self.internal_initial = _internal_initial(internal, internal_initial)
         self.unit_items = tuple((units or {}).items())
@@ -156,7 +164,9 @@ class Plant(eqx.Module):
         if isinstance(values, Mapping):
             for key in values:
                 check_choice("parameters", key, self.names)
-            theta = np.asarray([float(values.get(key, old)) for key, old in self.parameters.items()])
+            theta = np.asarray(
+                [float(values.get(key, old)) for key, old in self.parameters.items()]
+            )
         else:
             theta = values
         return eqx.tree_at(lambda plant: plant.theta, self, theta)
@@ -164,12 +174,10 @@ class Plant(eqx.Module):
     # -- equations ------------------------------------------------------------------------
 
     def named(self, theta: Float[Array | np.ndarray, " np"]) -> Any:
-        """θ as the `p` that model functions take: ``p.a``, ``p.b``, …"""
+        """θ by name, the `p` of the model functions (``p.a``, ``p.b``)."""
         return _parameter_type(self.names)(*theta)
 
-    def derivative(
-        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
-    ) -> Output:
+    def derivative(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Output:
         """f(t, x, u; θ): the highest derivative of each output [its unit / s^r]."""
         value = jnp.asarray(self.dynamics(t, x, u, self.named(theta)))
         return jnp.reshape(value, (len(self.outputs),))
@@ -251,20 +259,26 @@ class Plant(eqx.Module):
         def shapes(function: Dynamics) -> tuple[int, ...]:
             def call(theta, z):
                 x = State(jnp.zeros((r, ny)), z)
-                return jnp.asarray(
-                    function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta))
-                )
+                return jnp.asarray(function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta)))
 
             return jax.eval_shape(call, theta, start).shape
 
         shape = shapes(self.dynamics)
-        check(shape == (ny,) or (ny == 1 and shape == ()), "dynamics",
-              f"must return shape ({ny},), one value for each of the outputs "
-              f"{', '.join(self.outputs)}", f"shape {shape}")
+        check(
+            shape == (ny,) or (ny == 1 and shape == ()),
+            "dynamics",
+            f"must return shape ({ny},), one value for each of the outputs "
+            f"{', '.join(self.outputs)}",
+            f"shape {shape}",
+        )
         if self.internal is not None:
             shape = shapes(self.internal)
-            check(shape == start.shape or (start.shape == (1,) and shape == ()), "internal",
-                  f"must return the shape of `internal_initial` {start.shape}", f"shape {shape}")
+            check(
+                shape == start.shape or (start.shape == (1,) and shape == ()),
+                "internal",
+                f"must return the shape of `internal_initial` {start.shape}",
+                f"shape {shape}",
+            )
 
 
 _TYPES: dict[tuple[str, ...], Any] = {}
@@ -277,28 +291,39 @@ def _parameter_type(names: tuple[str, ...]) -> Any:
     return _TYPES[names]
 
 
-def _check_names(
-    names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]
-) -> None:
+def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]) -> None:
     check(len(names) > 0, "parameters", "must name at least one parameter", "none")
     for key in names:
         good = key.isidentifier() and not keyword.iskeyword(key) and not key.startswith("_")
-        check(good, "parameters", "must have names that are Python identifiers", repr(key),
-              "The model reads them as `p.name`.")
+        check(
+            good,
+            "parameters",
+            "must have names that are Python identifiers",
+            repr(key),
+            "The model reads them as `p.name`.",
+        )
     for key in fixed:
         check_choice("fixed", key, names)
     for key in bounds:
         check_choice("bounds", key, names)
-    check(len(set(fixed)) < len(names), "fixed", "must leave a parameter to estimate",
-          ", ".join(fixed))
+    check(
+        len(set(fixed)) < len(names),
+        "fixed",
+        "must leave a parameter to estimate",
+        ", ".join(fixed),
+    )
 
 
 def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
     many = isinstance(relative_degree, Sequence)
     degrees = tuple(relative_degree) if many else (relative_degree,) * ny  # type: ignore[arg-type]
     good = len(degrees) == ny and all(isinstance(r, int) and r >= 1 for r in degrees)
-    check(good, "relative_degree", f"must be an integer ≥ 1, or {ny} of them, one an output",
-          relative_degree)
+    check(
+        good,
+        "relative_degree",
+        f"must be an integer ≥ 1, or {ny} of them, one an output",
+        relative_degree,
+    )
     return degrees
 
 
@@ -306,8 +331,13 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
     if internal is None:
         check(initial is None, "internal_initial", "must be left out without `internal`", initial)
         return ()
-    check(initial is not None, "internal_initial", "must be given with `internal`", "none",
-          "Give z at the start of the record, or a function of the parameters.")
+    check(
+        initial is not None,
+        "internal_initial",
+        "must be given with `internal`",
+        "none",
+        "Give z at the start of the record, or a function of the parameters.",
+    )
     return initial if callable(initial) else tuple(float(value) for value in initial)
 
 

@@ -1,0 +1,57 @@
+"""How JAX is set up: precision, compilation cache, and the one XLA option that matters.
+
+Importing the library changes nothing. The CLI, the benchmarks and the tests call `configure`.
+"""
+
+import os
+import warnings
+from pathlib import Path
+
+import jax
+
+# XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
+# every step pays a few microseconds of dispatch. Raising the limit makes a pass about ten times
+# faster. It is read once, when the backend starts, and cannot be set for one `jit` alone.
+_WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
+
+
+def configure(float64: bool = True, cache: bool = True) -> None:
+    """Set up JAX for estimation; call it before anything else uses JAX.
+
+    Args:
+        float64: switch on double precision. Second differences of a finely sampled record lose
+            most of single precision's digits.
+        cache: keep compiled kernels on disk between processes, in `$EOI_CACHE` or
+            `~/.cache/eoi_jax`.
+
+    Warns:
+        RuntimeWarning: the backend runs already, so that the loop option has no effect;
+            everything works, slower.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _WHOLE_LOOPS not in flags:
+        if _backend_runs():
+            warnings.warn(
+                "JAX runs already, so whole-loop compilation cannot be switched on: passes will "
+                "be several times slower. Call `eoi_jax.configure()` before using JAX.",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        else:
+            option = f"--xla_backend_extra_options={_WHOLE_LOOPS}"
+            os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
+    jax.config.update("jax_enable_x64", float64)
+    if cache:
+        folder = os.environ.get("EOI_CACHE", str(Path.home() / ".cache" / "eoi_jax"))
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _backend_runs() -> bool:
+    # No public question exists for this; without the private one, assume that it does not run.
+    try:
+        from jax._src.xla_bridge import backends_are_initialized
+    except ImportError:
+        return False
+    return backends_are_initialized()

@@ -1,0 +1,442 @@
+r"""The estimator: passes over the records, the one with the smallest index is the answer.
+
+Section 4 of the paper. Pass i runs the observer with θ_i, recovers the equivalent injection,
+solves (11) for Δθ_i, scores P_i (14), and updates θ_{i+1} = θ_i + Δθ_i. The estimate is the θ_k
+whose pass has the smallest index, θ_0 + Σ_{j<k} Δθ_j; P need not converge.
+
+Outputs with different units are weighed by 1/P_j, the index of each: the weights of maximum
+likelihood when each output has noise of its own. The smallest index is then that of Σ_j log P_j.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.checks import check
+from eoi_jax.data.record import Record
+from eoi_jax.lowpass import DiscreteFilter, LowPass
+from eoi_jax.observers.observer import AbstractObserver
+from eoi_jax.passes import Steps, Sums, run_pass
+from eoi_jax.plants.plant import Plant
+from eoi_jax.prepare import check_records, prepare
+from eoi_jax.regression.index import index as index_of
+from eoi_jax.regression.least_squares import Solution, least_squares, untraced
+from eoi_jax.results import Status
+from eoi_jax.tuning import default_lowpass, default_observer
+
+# A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
+_PROGRESS = 1e-2
+_PATIENCE = 2
+# Velocity noise above this share of the velocity calls for smoothing the record.
+_NOISY_RATE = 0.01
+# Weights rise over this many time constants of F beside steps that do not count.
+_TAPER = 2.0
+# Smoothing keeps this many times the band of the filter F.
+_SMOOTH_BAND = 5.0
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Estimate, its evidence, and how it came about.
+
+    Attributes:
+        parameters: estimate by name.
+        standard_errors: by name; they know that filtered residuals are coloured (blocks of
+            several filter memories), and know nothing of bias from noise in the regressors.
+        index: P of each pass and output, eq. (14), shape (passes, ny).
+        increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
+        parameter_history: θ of each pass, shape (passes, np).
+        best_pass: row of `index` whose θ is the estimate.
+        plant: with the estimate as parameters; `nominal` is the plant as given.
+        injection: F[u_eq] of the best pass, one array (N, ny) per record, NaN where not scored.
+        first_injection: that of the first pass.
+        residual: F[u_eq] - F[φ] Δθ of the best pass.
+        sliding_fraction: share of scored steps in sliding at the best pass, shape (ny,).
+        unexplained: rms of the best injection over that of the observed y^(r), shape (ny,).
+        covariance: of the parameters, shape (np, np).
+        status: how it ended.
+        observer, lowpass: as used; `reasons` says why, where they were chosen.
+        notes: what was done to the records, and health warnings.
+        records: as used (resampled, sub-stepped, smoothed).
+    """
+
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    index: Float[np.ndarray, "passes ny"]
+    increments: Float[np.ndarray, "passes np"]
+    parameter_history: Float[np.ndarray, "passes np"]
+    best_pass: int
+    plant: Plant
+    nominal: Plant
+    injection: list[np.ndarray]
+    first_injection: list[np.ndarray]
+    residual: list[np.ndarray]
+    sliding_fraction: Float[np.ndarray, " ny"]
+    unexplained: Float[np.ndarray, " ny"]
+    covariance: Float[np.ndarray, "np np"]
+    status: Status
+    observer: AbstractObserver
+    lowpass: LowPass
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    records: tuple[Record, ...]
+
+    def __str__(self) -> str:
+        from eoi_jax.report.tables import identification_text
+
+        return identification_text(self)
+
+    def plot(self) -> Any:
+        """Index per pass, and injection of the first and the best pass: a matplotlib figure."""
+        from eoi_jax.report.figures import identification_figure
+
+        return identification_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save_identification
+
+        save_identification(self, path)
+
+
+def identify(
+    plant: Plant,
+    records: Record | Sequence[Record],
+    observer: AbstractObserver | None = None,
+    lowpass: LowPass | None = None,
+    passes: int = 10,
+    *,
+    transient: float | None = None,
+    substeps: int = 1,
+    smoothing: float | bool | None = None,
+    callback: Callable[[int, int, np.ndarray], None] | None = None,
+) -> Identification:
+    r"""Estimate a plant's parameters from measured records.
+
+    Args:
+        plant: the model with its nominal parameters θ_0.
+        records: one or several; all enter one estimate.
+        observer: chosen from the records if left out (implicit form).
+        lowpass: F of eq. (19); its cut-off is chosen from the records if left out.
+        passes: how many at most; fewer when the index no longer falls.
+        transient: time at the start of each record that is not scored [s]; by default ten time
+            constants of F, or the record's `burn_in` if that is longer.
+        substeps: run on a record interpolated this many times finer (quintic spline), for
+            records sampled close to the plant's dynamics.
+        smoothing: zero-phase cut-off [rad/s] applied to outputs and inputs alike; False for
+            none; by default chosen when the measurement noise hides the velocity.
+        callback: called after each pass with its number from 1, `passes` and its index (ny,).
+
+    Returns:
+        The estimate. Look at `status` first.
+
+    Raises:
+        ValueError: arguments or records that do not fit; the message says which and what to do.
+
+    Source:
+        Section 4 of the paper; the discretisation is that of the observer.
+    """
+    several = check_records(plant, records)
+    check(isinstance(passes, int) and passes >= 1, "passes", "must be an integer ≥ 1", passes)
+    reasons, notes = [], [note for record in several for note in _named_notes(record)]
+    if lowpass is None:
+        lowpass, reason = default_lowpass(plant, several)
+        reasons.append(reason)
+    several, rate_noise, note = _smoothed(plant, several, lowpass, smoothing)
+    notes += note
+    several = tuple(record.resample(substeps) for record in several)
+    if observer is None:
+        observer, reason = default_observer(plant, several, lowpass.cutoff)
+        reasons += reason
+    _check_observer(plant, observer)
+    explicit = observer.scheme == "explicit"
+    if transient is None:
+        transient = _default_transient(several, lowpass, explicit)
+    steps = prepare(
+        plant,
+        several,
+        len(np.atleast_2d(np.asarray(observer.kernel))[0]),
+        transient,
+        3.0 * lowpass.memory,
+        rate_noise,
+        explicit,
+        _TAPER / lowpass.cutoff,
+    )
+    filters = _stacked([lowpass.discretise(record.sample_period) for record in several])
+    notes += _precision_note()
+    driver = _Driver(plant, observer, filters, steps, passes, callback)
+    return driver.run(several, lowpass, tuple(reasons), tuple(notes))
+
+
+@dataclass
+class _Pass:
+    theta: np.ndarray
+    sums: Sums
+    index: np.ndarray
+    weights: np.ndarray
+    solution: Solution
+    increment: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Σ_j log P_j; the smallest is the best pass."""
+        if not np.all(np.isfinite(self.index)):
+            return np.inf
+        return float(np.sum(np.log(np.maximum(self.index, np.finfo(float).tiny))))
+
+
+@dataclass
+class _Driver:
+    """The iteration of section 4: plain Python around one compiled pass."""
+
+    plant: Plant
+    observer: AbstractObserver
+    filters: DiscreteFilter
+    steps: Steps
+    passes: int
+    callback: Callable[[int, int, np.ndarray], None] | None
+
+    def run(
+        self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
+    ) -> Identification:
+        done, traces = self._iterate()
+        best = int(np.argmin([one.cost for one in done]))
+        chosen = done[best]
+        sums, trace = self._pass(chosen.theta, "signals", chosen.increment, chosen.weights)
+        covariance = self._covariance(chosen, sums)
+        plant = self.plant.with_parameters(chosen.theta)
+        injection = _per_sample(trace.injection, self.steps, records)
+        explained = _per_sample(trace.explained, self.steps, records)
+        count = np.maximum(np.asarray(chosen.sums.count), 1.0)
+        observed = np.sqrt(np.asarray(chosen.sums.observed_square) / count)
+        sliding = np.asarray(chosen.sums.sliding) / count
+        return Identification(
+            parameters=plant.parameters,
+            standard_errors=self._standard_errors(covariance),
+            index=np.stack([one.index for one in done]),
+            increments=np.stack([one.increment for one in done]),
+            parameter_history=np.stack([one.theta for one in done]),
+            best_pass=best,
+            plant=plant,
+            nominal=self.plant,
+            injection=injection,
+            first_injection=_per_sample(traces, self.steps, records),
+            residual=[a - b for a, b in zip(injection, explained, strict=True)],
+            sliding_fraction=sliding,
+            unexplained=np.sqrt(chosen.index) / np.where(observed > 0, observed, 1.0),
+            covariance=covariance,
+            status=self._status(done, best),
+            observer=self.observer,
+            lowpass=lowpass,
+            reasons=reasons,
+            notes=notes + _sliding_note(self.plant, sliding),
+            records=records,
+        )
+
+    def _iterate(self) -> tuple[list[_Pass], Any]:
+        theta = np.asarray(self.plant.theta, dtype=float)
+        done: list[_Pass] = []
+        first_injection, stale, best = None, 0, None
+        for number in range(self.passes):
+            store = "nothing" if number else "signals"
+            sums, trace = self._pass(theta, store)
+            one = self._solve(theta, sums)
+            if number == 0:
+                first_injection = trace.injection
+            if self.callback is not None:
+                self.callback(number + 1, self.passes, one.index)
+            done.append(one)
+            if best is None or one.cost < best.cost - _PROGRESS:
+                best, stale = one, 0
+            else:
+                stale += 1
+                if one.cost > best.cost + np.log(4.0) and not self.plant.is_affine:
+                    # Gauss–Newton overshot: half-way back to the best pass.
+                    one.increment = 0.5 * (best.theta - one.theta)
+            if stale >= _PATIENCE or not np.all(np.isfinite(one.increment)):
+                break
+            theta = theta + one.increment
+        return done, first_injection
+
+    def _pass(
+        self, theta: np.ndarray, store: str, increment: Any = None, weights: Any = None
+    ) -> tuple[Sums, Any]:
+        moved = None if increment is None else jnp.asarray(increment)
+        weighed = None if weights is None else jnp.asarray(weights)
+        sums, trace = run_pass(
+            self.plant,
+            self.observer,
+            self.filters,
+            self.steps,
+            jnp.asarray(theta),
+            moved,
+            weighed,
+            store,
+        )
+        return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
+
+    def _solve(self, theta: np.ndarray, sums: Sums) -> _Pass:
+        power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.count)))
+        size = np.where(sums.count > 0, sums.observed_square / np.maximum(sums.count, 1.0), 0.0)
+        # Rounding bounds how small an index can mean anything; it also keeps weights finite.
+        floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
+        weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
+        weights = weights / max(np.max(weights), np.finfo(float).tiny)
+        solution = least_squares(
+            jnp.asarray(np.einsum("j,jab->ab", weights, sums.information)),
+            jnp.asarray(weights @ sums.rhs),
+            jnp.asarray(self.plant.free),
+        )
+        moved = np.clip(theta + np.asarray(solution.increment), self.plant.lower, self.plant.upper)
+        return _Pass(theta, sums, power, weights, solution, moved - theta)
+
+    def _covariance(self, one: _Pass, scored: Sums) -> np.ndarray:
+        r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory."""
+        blocks = float(np.sum(self.steps.block_end & np.any(self.steps.score > 0, axis=2)))
+        freedom = blocks / max(blocks - len(self.plant.names), 1.0)
+        inverse = np.asarray(one.solution.inverse)
+        return freedom * inverse @ scored.meat @ inverse
+
+    def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:
+        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        return {name: float(one) for name, one in zip(self.plant.names, errors, strict=True)}
+
+    def _status(self, done: list[_Pass], best: int) -> Status:
+        if np.any(done[0].sums.count == 0):
+            return Status("no_data", _NO_DATA)
+        if not np.isfinite(done[best].cost):
+            return Status("diverged", _DIVERGED)
+        lost = untraced(done[best].solution, self.plant.names, self.plant.free)
+        if lost:
+            return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
+        number = best + 1
+        if len(done) < self.passes or best < len(done) - 1:
+            return Status("converged", f"the index is smallest in pass {number} of {len(done)}")
+        if len(done) == 1:
+            return Status("passes_exhausted", "one pass only: the nominal values were scored")
+        return Status(
+            "passes_exhausted",
+            f"the index still fell in pass {number}, the last: allow more passes",
+        )
+
+
+_NO_DATA = (
+    "no sample is left to score: the record is shorter than the transient, masked, or the plant "
+    "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
+)
+_DIVERGED = (
+    "the model is not finite along the record: check units, nominal values, and functions such as "
+    "sqrt or log at the measured outputs"
+)
+_UNTRACED = (
+    "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
+    "parameters, or excite the plant so that they differ"
+)
+
+
+def _named_notes(record: Record) -> list[str]:
+    return [f"{record.name}: {note}" for note in record.notes]
+
+
+def _smoothed(
+    plant: Plant, records: tuple[Record, ...], lowpass: LowPass, smoothing: float | bool | None
+) -> tuple[tuple[Record, ...], list[np.ndarray], list[str]]:
+    """Records, smoothed if asked or needed; noise of their velocity; and a note.
+
+    White noise σ per sample is √2 σ/h in a velocity taken over one step; behind a zero-phase
+    low-pass of cut-off ω it is σ √(h ω³/3π).
+    """
+    raw = [np.sqrt(2.0) * record.noise / record.sample_period for record in records]
+    if smoothing is None and plant.relative_degree > 1:
+        rates = [
+            np.sqrt(np.mean((np.diff(one.outputs, axis=0) / one.sample_period) ** 2, axis=0))
+            for one in records
+        ]
+        noisy = any(
+            np.any(noise > _NOISY_RATE * rate) for noise, rate in zip(raw, rates, strict=True)
+        )
+        smoothing = _SMOOTH_BAND * lowpass.cutoff if noisy else False
+    if not smoothing:
+        return records, raw, []
+    nyquist = min(np.pi / record.sample_period for record in records)
+    if smoothing >= 0.9 * nyquist:
+        return records, raw, []
+    cutoff = float(smoothing)
+    kept = [one.noise * np.sqrt(one.sample_period * cutoff**3 / (3.0 * np.pi)) for one in records]
+    note = (
+        f"smoothed at {cutoff:.4g} rad/s, outputs and inputs alike, zero phase: the noise of the "
+        f"velocity falls from {np.max(raw):.2g} to {np.max(kept):.2g}"
+    )
+    return tuple(record.smooth(cutoff) for record in records), kept, [note]
+
+
+def _check_observer(plant: Plant, observer: AbstractObserver) -> None:
+    degrees = np.broadcast_to(observer.relative_degree, len(plant.outputs))
+    check(
+        tuple(degrees) == plant.degrees,
+        "observer",
+        f"must have the relative degree of the plant's outputs, {plant.degrees}",
+        f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
+        "Leave it out to have one chosen; `PerOutput` mixes several.",
+    )
+    for name, value in vars(observer).items():
+        shape = np.shape(value)
+        check(
+            not isinstance(value, np.ndarray | jax.Array) or shape in ((), (len(plant.outputs),)),
+            f"observer.{name}",
+            f"must be one number or {len(plant.outputs)}, one an output",
+            f"shape {shape}",
+        )
+
+
+def _default_transient(records: tuple[Record, ...], lowpass: LowPass, explicit: bool) -> float:
+    shortest = min(record.sample_period * len(record) for record in records)
+    # The explicit observer also has to reach its surface; published gains take about a second.
+    wanted = 10.0 / lowpass.cutoff + (1.0 if explicit else 0.0)
+    return min(wanted, 0.2 * shortest)
+
+
+def _stacked(filters: list[DiscreteFilter]) -> DiscreteFilter:
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *filters)
+
+
+def _per_sample(values: Any, steps: Steps, records: tuple[Record, ...]) -> list[np.ndarray]:
+    """Values of steps as (N, ny) per record: a step belongs to the sample that ends it."""
+    arrays = []
+    for i, record in enumerate(records):
+        count = len(record) - 1
+        scored = np.where(
+            np.asarray(steps.score)[i, :count] > 0, np.asarray(values)[i, :count], np.nan
+        )
+        arrays.append(np.concatenate([np.full((1, scored.shape[1]), np.nan), scored]))
+    return arrays
+
+
+def _precision_note() -> list[str]:
+    if jnp.result_type(float) == jnp.float64:
+        return []
+    note = (
+        "runs in single precision: differences of a finely sampled record lose most of its "
+        "digits. Call `eoi_jax.configure()` first for double precision"
+    )
+    warnings.warn(note, RuntimeWarning, stacklevel=4)
+    return [note]
+
+
+def _sliding_note(plant: Plant, sliding: np.ndarray) -> tuple[str, ...]:
+    low = [name for name, share in zip(plant.outputs, sliding, strict=True) if share < 0.9]
+    if not low:
+        return ()
+    shares = ", ".join(f"{share:.0%}" for share in sliding)
+    note = (
+        f"in sliding only {shares} of the scored steps ({', '.join(low)}): the injection is not "
+        "the model's error while the relay saturates. Raise its gain"
+    )
+    return (note,)

@@ -1,0 +1,297 @@
+r"""One pass over a record: observer, filter, normal equations and index fused in one scan.
+
+Per step k → k+1 (section 4 of the paper, steps of one iteration):
+1. the observer follows y with the model at θ and shows y^(r) as it observes it;
+2. u_eq = observed - f, f at the middle of the step, averaged as the observer averages;
+3. F[u_eq] and F[φ], the same filter (19) on both;
+4. Σ φᵀφ, Σ φᵀu_eq (11), the sum of squares of the index (14), samples in sliding.
+
+Nothing is stored per sample unless asked. A step that must not count (a gap, dry friction at
+rest) enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds for any mask m, so no
+margin is needed around it.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from eoi_jax.lowpass import DiscreteFilter
+from eoi_jax.observers.observer import AbstractObserver, Observation
+from eoi_jax.plants.plant import Plant, State
+from eoi_jax.types import Output, Regressor, Scalar, Theta
+
+
+class Steps(eqx.Module):
+    """One record as a kernel reads it: S = N - 1 steps between its samples.
+
+    Attributes:
+        time: middle of each step [s], shape (S,).
+        y, y_next: outputs at both ends of each step, shape (S, ny).
+        u: inputs during each step, shape (S, nu).
+        use: 1 where model and measurement belong together, shape (S, ny).
+        score: 1 where least squares and index count the step, shape (S, ny).
+        restart: where the observer starts anew (first step, first step after a gap).
+        start_rates: rough rates to start with, shape (rates, ny).
+        block_end: last step of each block of scores, for the covariance.
+        sample_period: h [s].
+    """
+
+    time: Float[Array | np.ndarray, " S"]
+    y: Float[Array | np.ndarray, "S ny"]
+    y_next: Float[Array | np.ndarray, "S ny"]
+    u: Float[Array | np.ndarray, "S nu"]
+    use: Float[Array | np.ndarray, "S ny"]
+    score: Float[Array | np.ndarray, "S ny"]
+    restart: Bool[Array | np.ndarray, " S"]
+    block_end: Bool[Array | np.ndarray, " S"]
+    sample_period: Float[Array | np.ndarray, ""]
+
+
+class Sums(eqx.Module):
+    """What a pass adds up, over scored steps and for each output."""
+
+    information: Float[Array, "ny np np"]
+    rhs: Float[Array, "ny np"]
+    square: Float[Array, " ny"]
+    observed_square: Float[Array, " ny"]
+    count: Float[Array, " ny"]
+    sliding: Float[Array, " ny"]
+    meat: Float[Array, "np np"]
+
+
+class Trace(eqx.Module):
+    """What a pass stores when asked: for each step, at its end."""
+
+    injection: Float[Array, "S ny"]
+    explained: Float[Array, "S ny"]
+    Phi: Float[Array, "S ny np"] | None
+
+
+class _Carry(eqx.Module):
+    observer: Any
+    z: Float[Array, " nz"]
+    sensitivity: Float[Array, "nz np"]
+    history: tuple[tuple[Output, Regressor], ...]
+    filtered: Float[Array, "order ny columns"]
+    block: Float[Array, " np"]
+    sums: Sums
+
+
+@eqx.filter_jit
+def run_pass(
+    plant: Plant,
+    observer: AbstractObserver,
+    lowpass: DiscreteFilter,
+    steps: Steps,
+    theta: Theta,
+    increment: Theta | None = None,
+    weights: Output | None = None,
+    store: str = "nothing",
+) -> tuple[Sums, Trace | None]:
+    """One pass over a batch of records (leading axis on `lowpass` and `steps`).
+
+    Args:
+        plant: the model; its structure only, parameters come from `theta`.
+        observer: with its gains.
+        lowpass: the sampled filter of each record.
+        steps: the records, padded to one length with `use` = `score` = 0.
+        theta: θ of this pass.
+        increment: Δθ with which `Trace.explained` = F[φ] Δθ and the scores are formed.
+        weights: of each output in the scores, shape (ny,).
+        store: ``"nothing"``, ``"signals"`` (injection and explained part), or
+            ``"regressors"`` (F[φ] too).
+
+    Returns:
+        Sums and traces, each with the records as leading axis.
+    """
+    increment = jnp.zeros_like(theta) if increment is None else increment
+    weights = jnp.ones(len(plant.outputs), theta.dtype) if weights is None else weights
+
+    def one(lowpass: DiscreteFilter, steps: Steps) -> tuple[Sums, Trace | None]:
+        kernel = _Kernel(plant, observer, lowpass, theta, increment, weights, store)
+        return kernel.run(steps)
+
+    return jax.vmap(one)(lowpass, steps)
+
+
+class _Kernel(eqx.Module):
+    """The scan of one record; fields as in `run_pass`."""
+
+    plant: Plant
+    observer: AbstractObserver
+    lowpass: DiscreteFilter
+    theta: Theta
+    increment: Theta
+    weights: Output
+    store: str = eqx.field(static=True)
+
+    def run(self, steps: Steps) -> tuple[Sums, Trace | None]:
+        h = jnp.asarray(steps.sample_period)
+        last, trace = jax.lax.scan(
+            lambda carry, row: self._step(carry, row, h), self._init(steps, h), _rows(steps)
+        )
+        return last.sums, trace
+
+    def _init(self, steps: Steps, h: Scalar) -> _Carry:
+        ny, size = len(self.plant.outputs), self.theta.shape[0]
+        zeros, dtype = jnp.zeros, self.theta.dtype
+        z, sensitivity = _value_and_jacobian(
+            lambda shift: self.plant.internal_start(self.theta + shift), size, dtype
+        )
+        taps = _kernel_weights(self.observer, ny).shape[0]
+        blank = (zeros(ny, dtype), zeros((ny, size), dtype))
+        sums = Sums(
+            zeros((ny, size, size), dtype),
+            zeros((ny, size), dtype),
+            zeros(ny, dtype),
+            zeros(ny, dtype),
+            zeros(ny, dtype),
+            zeros(ny, dtype),
+            zeros((size, size), dtype),
+        )
+        return _Carry(
+            self._start(steps.y[0], steps.y_next[0], h),
+            z,
+            sensitivity,
+            (blank,) * (taps - 1),
+            zeros((self.lowpass.entry.shape[0], ny, size + 2), dtype),
+            zeros(size, dtype),
+            sums,
+        )
+
+    def _start(self, y: Any, y_next: Any, h: Scalar) -> Any:
+        """Start on the measurement, with its first increment as velocity."""
+        rows = self.plant.relative_degree - 1
+        rates = jnp.zeros((rows, y.shape[0]), self.theta.dtype)
+        if rows:
+            rates = rates.at[0].set((y_next - y) / h)
+        return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
+
+    def _step(self, carry: _Carry, row: tuple, h: Scalar) -> tuple[_Carry, Any]:
+        t, y, y_next, u, use, score, restart, block_end = row
+        state = jax.tree.map(
+            lambda new, old: jnp.where(restart, new, old), self._start(y, y_next, h), carry.observer
+        )
+        explicit = self.observer.scheme == "explicit"
+        position = y if explicit else 0.5 * (y + y_next)
+        z, sensitivity, z_next, sensitivity_next = self._internal(carry, t, position, u, state, h)
+        predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
+        drift = self.plant.derivative(t, predicted, u, self.theta)
+        state, seen = self.observer.step(state, y, y_next, drift, h)
+        f, phi = self._model(t, position, seen, z, sensitivity, u)
+        history = ((f, phi), *carry.history)
+        f, phi = self._averaged(history)
+        signals = jnp.concatenate([(seen.observed - f)[:, None], seen.observed[:, None], phi], 1)
+        # A model that is undefined where it does not count (√ of a negative level) must not spread.
+        signals = jnp.where(use[:, None] > 0, use[:, None] * signals, 0.0)
+        filtered = self.lowpass.step(carry.filtered, signals)
+        sums, block, shown = self._add(carry, filtered[0], seen, score, block_end)
+        new = _Carry(
+            state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
+        )
+        return new, shown
+
+    def _internal(
+        self, carry: _Carry, t: Scalar, position: Output, u: Array, state: Any, h: Scalar
+    ) -> tuple[Array, Array, Array, Array]:
+        """z in the middle and at the end of the step (explicit midpoint rule), with ∂z/∂θ."""
+        if self.plant.internal is None:
+            return carry.z, carry.sensitivity, carry.z, carry.sensitivity
+        y = jnp.concatenate([position[None], self.observer.rates(state)])
+
+        def ends(shift: Theta) -> tuple[Array, Array]:
+            theta = self.theta + shift
+            z = carry.z + carry.sensitivity @ shift
+            first = self.plant.internal_rate(t, State(y, z), u, theta)
+            middle = z + 0.5 * h * first
+            second = self.plant.internal_rate(t, State(y, middle), u, theta)
+            end = z + h * second
+            return 0.5 * (z + end), end
+
+        (middle, end), jacobian = _value_and_jacobian(ends, self.theta.shape[0], self.theta.dtype)
+        return middle, jacobian[0], end, jacobian[1]
+
+    def _model(
+        self, t: Scalar, position: Output, seen: Observation, z: Array, sensitivity: Array, u: Array
+    ) -> tuple[Output, Regressor]:
+        """f and φ = df/dθ, total: through the internal states too."""
+        y = jnp.concatenate([position[None], seen.rates])
+
+        def shifted(shift: Theta) -> Output:
+            x = State(y, z + sensitivity @ shift)
+            return self.plant.derivative(t, x, u, self.theta + shift)
+
+        return _value_and_jacobian(shifted, self.theta.shape[0], self.theta.dtype)
+
+    def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
+        """The observer's own moving average, on model and regressors."""
+        weights = _kernel_weights(self.observer, len(self.plant.outputs))
+        f = sum(w * one[0] for w, one in zip(weights, history, strict=True))
+        phi = sum(w[:, None] * one[1] for w, one in zip(weights, history, strict=True))
+        return f, phi  # type: ignore[return-value]
+
+    def _add(
+        self,
+        carry: _Carry,
+        output: Float[Array, "ny columns"],
+        seen: Observation,
+        score: Output,
+        block_end: Array,
+    ) -> tuple[Sums, Array, Any]:
+        injection, observed, phi = output[:, 0], output[:, 1], output[:, 2:]
+        explained = phi @ self.increment
+        old = carry.sums
+        weighted = score[:, None] * phi
+        block, meat = carry.block, old.meat
+        if self.store != "nothing":
+            block = block + (self.weights * (injection - explained)) @ weighted
+            meat = meat + jnp.where(block_end, jnp.outer(block, block), 0.0)
+            block = jnp.where(block_end, 0.0, block)
+        sums = Sums(
+            old.information + weighted[:, :, None] * phi[:, None, :],
+            old.rhs + weighted * injection[:, None],
+            old.square + score * injection**2,
+            old.observed_square + score * observed**2,
+            old.count + score,
+            old.sliding + score * seen.sliding,
+            meat,
+        )
+        shown = {
+            "nothing": None,
+            "signals": Trace(injection, explained, None),
+            "regressors": Trace(injection, explained, phi),
+        }[self.store]
+        return sums, block, shown
+
+
+def _rows(steps: Steps) -> tuple:
+    return (
+        steps.time,
+        steps.y,
+        steps.y_next,
+        steps.u,
+        steps.use,
+        steps.score,
+        steps.restart,
+        steps.block_end,
+    )
+
+
+def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:
+    weights = np.atleast_2d(np.asarray(observer.kernel, dtype=float))
+    return np.broadcast_to(weights, (ny, weights.shape[1])).T
+
+
+def _value_and_jacobian(function: Any, size: int, dtype: Any) -> tuple[Any, Any]:
+    """Value and Jacobian at a zero shift of θ, forward mode: all parameters in one sweep."""
+
+    def twice(shift: Theta) -> tuple[Any, Any]:
+        value = function(shift)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(jnp.zeros(size, dtype))
+    return value, jacobian

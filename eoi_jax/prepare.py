@@ -1,0 +1,177 @@
+"""Records made ready for a pass: which steps count, where the observer starts anew.
+
+All on the host, once for an estimate; the kernel then reads one rectangular batch.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax.checks import check
+from eoi_jax.data.record import Record
+from eoi_jax.passes import Steps
+from eoi_jax.plants.plant import Plant
+
+# An increment of y within this many standard deviations of its noise has no certain sign.
+_SIGNIFICANT = 4.0
+
+
+def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
+    """One or several records as a tuple, checked against the plant's channels and units.
+
+    Raises:
+        ValueError: no record, another number of channels, channels in another order, other units.
+    """
+    several = (records,) if isinstance(records, Record) else tuple(records)
+    check(len(several) > 0, "records", "must hold at least one record", "none")
+    for record in several:
+        for kind, names, own, signals in (
+            ("inputs", plant.inputs, record.input_names, record.inputs),
+            ("outputs", plant.outputs, record.output_names, record.outputs),
+        ):
+            check(
+                signals.shape[1] == len(names),
+                f"records[{record.name}].{kind}",
+                f"must have {len(names)} channels ({', '.join(names)}) for `{plant.name}`",
+                f"{signals.shape[1]} ({', '.join(own)})",
+            )
+            same = set(own) == set(names)
+            check(
+                not same or tuple(own) == tuple(names),
+                f"records[{record.name}].{kind}",
+                f"must come in the plant's order ({', '.join(names)})",
+                f"({', '.join(own)})",
+            )
+            for name, mine in zip(names, own, strict=True):
+                unit, want = record.units.get(mine), plant.units.get(name)
+                check(
+                    unit is None or want is None or unit == want,
+                    f"records[{record.name}].{kind}[{mine}]",
+                    f"must be in the plant's unit for `{name}`, {want!r}",
+                    repr(unit),
+                    "Convert the column, or correct the unit.",
+                )
+    return several
+
+
+def prepare(
+    plant: Plant,
+    records: Sequence[Record],
+    taps: int,
+    transient: float,
+    block: float,
+    rate_noise: Sequence[Float[np.ndarray, " ny"]],
+    explicit: bool,
+    taper: float,
+) -> Steps:
+    """The batch of steps for `run_pass`, padded to the longest record.
+
+    Args:
+        plant: whose dry friction decides which steps count.
+        records: uniformly sampled.
+        taps: length of the observer's moving average [steps].
+        transient: time not scored at the start of each record [s].
+        block: length of a block of scores, several filter memories [s].
+        rate_noise: standard deviation of the measured increment over one step / h, per record.
+        explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
+        taper: time over which a step's weight rises from zero beside one that does not count [s].
+    """
+    length = max(len(record) for record in records) - 1
+    friction = np.asarray(plant.dry_friction)
+    rows = []
+    for record, noise in zip(records, rate_noise, strict=True):
+        h = record.sample_period
+        use, restart = _usable(record, taps, friction, noise * h)
+        score = (use > 0).astype(float)
+        use = _tapered(use, taper / h)
+        score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
+        if explicit:
+            score *= _settled(restart, round(transient / h))[:, None]
+        ends = np.zeros(len(use), dtype=bool)
+        ends[max(round(block / h), 1) - 1 :: max(round(block / h), 1)] = True
+        ends[-1] = True
+        rows.append(
+            (
+                record.time[:-1] + 0.5 * h,
+                record.outputs[:-1],
+                record.outputs[1:],
+                _inputs(record, explicit),
+                use,
+                score,
+                restart,
+                ends,
+            )
+        )
+    stacked = [
+        np.stack([_pad(row[i], length, hold=i < 4) for row in rows]) for i in range(len(rows[0]))
+    ]
+    return Steps(*stacked, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
+
+
+def moving(
+    increments: Float[np.ndarray, "steps ny"], noise: Float[np.ndarray, " ny"]
+) -> Bool[np.ndarray, "steps ny"]:
+    """Steps in which the direction of motion is certain.
+
+    Dry friction has the value that the model gives it only there: at rest it is a reaction, and
+    within a reversal it changes sign. One step on each side is left out as well, because rest can
+    begin or end inside it.
+    """
+    certain = np.abs(increments) > _SIGNIFICANT * noise
+    direction = np.sign(increments) * certain
+    before = np.concatenate([direction[:1], direction[:-1]])
+    after = np.concatenate([direction[1:], direction[-1:]])
+    return (direction != 0) & (direction == before) & (direction == after)
+
+
+def _usable(
+    record: Record, taps: int, friction: Bool[np.ndarray, " ny"], noise: Float[np.ndarray, " ny"]
+) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
+    valid = record.valid[:-1] & record.valid[1:]
+    restart = valid & ~np.concatenate([[False], valid[:-1]])
+    restart[0] = True
+    good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
+    free = moving(np.diff(record.outputs, axis=0), noise)
+    good &= free | ~friction[None, :]
+    use = good.copy()
+    for lag in range(1, taps):  # every step of the moving average must be good
+        use[lag:] &= good[:-lag]
+    # An implicit observer started on the measurement slides after about r steps.
+    use &= _settled(restart, taps + 3)[:, None]
+    return use.astype(float), restart
+
+
+def _tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
+    """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
+
+    Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
+    cuts second differences of the measurement noise apart that would cancel in the filter.
+    """
+    distance = np.stack(
+        [np.minimum(_since_zero(one), _since_zero(one[::-1])[::-1]) for one in use.T], axis=1
+    )
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(distance / max(length, 1.0), 0.0, 1.0))
+
+
+def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
+    index = np.arange(len(weights))
+    last = np.maximum.accumulate(np.where(weights > 0, -1, index))
+    return np.where(last < 0, np.inf, index - last).astype(float)
+
+
+def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
+    settled = np.ones(len(restart), dtype=bool)
+    for start in np.flatnonzero(restart):
+        settled[start : start + count] = False
+    return settled
+
+
+def _inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:
+    return record.inputs[:-1] if explicit else record.midpoint_inputs()
+
+
+def _pad(array: np.ndarray, length: int, hold: bool) -> np.ndarray:
+    """To `length`: signals keep their last value (no model meets a number it never saw)."""
+    width = [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1)
+    return np.pad(array, width, mode="edge" if hold else "constant")
