@@ -1,0 +1,341 @@
+"""Free-run error of a plant on records: what simulation alone, without feedback of y, gets right.
+
+The initial state (outputs, their derivatives, internal states) is part of no model: it is
+estimated from the first samples of each run, by least squares of the free run over them
+(Gauss-Newton on forward sensitivities, started from a local polynomial). Those samples are not
+scored.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from eoi_jax.checks import check, check_positive
+from eoi_jax.data.record import Record
+from eoi_jax.plants.plant import Plant, State
+from eoi_jax.simulate import Drive, drive, free_run, frictional, trajectory
+from eoi_jax.types import Theta
+
+PerOutput = Float[np.ndarray, " ny"]
+Samples = Float[np.ndarray, "time ny"]
+
+_ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
+_ENOUGH = 1e-8  # relative fall of the squared error below which they end
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Free-run errors, each of shape (ny,), over the scored samples of all records.
+
+    Attributes:
+        rmse: root mean square of y − ŷ [unit of y]; infinite if a run diverges.
+        nrmse: `rmse` over the standard deviation of y.
+        fit: 100 (1 − ‖y − ŷ‖ / ‖y − mean y‖) [%].
+        predictions: ŷ, one record for each one given.
+        scored: number of scored samples.
+        outputs: names.
+        units: of the outputs, "" where unknown.
+        notes: sentences on what limits the numbers.
+    """
+
+    rmse: PerOutput
+    nrmse: PerOutput
+    fit: PerOutput
+    predictions: tuple[Record, ...]
+    scored: int
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """A short table."""
+        wide = max(len("output"), *(len(key) for key in self.outputs))
+        lines = [
+            f"Free run, {len(self.predictions)} record(s), {self.scored} samples scored",
+            f"{'output':<{wide}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
+        ]
+        rows = zip(self.outputs, self.rmse, self.nrmse, self.fit, self.units, strict=True)
+        lines += [
+            f"{key:<{wide}}  {rmse:>11.5g}  {nrmse:>8.4f}  {fit:>8.2f}  {unit}".rstrip()
+            for key, rmse, nrmse, fit, unit in rows
+        ]
+        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
+
+
+def validate(
+    plant: Plant,
+    records: Record | Sequence[Record],
+    *,
+    initial_samples: int = 50,
+    window: float | None = None,
+    substeps: int = 4,
+) -> Validation:
+    """Simulate a plant along records and compare.
+
+    Masked samples are run through on their interpolated inputs, and are not scored.
+
+    Args:
+        plant: the model with the parameters to judge.
+        records: one or several; a record's burn-in is not scored.
+        initial_samples: samples at the start of each run from which its initial state is estimated;
+            they are not scored.
+        window: length of each run [s]; the state is then estimated anew at the start of every
+            window. None: one run through the whole record, the harder test.
+        substeps: steps of the simulation per sample; four are exact enough even for a record
+            sampled ten times per period of its resonance.
+
+    Returns:
+        Errors over all scored samples of all records, and predictions over all samples.
+
+    Raises:
+        ValueError: no record, channels that do not match the plant's, too few samples, a window
+            not longer than the initial samples.
+    """
+    records = (records,) if isinstance(records, Record) else tuple(records)
+    check(len(records) > 0, "records", "must hold at least one record", "none")
+    for record in records:
+        _check_record(plant, record, initial_samples, window)
+    run = _Run(plant, frictional(plant), initial_samples, substeps)
+    notes: list[str] = []
+    predicted, scored = [], []
+    for record in records:
+        prediction, score = _predict(run, record, window, notes)
+        predicted.append(prediction)
+        scored.append(score & record.valid)
+    y = np.concatenate([record.outputs[keep] for record, keep in zip(records, scored, strict=True)])
+    y_hat = np.concatenate([part[keep] for part, keep in zip(predicted, scored, strict=True)])
+    rmse, nrmse, fit = _errors(y, y_hat)
+    return Validation(
+        rmse,
+        nrmse,
+        fit,
+        tuple(_record(record, part) for record, part in zip(records, predicted, strict=True)),
+        len(y),
+        plant.outputs,
+        tuple(plant.units.get(key, "") for key in plant.outputs),
+        tuple(notes),
+    )
+
+
+def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
+    for key, have, want in (
+        ("inputs", record.inputs.shape[1], plant.inputs),
+        ("outputs", record.outputs.shape[1], plant.outputs),
+    ):
+        rule = f"must have {len(want)} {key} ({', '.join(want)}) for {plant.name}"
+        check(have == len(want), f"record {record.name}", rule, have)
+    unknowns = plant.relative_degree + len(plant.internal_start(jnp.asarray(plant.theta)))
+    check(
+        initial_samples > unknowns,
+        "initial_samples",
+        f"must exceed {unknowns}, the number of initial values of an output",
+        initial_samples,
+    )
+    skipped = max(initial_samples, round(record.burn_in / record.sample_period))
+    kept = int(np.sum(record.valid[skipped:]))
+    rule = f"must have valid samples after the first {skipped}, which are not scored"
+    check(kept > 0, f"record {record.name}", rule, f"{len(record)} samples",
+          "Lower `initial_samples`, or the record's burn-in.")  # fmt: skip
+    if window is not None:
+        check_positive("window", window)
+        count = round(window / record.sample_period)
+        rule = f"must be longer than {initial_samples} samples, which start each run"
+        check(count > initial_samples, "window", rule, f"{count} samples")
+
+
+# -- runs ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What all runs share."""
+
+    plant: Plant
+    friction: tuple[bool, ...]
+    initial_samples: int
+    substeps: int
+
+
+def _predict(
+    run: _Run, record: Record, window: float | None, notes: list[str]
+) -> tuple[Samples, Bool[np.ndarray, " time"]]:
+    """Free runs along a record, one or one a window: prediction, and which samples count."""
+    total = len(record)
+    count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
+    prediction = np.full(record.outputs.shape, np.nan)
+    score = np.zeros(total, dtype=bool)
+    whole = drive(record.time, record.inputs, record.hold, run.substeps)
+    diverged = None
+    for first in range(0, total - 1, count):
+        # The last window reaches back, so that all have one length and one compiled kernel.
+        start = min(first, total - 1 - count)
+        y_hat = _free_run(run, record, whole, start, count)
+        bad = ~np.all(np.isfinite(y_hat), axis=1)
+        if bad.any() and diverged is None:
+            diverged = record.time[start + int(np.argmax(bad))]
+        # A window ends before the first sample of the next one; the last one has its own end.
+        stop = start + count + (start + count == total - 1)
+        prediction[first:stop] = y_hat[first - start : stop - start]
+        score[max(first, start + run.initial_samples) : stop] = True
+    score[: max(run.initial_samples, round(record.burn_in / record.sample_period))] = False
+    if diverged is not None:
+        notes.append(
+            f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
+        )
+    return prediction, score
+
+
+def _free_run(run: _Run, record: Record, whole: Drive, start: int, count: int) -> Samples:
+    """One run of `count` steps from sample `start`, from its own estimated initial state."""
+    theta = jnp.asarray(run.plant.theta)
+    head = _part(whole, start, min(run.initial_samples, count + 1) - 1)
+    seen = slice(start, start + min(run.initial_samples, count + 1))
+    x = _initial_state(run, theta, head, record.outputs[seen], record.valid[seen])
+    y, _ = free_run(run.plant, theta, _part(whole, start, count), x, run.friction)
+    return np.asarray(y[:, 0, :], dtype=np.float64)
+
+
+def _part(whole: Drive, start: int, count: int) -> Drive:
+    steps = slice(start * whole.substeps, (start + count) * whole.substeps)
+    return Drive(whole.time[steps], whole.step, whole.inputs[steps], whole.substeps)
+
+
+# -- the initial state --------------------------------------------------------------------
+
+
+def _initial_state(
+    run: _Run, theta: Theta, head: Drive, y: Samples, valid: Bool[np.ndarray, " time"]
+) -> State:
+    """Least squares of the free run over the first samples, by damped Gauss-Newton."""
+    period = float(head.step) * head.substeps
+
+    def evaluate(values: Float[np.ndarray, " unknowns"]) -> tuple[float, np.ndarray, np.ndarray]:
+        out, slopes = _head_run(run.plant, theta, head, jnp.asarray(values), run.friction)
+        error = np.where(valid[:, None], y - np.asarray(out), 0.0).ravel()
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(error @ error)
+        jacobian = np.where(valid[:, None, None], np.asarray(slopes), 0.0)
+        return cost if np.isfinite(cost) else np.inf, error, jacobian.reshape(len(error), -1)
+
+    z = np.asarray(run.plant.internal_start(theta))
+    starts = [np.concatenate([rows, z]) for rows in _polynomial_starts(run.plant, y, valid, period)]
+    trials = [(evaluate(start), start) for start in starts]
+    (cost, error, jacobian), values = min(trials, key=lambda trial: trial[0][0])
+    for _ in range(_ROUNDS):
+        if not (np.isfinite(cost) and np.all(np.isfinite(jacobian))):
+            break
+        step = _least_squares(jacobian, error)
+        for _ in range(6):  # halve a step that does not help
+            trial = evaluate(values + step)
+            if trial[0] < cost:
+                break
+            step = 0.5 * step
+        else:
+            break
+        gain, values = cost - trial[0], values + step
+        cost, error, jacobian = trial
+        if gain <= _ENOUGH * cost:
+            break
+    return _unpack(run.plant, jnp.asarray(values))
+
+
+@eqx.filter_jit
+def _head_run(
+    plant: Plant,
+    theta: Theta,
+    head: Drive,
+    values: Float[Array, " unknowns"],
+    friction: tuple[bool, ...],
+) -> tuple[Float[Array, "time ny"], Float[Array, "time ny unknowns"]]:
+    """Outputs over the first samples, and their derivatives with the initial values."""
+
+    def outputs(values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
+        y = trajectory(plant, theta, head, _unpack(plant, values), friction)[0][:, 0, :]
+        return y, y
+
+    slopes, y = jax.jacfwd(outputs, has_aux=True)(values)
+    return y, slopes
+
+
+def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of `State.y` that are states, output by output."""
+    pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
+    rows, columns = np.asarray(pairs).T
+    return rows, columns
+
+
+def _unpack(plant: Plant, values: Float[Array, " unknowns"]) -> State:
+    rows, columns = _owned(plant)
+    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
+    return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
+
+
+def _polynomial_starts(
+    plant: Plant, y: Samples, valid: Bool[np.ndarray, " time"], period: float
+) -> list[Float[np.ndarray, " owned"]]:
+    """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
+
+    A long stretch averages noise, a short one follows fast motion: the free run decides later.
+    """
+    degree = plant.relative_degree + 1
+    rows, columns = _owned(plant)
+    factorial = np.cumprod([1.0, *range(1, degree + 1)])
+    (known,) = np.nonzero(valid)
+    starts, count = [], len(known)
+    while count >= min(degree + 1, len(known)) and count > 0 and len(starts) < 5:
+        index = known[:count]
+        # Time in units of the stretch: the columns are then of one size.
+        reach = max(float(index[-1]), 1.0)
+        powers = np.vander(index / reach, min(degree, count - 1) + 1, increasing=True)
+        coefficients = np.zeros((degree + 1, y.shape[1]))
+        coefficients[: powers.shape[1]] = np.linalg.lstsq(powers, y[index], rcond=None)[0]
+        scale = (factorial / (reach * period) ** np.arange(degree + 1))[:, None]
+        starts.append((coefficients * scale)[rows, columns])
+        count //= 2
+    return starts or [np.zeros(len(rows))]
+
+
+def _least_squares(
+    jacobian: Float[np.ndarray, "rows unknowns"], error: Float[np.ndarray, " rows"]
+) -> Float[np.ndarray, " unknowns"]:
+    """Least-squares step on scaled columns; what leaves no trace in y is left where it is."""
+    size = np.linalg.norm(jacobian, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(jacobian / size, error, rcond=1e-8)[0] / size
+
+
+# -- scores -------------------------------------------------------------------------------
+
+
+def _errors(y: Samples, y_hat: Samples) -> tuple[PerOutput, PerOutput, PerOutput]:
+    finite = np.all(np.isfinite(y_hat), axis=0)
+    error = np.where(finite, y - np.where(finite, y_hat, 0.0), 0.0)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        rmse = np.where(finite, np.sqrt(np.mean(error**2, axis=0)), np.inf)
+        # A constant output leaves nothing to explain: any error is infinitely large beside it.
+        nrmse = np.where(rmse > 0, rmse / np.std(y, axis=0), 0.0)
+    return rmse, nrmse, 100.0 * (1.0 - nrmse)
+
+
+def _record(record: Record, prediction: Samples) -> Record:
+    """The prediction as a record; a diverged one is kept within what a figure can show."""
+    middle, reach = np.mean(record.outputs, axis=0), np.ptp(record.outputs, axis=0) + 1e-300
+    bound = 1e3 * reach
+    shown = np.clip(np.where(np.isfinite(prediction), prediction, np.inf), middle - bound,
+                    middle + bound)  # fmt: skip
+    return Record(
+        record.time,
+        record.inputs,
+        shown,
+        f"{record.name} (free run)",
+        input_names=record.input_names,
+        output_names=record.output_names,
+        units=record.units,
+        hold=record.hold,
+        burn_in=record.burn_in,
+    )

@@ -1,0 +1,202 @@
+"""Free-run validation: known errors, estimated starts, windows, divergence, a measured record."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eoi_jax.checks import RecordWarning
+from eoi_jax.data.record import Record
+from eoi_jax.plants import (
+    Plant,
+    cascaded_tanks,
+    duffing_oscillator,
+    mass_spring_damper,
+    pendulum,
+    three_mass_spring_damper,
+)
+from eoi_jax.simulate import simulate
+from eoi_jax.validate import validate
+
+TIME = np.arange(1001) * 5e-3
+FORCE = np.sin(2.0 * TIME) + np.cos(7.0 * TIME)
+
+
+def swing(initial=(0.01, -0.05), hold="linear"):
+    plant = mass_spring_damper(true=True)
+    return simulate(plant, TIME, FORCE, initial, hold=hold, substeps=4, name="swing")
+
+
+def with_noise(record, size, seed=0):
+    noise = size * np.random.default_rng(seed).standard_normal(record.outputs.shape)
+    return Record(record.time, record.inputs, record.outputs + noise, record.name, hold=record.hold)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear", "smooth"])
+def test_true_plant_has_no_error_from_an_unknown_initial_state(hold):
+    result = validate(mass_spring_damper(true=True), swing(hold=hold))
+    # The plant is linear: one Gauss-Newton step from a polynomial start is exact up to rounding.
+    assert result.rmse[0] < 1e-12
+    assert result.fit[0] > 100.0 - 1e-6
+    assert result.scored == 1001 - 50
+
+
+def test_rmse_of_the_true_plant_is_the_measurement_noise():
+    noisy = with_noise(swing(), 1e-4)
+    result = validate(mass_spring_damper(true=True), noisy)
+    # 951 samples: the standard deviation of the rms is 2.3 %; the start adds a decaying transient.
+    assert result.rmse[0] == pytest.approx(1e-4, rel=0.08)
+    residual = noisy.outputs[50:] - result.predictions[0].outputs[50:]
+    np.testing.assert_allclose(result.rmse, np.sqrt(np.mean(residual**2, axis=0)), rtol=1e-12)
+    spread = np.std(noisy.outputs[50:], axis=0)
+    np.testing.assert_allclose(result.nrmse, result.rmse / spread, rtol=1e-12)
+    np.testing.assert_allclose(result.fit, 100.0 * (1.0 - result.nrmse), rtol=1e-12)
+
+
+def test_several_records_are_pooled_sample_by_sample():
+    plant = mass_spring_damper()  # nominal: a wrong model
+    first, second = swing(), swing((-0.05, 0.3))[:400]
+    one, two, both = (validate(plant, case) for case in (first, second, [first, second]))
+    squares = one.rmse**2 * one.scored + two.rmse**2 * two.scored
+    assert both.scored == one.scored + two.scored
+    np.testing.assert_allclose(both.rmse**2 * both.scored, squares, rtol=1e-12)
+    assert [len(part) for part in both.predictions] == [1001, 400]
+
+
+def test_internal_state_at_the_start_is_estimated():
+    plant, time = cascaded_tanks(), np.arange(301) * 4.0
+    u = 3.0 + np.sin(0.02 * time) + np.sin(0.05 * time)
+    record = simulate(plant, time, u, 3.0, internal=[9.0], hold="zero", substeps=4)
+    # The model says 5 V; the record started at 9 V.
+    assert validate(plant, record).rmse[0] < 1e-9
+
+
+def test_several_outputs_and_their_velocities_are_estimated():
+    plant, time = three_mass_spring_damper(true=True), np.arange(801) * 2e-3
+    initial = [[0.01, -0.02, 0.005], [0.1, 0.0, -0.2]]
+    record = simulate(plant, time, np.sign(np.sin(9.0 * time)), initial, hold="zero", substeps=4)
+    result = validate(plant, record)
+    assert result.rmse.shape == (3,)
+    assert np.all(result.rmse < 1e-12)
+
+
+def test_friction_plant_starts_in_motion_and_comes_to_rest():
+    plant = pendulum(true=True).with_parameters({"c": 3.0})
+    record = simulate(plant, TIME, np.where(TIME < 3, 0.2, 0.0), [0.3, 1.0], substeps=4)
+    # Nonlinear in the start: Gauss-Newton ends where the squared error no longer falls.
+    assert validate(plant, record).rmse[0] < 1e-8
+
+
+def test_windows_of_a_wrong_model_err_less_than_one_long_run():
+    def drifting(t, x, u, p):
+        return p.push * u
+
+    truth = Plant(drifting, {"push": 1.0}, relative_degree=2)
+    record = simulate(truth, TIME, FORCE, hold="linear")
+    wrong = truth.with_parameters({"push": 1.05})
+    long = validate(wrong, record)
+    short = validate(wrong, record, window=0.5, initial_samples=20)
+    assert short.rmse[0] < 0.1 * long.rmse[0]
+    assert np.all(np.isfinite(short.predictions[0].outputs))
+
+
+def test_every_window_leaves_its_initial_samples_unscored():
+    record = swing()
+    result = validate(mass_spring_damper(true=True), record, window=1.5, initial_samples=50)
+    # 1000 steps in windows of 300 and a rest of 100, which reaches back and scores its 101.
+    assert result.scored == 3 * 250 + 101
+    assert result.rmse[0] < 1e-12
+
+
+def test_masked_samples_and_burn_in_are_not_scored():
+    y = swing().outputs[:, 0].copy()
+    y[300:310] = np.nan
+    with pytest.warns(RecordWarning):
+        record = Record(TIME, FORCE, y, "holes", hold="linear", burn_in=1.0)
+    result = validate(mass_spring_damper(true=True), record)
+    assert result.scored == 1001 - 200 - 10
+    assert result.rmse[0] < 1e-12
+
+
+def test_divergence_is_a_note_and_an_infinite_error():
+    def escape(t, x, u, p):
+        return p.a * x.y[0] ** 3 + u
+
+    record = Record(TIME, np.zeros(1001), 1.0 + 0.1 * np.sin(TIME), "calm", hold="zero")
+    result = validate(Plant(escape, {"a": 30.0}), record)
+    assert np.isinf(result.rmse[0])
+    assert result.fit[0] == -np.inf
+    assert "The free run on calm diverges: it is not finite from t = " in result.notes[0]
+    assert "diverges" in str(result)
+    assert np.all(np.isfinite(result.predictions[0].outputs))
+
+
+def test_constant_output_has_no_fit_but_an_error():
+    plant = Plant(lambda t, x, u, p: p.a * u, {"a": 1.0})
+    record = Record(TIME, np.ones(1001), np.full(1001, 2.0), "flat", hold="zero")
+    result = validate(plant, record)
+    assert np.isfinite(result.rmse[0])
+    assert np.isinf(result.nrmse[0])
+
+
+def test_table_names_output_unit_and_numbers():
+    result = validate(mass_spring_damper(), swing())
+    lines = str(result).splitlines()
+    assert lines[0] == "Free run, 1 record(s), 951 samples scored"
+    assert lines[2].split()[0] == "position"
+    assert lines[2].split()[-1] == "m"
+    assert float(lines[2].split()[1]) == pytest.approx(result.rmse[0], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"records": []}, "`records` must hold at least one record"),
+        ({"initial_samples": 2}, "`initial_samples` must exceed 2"),
+        ({"initial_samples": 1001}, "`record swing` must have valid samples after the first 1001"),
+        ({"window": -1.0}, "`window` must be positive"),
+        ({"window": 0.1}, "`window` must be longer than 50 samples"),
+        ({"substeps": 0}, "`substeps` must be an integer ≥ 1"),
+    ],
+)
+def test_wrong_calls_name_field_rule_and_value(change, message):
+    call = {"records": swing()} | change
+    with pytest.raises(ValueError, match=message):
+        validate(mass_spring_damper(), **call)
+
+
+def test_channels_must_match_the_plant():
+    with pytest.raises(ValueError, match=r"`record swing` must have 3 outputs \(position_1"):
+        validate(three_mass_spring_damper(), swing())
+    both = Record(TIME, np.stack([FORCE, FORCE], axis=1), FORCE, "two")
+    with pytest.raises(ValueError, match=r"`record two` must have 1 inputs \(voltage\)"):
+        validate(mass_spring_damper(), both)
+
+
+def test_silverbox_arrow_is_predicted_to_about_a_millivolt(data_directory):
+    """Parameters from spectral regression alone, on the record that extrapolates in amplitude."""
+    from scipy.io import loadmat
+
+    part = slice(100, 40575)
+    data = loadmat(data_directory / "silverbox" / "SNLS80mV.mat")
+    u, y = (data[key].ravel()[part] for key in ("V1", "V2"))
+    record = Record.from_period(2**14 / 1e7, u, y, "arrow", hold="smooth")
+    model = duffing_oscillator(reference=True)
+    result = validate(model, record)
+    # rms of y is 53 mV; a regression in discrete time with the same terms reaches 1.8 mV.
+    assert result.rmse[0] < 1.8e-3
+    linear = validate(model.with_parameters({"cubic_stiffness": 0.0}), record)
+    assert linear.rmse[0] > 5.0 * result.rmse[0]
+    held = Record.from_period(2**14 / 1e7, u, y, "arrow", hold="zero")
+    assert validate(model, held).rmse[0] > 2.0 * result.rmse[0]  # the input is band-limited
+
+
+def test_predictions_are_what_simulate_gives_from_the_same_start():
+    def dynamics(t, x, u, p):
+        return jnp.stack([-p.a * x.y[0, 0] + u[0]])
+
+    plant = Plant(dynamics, {"a": 2.0})
+    record = simulate(plant, TIME, FORCE, 0.7, hold="linear", substeps=4)
+    result = validate(plant, record)
+    # One exponential mode: the estimated start is the true one up to rounding.
+    np.testing.assert_allclose(result.predictions[0].outputs, record.outputs, atol=1e-12)
+    assert result.predictions[0].name == "simulation (free run)"
