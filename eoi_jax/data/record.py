@@ -282,10 +282,10 @@ class Record:
 
         A filter made of shifts by whole samples commutes with any linear plant, so the relation
         between the filtered signals is that between the raw ones, if the filtered input is read as
-        the raw one was. A held input is a staircase, and on average lags its samples by half a
-        step. It is first replaced by the smooth signal with the same mean over every step
-        (`staircase_to_smooth`), which stands at the staircase's true instants. Then the result's
-        hold is ``"smooth"``, with no half-sample shift between u and y.
+        the raw one was. A held input is a staircase and lags its samples by half a step on
+        average: its filtered levels are turned into samples of the signal that the plant sees
+        (`staircase_to_smooth`). The result's hold is ``"smooth"``, and no half-sample shift enters
+        between u and y.
 
         The filter is Butterworth of order four, run forward and backward through each valid
         segment; within about 2/cutoff of a segment's ends it sees an extension, not data.
@@ -306,10 +306,8 @@ class Record:
         inputs, outputs = np.array(self.inputs), np.array(self.outputs)
         share = float(cutoff) / nyquist
         for start, stop in self.segments():
-            u = inputs[start:stop]
-            if self.hold == "zero" and stop - start > 1:
-                u = staircase_to_smooth(u)
-            inputs[start:stop] = low_pass(u, share)
+            u = low_pass(inputs[start:stop], share)
+            inputs[start:stop] = staircase_to_smooth(u) if self.hold == "zero" else u
             outputs[start:stop] = low_pass(outputs[start:stop], share)
         position = np.arange(len(self), dtype=float)
         known = self.valid[:, None]

@@ -172,27 +172,29 @@ def hold_inputs(
 
 
 def staircase_to_smooth(levels: Signals) -> Signals:
-    """Samples of the smooth signal that has the mean of a staircase over every step.
+    r"""Samples of the slow part of a staircase, at the instants of its own samples.
 
-    A value held from sample k to k + 1 belongs, on average, to the instant k + 1/2. To read the
-    levels as samples of a smooth signal would shift it by half a sample. Its running integral is
-    known without any shift, at the samples, whatever the signal does between them: the levels
-    summed up. The derivative of a quintic spline through that sum is the smooth signal.
+    Sample k holds from k to k + 1, so the staircase is the levels, read as a smooth signal v, after
+    a mean over one step: its part below the Nyquist frequency is
+    $u(t) = \int_{t-h}^{t} v\,dt' / h$, of response $e^{-j\theta/2}\,\sin(\theta/2)/(\theta/2)$ at
+    θ = ωh. To read the levels themselves as samples of a smooth signal leaves out the delay of half
+    a sample. Here v is a quintic spline through the levels; before the first one it is constant.
 
-    For slow signals this is (−v[k−2] + 13 v[k−1] + 13 v[k] − v[k+1]) / 24 plus higher
-    orders, the fourth-order refinement of the mean of the two neighbours.
+    For slow signals this is (−v[k−2] + 13 v[k−1] + 13 v[k] − v[k+1]) / 24, the fourth-order
+    refinement of the mean of two neighbours.
 
     Args:
-        levels: value held over each step, at least two steps.
+        levels: value held over each step.
     """
     from scipy.interpolate import make_interp_spline
 
-    integral = np.concatenate([np.zeros((1, levels.shape[1])), np.cumsum(levels, axis=0)])
-    position = np.arange(len(integral), dtype=float)
-    order = next(k for k in (5, 3, 1) if k < len(integral))
     if not levels.shape[1]:
         return levels
-    return make_interp_spline(position, integral, k=order).derivative()(position[:-1])
+    extended = np.concatenate([levels[:1], levels])
+    order = next(k for k in (5, 3, 1) if k < len(extended))
+    position = np.arange(len(extended), dtype=float)
+    integral = make_interp_spline(position, extended, k=order).antiderivative()
+    return np.diff(integral(position), axis=0)
 
 
 def low_pass(values: Signals, cutoff: float) -> Signals:
