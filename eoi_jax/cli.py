@@ -152,7 +152,6 @@ def _summary(
     held_out: list[Record],
     validation: Validation | None,
 ) -> dict[str, Any]:
-    outputs = result.plant.outputs
     summary = {
         "name": settings.name,
         "status": {"code": result.status.code, "message": result.status.message},
@@ -160,7 +159,7 @@ def _summary(
         "standard_errors": result.standard_errors,
         "nominal": result.nominal.parameters,
         "units": result.plant.units,
-        "outputs": outputs,
+        "outputs": result.plant.outputs,
         "index": result.index,
         "increments": result.increments,
         "best_pass": result.best_pass + 1,
@@ -171,15 +170,20 @@ def _summary(
         "notes": result.notes,
         "records": [_described(record) for record in records],
         "held_out_records": [_described(record) for record in held_out],
-        "validation": validation
-        and {
-            error: dict(zip(outputs, np.asarray(getattr(validation, error)), strict=True))
-            for error in ("rmse", "nrmse", "fit")
-        },
+        "validation": None if validation is None else _errors(validation),
         "config": msgspec.to_builtins(settings),
         "versions": _versions(),
     }
     return _plain(summary)
+
+
+def _errors(validation: Validation) -> dict[str, Any]:
+    """Free-run errors by output."""
+    by_output = {
+        error: dict(zip(validation.outputs, getattr(validation, error), strict=True))
+        for error in ("rmse", "nrmse", "fit")
+    }
+    return {**by_output, "scored": validation.scored, "notes": validation.notes}
 
 
 def _described(record: Record) -> dict[str, Any]:

@@ -210,7 +210,7 @@ class DataTable(msgspec.Struct, frozen=True):
         burn_in: not scored at the start [s].
     """
 
-    files: tuple[str, ...]
+    files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     time: str | None = None
@@ -287,8 +287,9 @@ def _table(kinds: Sequence[Any], table: Any, name: str) -> Any:
         check_choice(f"{name}.kind", str(tag), by_tag)
         kind = by_tag[tag]
     fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    known = [*(["kind"] if len(kinds) > 1 else []), *fields]
     for key in table:
-        check_choice(f"a key of [{name}]" if name else "a key of the config", key, fields)
+        check_choice(f"a key of [{name}]" if name else "a key of the config", key, known)
     values = {}
     for key, field in fields.items():
         where = f"{name}.{key}" if name else key
@@ -404,7 +405,7 @@ def _plant_from_file(reference: str, folder: Path) -> Plant:
     try:
         spec.loader.exec_module(module)  # type: ignore[union-attr]
         made = getattr(module, name, None)
-        made = made() if made is not None and not isinstance(made, Plant) else made
+        made = made() if callable(made) and not isinstance(made, Plant) else made
     except Exception as error:  # the user's code: whatever it raises is the user's to mend
         raise ValueError(
             f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."

@@ -60,13 +60,12 @@ def decimate(
     size = -(-len(values) // columns)
     if size <= 2:
         return time, values
-    whole = len(values) // size * size
-    blocks = values[:whole].reshape(-1, size)
+    blocks = np.pad(values, (0, -len(values) % size), mode="edge").reshape(-1, size)
     low = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
     high = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
     starts = np.arange(len(blocks)) * size
     picked = np.sort(np.stack([starts + low, starts + high], axis=1), axis=1).ravel()
-    picked = np.concatenate([picked, np.arange(whole, len(values))])
+    picked = np.minimum(picked, len(values) - 1)
     return time[picked], values[picked]
 
 
@@ -100,7 +99,11 @@ def _draw_injection(axes: Any, result: Identification, record: int, j: int) -> N
     unit = _injection_unit(result.plant.units.get(name), result.plant.degrees[j])
     axes.set_ylabel(f"injection of\n{name}" + (f" [{unit}]" if unit else ""))
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=9, loc="upper right")
+    # Above the panel: wherever it stood inside, it would hide data.
+    axes.legend(fontsize=9, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
+                borderaxespad=0.1)  # fmt: skip
+    if np.isnan(np.asarray(result.injection[record])[:, j]).any():
+        axes.set_title("gaps: not scored", loc="left", fontsize=9)
 
 
 def _injection_unit(unit: str | None, degree: int) -> str:

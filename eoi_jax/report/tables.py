@@ -97,11 +97,11 @@ def _change(nominal: float, value: float) -> str:
 
 
 def _narrow(rows: list[tuple[str, ...]], outputs: int) -> list[list[tuple[str, ...]]]:
-    """Tables of about nine columns; the number of the pass stands in each."""
-    head, step = 1 + outputs, max(8 - outputs, 3)
+    """Tables of about eight columns; the number of the pass stands in each."""
+    head, step = 1 + outputs, max(7 - outputs, 3)
     parts = [[row[: head + step] for row in rows]]
-    for start in range(head + step, len(rows[0]), step):
-        parts.append([(row[0], *row[start : start + step]) for row in rows])
+    for start in range(head + step, len(rows[0]), 7):
+        parts.append([(row[0], *row[start : start + 7]) for row in rows])
     return parts
 
 

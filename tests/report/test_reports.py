@@ -1,0 +1,132 @@
+"""Tables and figures show what the result holds."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eoi_jax.data import excitation
+from eoi_jax.identify import Identification, identify
+from eoi_jax.plants import mass_spring_damper, three_mass_spring_damper
+from eoi_jax.report import figures, tables
+from eoi_jax.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def result() -> Identification:
+    plant = three_mass_spring_damper()
+    time = 0.002 * np.arange(4000)
+    inputs = excitation.chirp(time, 1.0, 0.2, 8.0)
+    return identify(plant, simulate(three_mass_spring_damper(true=True), time, inputs), passes=3)
+
+
+@pytest.fixture(scope="module")
+def partly_fixed() -> Identification:
+    plant = mass_spring_damper()
+    nominal = {**plant.parameters, "beta": 0.0}
+    from eoi_jax.plants import Plant
+
+    model = Plant(plant.dynamics, nominal, 2, fixed=("rho",), outputs=("y",))
+    time = 0.002 * np.arange(3000)
+    return identify(model, simulate(plant, time, excitation.square(time, 1.0, 0.5)), passes=2)
+
+
+def test_every_parameter_has_a_line_with_its_nominal_and_estimated_value(result: Identification):
+    lines = tables.parameter_table(result).splitlines()
+    assert lines[0].split() == ["parameter", "nominal", "estimate", "±", "std.", "error",
+                                "change", "unit"]  # fmt: skip
+    assert [line.split()[0] for line in lines[1:]] == list(result.parameters)
+    a2 = lines[1 + list(result.parameters).index("a2")].split()
+    assert float(a2[1]) == 1100
+    assert float(a2[2]) == pytest.approx(result.parameters["a2"], rel=1e-5)
+    assert float(a2[3]) == pytest.approx(result.standard_errors["a2"], rel=0.05)
+    change = 100 * (result.parameters["a2"] / 1100 - 1)
+    assert float(a2[4]) == pytest.approx(change, abs=0.005)
+    assert a2[-1] == "1/s²"
+
+
+def test_a_fixed_parameter_says_so_and_one_from_zero_has_no_percentage(
+    partly_fixed: Identification,
+):
+    lines = {line.split()[0]: line for line in
+             tables.parameter_table(partly_fixed).splitlines()}  # fmt: skip
+    assert "fixed" in lines["rho"]
+    assert "new" in lines["beta"]
+
+
+def test_passes_count_from_one_and_only_the_best_is_marked(result: Identification):
+    first_part = tables.index_table(result).split("\n\n")[0].splitlines()
+    assert first_part[0].split()[:4] == ["pass", "P(position_1)", "P(position_2)", "P(position_3)"]
+    numbers = [line.split()[0] for line in first_part[1:]]
+    wanted = [str(i + 1) + "*" * (i == result.best_pass) for i in range(len(result.index))]
+    assert numbers == wanted
+    shown = np.array([[float(cell) for cell in line.split()[1:4]] for line in first_part[1:]])
+    np.testing.assert_allclose(shown, result.index, rtol=1e-3)  # four digits are shown
+
+
+def test_all_increments_are_shown_in_tables_narrow_enough_to_read(result: Identification):
+    text = tables.index_table(result)
+    assert max(map(len, text.splitlines())) <= 100
+    heads = [part.splitlines()[0].split() for part in text.split("\n\n")]
+    shown = [name for head in heads for name in head if name.startswith("Δ")]
+    assert shown == [f"Δ{name}" for name in result.parameters]
+
+
+def test_the_text_of_a_result_holds_status_gains_and_reasons(result: Identification):
+    text = tables.identification_text(result)
+    assert text.startswith(f"three masses: {result.status.code}")
+    assert "SecondOrder(c1 " in text
+    assert f"LowPass(cutoff {result.lowpass.cutoff:.4g}, order 2)" in text
+    for line in (*result.reasons, *result.notes):
+        assert line in text
+    assert str(result) == text
+
+
+def test_the_figure_has_the_index_and_one_panel_for_each_output(result: Identification):
+    panels = result.plot().axes
+    assert len(panels) == 4
+    index = panels[0]
+    assert index.get_yscale() == "log"
+    for j in range(3):
+        np.testing.assert_array_equal(index.lines[j].get_ydata(), result.index[:, j])
+    assert "position_1 [m/s²]" in panels[1].get_ylabel()
+    assert panels[-1].get_xlabel() == "time [s]"
+    legend = [text.get_text() for text in panels[1].get_legend().get_texts()]
+    assert legend == ["pass 1", f"pass {result.best_pass + 1} (best)"]
+
+
+def test_the_drawn_injection_reaches_the_peaks_of_the_computed_one(result: Identification):
+    for j, axes in enumerate(figures.identification_figure(result).axes[1:]):
+        for line, whole in zip(axes.lines, (result.first_injection, result.injection), strict=True):
+            drawn = np.asarray(line.get_ydata())
+            assert np.nanmax(drawn) == np.nanmax(whole[0][:, j])
+            assert np.nanmin(drawn) == np.nanmin(whole[0][:, j])
+            assert len(drawn) < len(whole[0])
+
+
+def test_an_output_without_unit_has_none_in_the_figure(partly_fixed: Identification):
+    axes = figures.identification_figure(partly_fixed).axes[1]
+    assert axes.get_ylabel() == "injection of\ny"
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 5000), st.integers(1, 40), st.integers(0, 2**31))
+def test_decimation_keeps_extremes_order_and_points_of_the_signal(
+    samples: int, columns: int, seed: int
+):
+    values = np.random.default_rng(seed).standard_normal(samples)
+    time = np.arange(samples, dtype=float)
+    t, v = figures.decimate(time, values, columns)
+    assert v.max() == values.max()
+    assert v.min() == values.min()
+    assert np.all(np.diff(t) >= 0)
+    np.testing.assert_array_equal(v, values[t.astype(int)])
+    assert len(v) <= 2 * columns
+
+
+def test_decimation_leaves_gaps_as_gaps():
+    values = np.ones(1000)
+    values[200:700] = np.nan
+    _, v = figures.decimate(np.arange(1000.0), values, 10)
+    assert np.isnan(v).sum() == 10
+    assert np.nansum(v) == 10

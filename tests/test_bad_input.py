@@ -1,0 +1,158 @@
+"""Every mistake a user can make ends in one sentence, the right status, and no file."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eoi_jax import backend, cli
+
+CONFIG = """
+name = "run"
+plant = "mass_spring_damper"
+
+[observer]
+kind = "second_order"
+c1 = 20.0
+c2 = 100.0
+c3 = 5000.0
+
+[lowpass]
+cutoff = 50.0
+
+[data]
+files = ["record.csv"]
+time = "t"
+inputs = ["u"]
+outputs = ["y"]
+"""
+
+
+@pytest.fixture(autouse=True)
+def configured(monkeypatch: pytest.MonkeyPatch):
+    """JAX runs already in this process, set up by conftest."""
+    monkeypatch.setattr(backend, "configure", lambda: None)
+
+
+def columns(samples: int = 2000) -> dict[str, np.ndarray]:
+    t = 0.005 * np.arange(samples)
+    return {"t": t, "u": np.sign(np.sin(3.0 * t)), "y": 0.01 * np.sin(3.0 * t)}
+
+
+def prepared(folder: Path, *changes: tuple[str, str], **replaced: np.ndarray) -> Path:
+    """A folder with a config, changed in places, and its record, with some columns replaced."""
+    text = CONFIG
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    table = {**columns(), **replaced}
+    rows = zip(*table.values(), strict=True)
+    lines = [",".join(str(float(value)) for value in row) for row in rows]
+    (folder / "record.csv").write_text("\n".join([",".join(table), *lines]))
+    path = folder / "config.toml"
+    path.write_text(text)
+    return path
+
+
+def refused(path: Path, status: int, *said: str) -> None:
+    """`eoi identify` ends with `status`, says each of `said`, and leaves no file."""
+    output = path.parent / "runs"
+    done = CliRunner().invoke(cli.app, ["identify", str(path), "--output", str(output)])
+    assert done.exit_code == status, done.output
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    for part in said:
+        assert part in done.stderr
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("[lowpass]\ncutoff", "[lowpass]\ncut_off"), ("[lowpass]", "'cut_off'", "`cutoff`")),
+        (("c3 = 5000.0", "c3 = 0.0"), ("`observer.c3`", "> 0", "0.0")),
+        (("c1 = 20.0", "c1 = -20.0"), ("`observer.c1`", "> 0", "-20.0")),
+        (('time = "t"', "sample_period = -0.005"), ("`data.sample_period`", "> 0", "-0.005")),
+        (('"mass_spring_damper"', '"mas_spring_damper"'), ("`plant`", "`mass_spring_damper`")),
+        (("cutoff = 50.0", 'cutoff = "low"'), ("`lowpass.cutoff`", "a number", "'low'")),
+        (('inputs = ["u"]', 'inputs = ["force"]'), ("force", "u")),
+        (('time = "t"\n', ""), ("time", "sample_period")),
+        (('["record.csv"]', '["absent.csv"]'), ("absent.csv",)),
+        (('["record.csv"]', '["record.xyz"]'), ("record.xyz",)),
+        (('["record.csv"]', "[]"), ("files",)),
+        (('outputs = ["y"]', 'outputs = ["y"]\nunits = { y = "mm" }'), ("'m'", "'mm'")),
+        (('outputs = ["y"]', 'outputs = ["y"]\nslice = [0, 1]'), ("at least 8", "1")),
+    ],
+)
+def test_a_wrong_config_is_refused_with_status_2(
+    tmp_path: Path, change: tuple[str, str], said: tuple[str, ...]
+):
+    refused(prepared(tmp_path, change), 2, *said)
+
+
+def test_an_output_of_nan_is_refused(tmp_path: Path):
+    refused(prepared(tmp_path, y=np.full(2000, np.nan)), 2, "y", "finite")
+
+
+def test_a_record_of_one_sample_is_refused(tmp_path: Path):
+    one = {key: values[:1] for key, values in columns().items()}
+    refused(prepared(tmp_path, **one), 2, "at least 8", "1")
+
+
+def test_a_file_that_is_not_what_its_name_says_is_refused(tmp_path: Path):
+    path = prepared(tmp_path, ("record.csv", "record.mat"))
+    (tmp_path / "record.mat").write_text("no MATLAB file")
+    refused(path, 2, "record.mat")
+
+
+def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
+    path = prepared(tmp_path)
+    (tmp_path / "file").write_text("")
+    done = CliRunner().invoke(cli.app, ["identify", str(path), "--output", str(tmp_path / "file")])
+    assert done.exit_code == 2
+    assert "`--output` must be a folder" in done.stderr
+
+
+def test_constant_input_and_output_give_no_answer_and_say_why(tmp_path: Path):
+    still = prepared(tmp_path, u=np.zeros(2000), y=np.full(2000, 0.01))
+    refused(still, 1, "no answer", "unidentifiable", "rho")
+
+
+def test_with_json_a_refusal_is_one_object_too(tmp_path: Path):
+    path = prepared(tmp_path, ("c3 = 5000.0", "c3 = 0.0"))
+    done = CliRunner().invoke(cli.app, ["identify", str(path), "--json"])
+    assert done.exit_code == 2
+    assert "`observer.c3`" in json.loads(done.stdout)["error"]
+
+
+@pytest.mark.parametrize(
+    "arguments", [["identify", "--passes", "0"], ["identify", "--pases", "3"], ["idenify"]]
+)
+def test_a_wrong_call_is_refused_with_status_2(arguments: list[str]):
+    assert CliRunner().invoke(cli.app, arguments).exit_code == 2
+
+
+def test_the_process_itself_ends_with_status_2_and_no_traceback(tmp_path: Path):
+    path = prepared(tmp_path, ("c3 = 5000.0", "c33 = 5000.0"))
+    done = subprocess.run(
+        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "identify", path.name],
+        cwd=tmp_path,
+        env={**os.environ, "EOI_CACHE": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    sentence = (
+        "eoi: `a key of [observer]` must be one of kind, c1, c2, c3, scheme, got 'c33'. "
+        "Did you mean `c3`?\n"
+    )
+    assert done.stderr == sentence
+    assert not (tmp_path / "runs").exists()

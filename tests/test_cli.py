@@ -1,0 +1,223 @@
+"""The command: what it prints, writes and returns; a run is written whole or not at all."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from eoi_jax import backend, cli
+from eoi_jax.data.record import Record
+
+SHORT = """
+name = "short"
+plant = "pendulum"
+
+[identify]
+passes = 4
+
+[simulate]
+sample_period = 0.002
+duration = 8.0
+increments = { a = 5.0, b = -0.8, c = -0.2, d = -4.0 }
+
+[simulate.input.voltage]
+kind = "square"
+amplitude = 0.2
+frequency = 0.25
+"""
+TRUTH = {"a": 81.0, "b": 1.7, "c": 0.3}
+FILES = {"result.json", "figure.png", "config.toml"}
+
+
+@pytest.fixture(autouse=True)
+def configured(monkeypatch: pytest.MonkeyPatch):
+    """JAX runs already in this process, set up by conftest."""
+    monkeypatch.setattr(backend, "configure", lambda: None)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def eoi(*arguments: object):
+    return CliRunner().invoke(cli.app, [str(one) for one in arguments])
+
+
+def test_a_run_prints_its_table_and_writes_three_files(config: Path, tmp_path: Path):
+    done = eoi("identify", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "runs" / "short"
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["short"]
+    assert "estimate" in done.stdout
+    assert "P(angle)" in done.stdout
+    assert str(folder) in done.stdout
+    assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+    head, _, copied = (folder / "config.toml").read_text().partition("\n")
+    assert head == f"# eoi identify {config}"
+    assert copied == SHORT
+
+
+def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_path: Path):
+    done = eoi("identify", config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "runs" / "short" / "result.json").read_text())
+    for name, value in TRUTH.items():  # 2 ms is coarse for an 81 rad²/s² pendulum: 1 %
+        assert result["parameters"][name] == pytest.approx(value, rel=0.01)
+    assert set(result["versions"]) == {"eoi_jax", "jax", "numpy", "python"}
+    assert len(result["index"]) == len(result["increments"]) <= 4
+    assert result["index"][result["best_pass"] - 1] == min(result["index"])
+    assert result["config"]["simulate"]["input"]["voltage"]["kind"] == "square"
+    assert len(result["records"][0]["hash"]) == 16
+    assert result["status"]["code"] in ("converged", "passes_exhausted")
+    assert result["validation"] is None
+
+
+def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
+    done = eoi("identify", config, "--output", tmp_path / "runs", "--quiet")
+    assert done.exit_code == 0
+    assert done.stdout == f"{tmp_path / 'runs' / 'short'}\n"
+
+
+def test_passes_of_the_call_replace_those_of_the_config(config: Path, tmp_path: Path):
+    done = eoi("identify", config, "--output", tmp_path / "runs", "--json", "--passes", 1)
+    result = json.loads(done.stdout)
+    assert len(result["index"]) == 1
+    assert result["config"]["identify"]["passes"] == 1
+    written = (tmp_path / "runs" / "short" / "config.toml").read_text()
+    assert written.startswith(f"# eoi identify {config} --passes 1\n")
+
+
+def test_a_held_out_record_is_validated(config: Path, tmp_path: Path):
+    from eoi_jax import config as configs
+
+    settings = configs.load(config)
+    (record,) = configs.records(settings, configs.plant(settings, tmp_path), tmp_path)
+    write_csv(tmp_path / "record.csv", record)
+    simulate = SHORT.index("[simulate]")
+    config.write_text(SHORT[:simulate] + MEASURED)
+    done = eoi("identify", config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    # The record is noise-free and the free run starts from an estimated state.
+    assert result["validation"]["fit"]["angle"] > 98
+    assert [one["samples"] for one in result["held_out_records"]] == [2000]
+
+
+MEASURED = """
+[data]
+files = ["record.csv"]
+time = "time"
+inputs = ["voltage"]
+outputs = ["angle"]
+units = { voltage = "V", angle = "rad" }
+
+[validation]
+files = ["record.csv"]
+slice = [500, 2500]
+"""
+
+
+def write_csv(path: Path, record: Record) -> None:
+    rows = zip(record.time, record.inputs[:, 0], record.outputs[:, 0], strict=True)
+    lines = [",".join(repr(float(value)) for value in row) for row in rows]
+    path.write_text("\n".join(["time,voltage,angle", *lines]))
+
+
+# -- all or nothing ---------------------------------------------------------------------------
+
+
+def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
+    folder = tmp_path / "runs" / "one"
+
+    def fill(draft: Path) -> None:
+        (draft / "new").write_text("new")
+
+    def fail(draft: Path) -> None:
+        (draft / "half").write_text("half")
+        raise KeyboardInterrupt
+
+    folder.mkdir(parents=True)
+    (folder / "old").write_text("old")
+    with pytest.raises(KeyboardInterrupt):
+        cli._publish(folder, fail)
+    assert [path.name for path in folder.iterdir()] == ["old"]
+    cli._publish(folder, fill)
+    assert [path.name for path in folder.iterdir()] == ["new"]
+    assert [path.name for path in folder.parent.iterdir()] == ["one"]
+
+
+def test_an_old_run_returns_if_the_exchange_itself_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    folder = tmp_path / "one"
+    folder.mkdir()
+    (folder / "old").write_text("old")
+    rename = Path.rename
+
+    def refuse(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise OSError("disk full")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OSError, match="disk full"):
+        cli._publish(folder, lambda draft: None)
+    assert [path.name for path in folder.iterdir()] == ["old"]
+    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+
+
+def test_an_interrupt_ends_with_130_and_leaves_nothing(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "run_passes", interrupted)
+    done = eoi("identify", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 130
+    assert "nothing was written" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+# -- as a process -----------------------------------------------------------------------------
+
+
+def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp_path: Path):
+    environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "identify", "--json"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    # Within 0.2 % of each increment of Table 9.
+    for name, increment in {"a": 5.0, "b": -0.8, "c": -0.2, "d": -4.0}.items():
+        change = result["parameters"][name] - result["nominal"][name]
+        assert change == pytest.approx(increment, rel=2e-3)
+    assert {path.name for path in (tmp_path / "runs" / "pendulum").iterdir()} == FILES
+    assert done.stderr == ""
+
+
+def test_version_is_printed():
+    done = eoi("--version")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("eoi_jax 0.")
+
+
+def test_the_command_lists_its_verbs():
+    command = typer.main.get_command(cli.app)
+    assert "identify" in command.commands  # type: ignore[attr-defined]
