@@ -14,3 +14,6 @@ from eoi_jax.plants.plant import Plant as Plant
 from eoi_jax.plants.plant import State as State
 from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
+from eoi_jax.store import load as load
+from eoi_jax.validate import Validation as Validation
+from eoi_jax.validate import validate as validate

@@ -101,9 +101,9 @@ class Identification:
 
     def save(self, path: str | Path) -> None:
         """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save_identification
+        from eoi_jax.store import save
 
-        save_identification(self, path)
+        save(self, path)
 
 
 def identify(

@@ -1,0 +1,181 @@
+"""Any result to one file and back, without pickle.
+
+A file is an `.npz`: its arrays, and one JSON text that says how they make up the result. Only
+classes of this package are rebuilt, and no code is run on reading; a model that is a function of
+the user's own cannot be stored, so it is given again to `load`.
+"""
+
+import dataclasses
+import importlib
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from eoi_jax.checks import check
+from eoi_jax.plants.plant import Plant
+
+_FORMAT = 1
+_HEADER = "eoi_jax"
+_PACKAGE = "eoi_jax."
+
+
+class MissingModel:
+    """Stands for a model function that a file cannot hold; using it says what to do."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Raise: there is nothing to evaluate."""
+        del arguments
+        check(
+            False,
+            "plant",
+            "must be given to `load` to be simulated or fitted again",
+            f"only the name of its function, {self.name}",
+            "Call `eoi_jax.load(path, plant=your_plant)`.",
+        )
+
+
+def save(result: Any, path: str | Path) -> None:
+    """Write a result to `path`, whole or not at all.
+
+    Args:
+        result: any result of this package.
+        path: of the file; ``.npz`` is customary.
+
+    Raises:
+        ValueError: the folder cannot be written.
+    """
+    path = Path(path)
+    arrays: dict[str, np.ndarray] = {}
+    tree = {
+        "format": _FORMAT,
+        "version": version("eoi_jax"),
+        "result": _encode(result, arrays),
+    }
+    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("wb") as file:
+            header = {_HEADER: np.asarray(json.dumps(tree))}
+            np.savez_compressed(file, allow_pickle=False, **header, **arrays)
+        draft.replace(path)
+    except OSError as error:
+        check(False, "path", f"must be writable ({error.strerror})", path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def load(path: str | Path, plant: Plant | None = None) -> Any:
+    """Read a result that `.save(path)` wrote.
+
+    Args:
+        path: of the file.
+        plant: the plant of the result, if its model is not one of `eoi_jax.plants`; only its
+            functions are taken, parameters come from the file.
+
+    Raises:
+        ValueError: no such file, a file of something else or of a newer version, another plant.
+    """
+    path = Path(path)
+    check(path.is_file(), "path", "must be a file", path)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+        tree = json.loads(str(arrays[_HEADER]))
+    except (zipfile.BadZipFile, KeyError, ValueError, OSError):
+        tree, arrays = {}, {}
+    check("result" in tree, "path", "must be a result that `save` wrote", path)
+    check(
+        tree["format"] <= _FORMAT,
+        "path",
+        f"must be of format {_FORMAT} or older",
+        f"format {tree['format']}, written by eoi_jax {tree['version']}",
+        "Update eoi_jax.",
+    )
+    functions = [plant.dynamics, plant.internal, plant.internal_initial] if plant else []
+    known = {_name(one): one for one in functions if callable(one)}
+    return _decode(tree["result"], arrays, known)
+
+
+def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        key = f"a{len(arrays)}"
+        arrays[key] = np.asarray(value)
+        return {"array": key}
+    if isinstance(value, dict):
+        return {"dict": {key: _encode(one, arrays) for key, one in value.items()}}
+    if isinstance(value, list | tuple):
+        kind = "list" if isinstance(value, list) else "tuple"
+        return {kind: [_encode(one, arrays) for one in value]}
+    if dataclasses.is_dataclass(value):
+        content = {
+            field.name: _encode(getattr(value, field.name), arrays)
+            for field in dataclasses.fields(value)
+        }
+        return {"class": _name(type(value)), "fields": content}
+    return {"function": _name(value)}
+
+
+def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Callable]) -> Any:
+    if not isinstance(tree, dict):
+        return tree
+    if "array" in tree:
+        return arrays[tree["array"]]
+    if "dict" in tree:
+        return {key: _decode(one, arrays, known) for key, one in tree["dict"].items()}
+    if "list" in tree:
+        return [_decode(one, arrays, known) for one in tree["list"]]
+    if "tuple" in tree:
+        return tuple(_decode(one, arrays, known) for one in tree["tuple"])
+    if "function" in tree:
+        return _function(tree["function"], known)
+    kind = _resolve(tree["class"])
+    check(
+        isinstance(kind, type) and dataclasses.is_dataclass(kind),
+        "path",
+        "must hold results of eoi_jax only",
+        tree["class"],
+    )
+    # Past __init__: what was checked once is not worked out anew.
+    new = object.__new__(kind)
+    for name, one in tree["fields"].items():
+        object.__setattr__(new, name, _decode(one, arrays, known))
+    return new
+
+
+def _function(name: str, known: dict[str, Callable]) -> Callable:
+    if name in known:
+        return known[name]
+    found = _resolve(name) if name.startswith(f"{_PACKAGE}plants.") else None
+    return found if found is not None else MissingModel(name)
+
+
+def _resolve(name: str) -> Any:
+    """An object of this package by ``module:name``; None for any other."""
+    module, _, attribute = name.partition(":")
+    if not module.startswith(_PACKAGE) or not attribute.isidentifier():
+        return None
+    try:
+        return getattr(importlib.import_module(module), attribute, None)
+    except ImportError:
+        return None
+
+
+def _name(value: Any) -> str:
+    if isinstance(value, MissingModel):
+        return value.name
+    if isinstance(value, eqx.Module | type) or callable(value):
+        name = getattr(value, "__qualname__", type(value).__qualname__)
+        return f"{getattr(value, '__module__', '')}:{name}"
+    raise TypeError(f"cannot store {type(value).__name__}")
