@@ -432,10 +432,10 @@ def _quantum(values: TimeAxis) -> float:
     steps = np.diff(levels)
     # Rounding makes twins of one level: they are no step.
     steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
-    if not steps.size or levels.size > values.size // 2:
+    if not steps.size:
         return 0.0
     ratio = steps / steps.min()
-    return float(steps.min()) if np.all(np.abs(ratio - np.rint(ratio)) < 1e-3 * ratio) else 0.0
+    return float(steps.min()) if np.all(np.abs(ratio - np.rint(ratio)) < 0.05) else 0.0
 
 
 def _label(record: Record, key: str) -> str:
