@@ -98,7 +98,7 @@ def simulate(
     u = np.asarray(inputs, dtype=np.float64)
     u = u[:, None] if u.ndim == 1 else u
     check_shape("inputs", u, (len(time), len(plant.inputs)), "one row a sample, a column an input")
-    check(bool(np.all(np.isfinite(u))), "inputs", "must be finite", "NaN or infinity")
+    _check_finite("inputs", u)
     check_choice("solver", solver, ("fixed", "adaptive"))
     start = State(_initial(plant, initial), _internal(plant, internal))
     check_choice("hold", hold, ("auto", *HOLDS))
@@ -106,25 +106,17 @@ def simulate(
     theta = jnp.asarray(plant.theta)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
-        check(
-            not rough,
-            "solver",
-            'must be "fixed" for a plant with dry friction',
-            f'"adaptive", and dry friction in {", ".join(rough)}',
-        )
+        rule = 'must be "fixed" for a plant with dry friction'
+        check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
         pieces = jnp.asarray(_input_pieces(u, used))
         y, _ = _adaptive(plant, theta, jnp.asarray(time), pieces, start)
     else:
         y, _ = free_run(plant, theta, drive(time, u, used, substeps), start, frictional(plant))
     outputs = np.asarray(y[:, 0, :], dtype=np.float64)
     bad = ~np.all(np.isfinite(outputs), axis=1)
-    check(
-        not bad.any(),
-        "simulation",
-        "must stay finite",
-        f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on",
-        "Either the plant is unstable, or the step is too long: try more `substeps`.",
-    )
+    when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
+    advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
+    check(not bad.any(), "simulation", "must stay finite", when, advice)
     return Record(
         time,
         u,
@@ -157,12 +149,8 @@ def drive(
     Raises:
         ValueError: an unknown hold, or less than one sub-step.
     """
-    check(
-        isinstance(substeps, int | np.integer) and substeps >= 1,
-        "substeps",
-        "must be an integer ≥ 1",
-        substeps,
-    )
+    whole = isinstance(substeps, int | np.integer) and substeps >= 1
+    check(whole, "substeps", "must be an integer ≥ 1", substeps)
     pieces = _input_pieces(inputs, hold)
     fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
     powers = np.vander(fractions, pieces.shape[1], increasing=True)
@@ -182,18 +170,38 @@ def frictional(plant: Plant) -> tuple[bool, ...]:
     """For each output, whether it sticks: dry friction at relative degree 2.
 
     Raises:
-        ValueError: a jump with the sign of the velocity of an output of higher degree, which cannot
-            stick and is not supported.
+        ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
+            output of higher degree, which cannot stick; or in the acceleration of another output
+            (masses coupled by inertia), on which a stuck one would act through its reaction.
     """
     flags = plant.dry_friction
-    for key, degree, flag in zip(plant.outputs, plant.degrees, flags, strict=True):
-        check(
-            degree == 2 or not flag,
-            "plant",
-            "must have relative degree 2 wherever f jumps with the sign of the velocity",
-            f"degree {degree} of output {key}",
-        )
+    for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
+        if not flags[j]:
+            continue
+        rule = "must have relative degree 2 wherever f jumps with the sign of the velocity"
+        check(degree == 2, "plant", rule, f"degree {degree} of output {key}")
+        struck = [plant.outputs[i] for i in _struck(plant, j) if i != j]
+        rule = "must have dry friction that acts on its own output alone"
+        found = f"friction of {key} in the acceleration of {', '.join(struck)}"
+        advice = "Masses coupled by inertia cannot be simulated with dry friction."
+        check(not struck, "plant", rule, found, advice)
     return flags
+
+
+def _struck(plant: Plant, j: int) -> list[int]:
+    """Outputs whose highest derivative jumps with the sign of the velocity of output `j`."""
+    if len(plant.outputs) == 1:
+        return [j]
+    theta = jnp.asarray(plant.theta)
+    # One point where nothing is zero by accident.
+    y = 0.3 + 0.1 * np.arange(plant.relative_degree * len(plant.outputs), dtype=np.float64)
+    y = jnp.asarray(y.reshape(plant.relative_degree, -1))
+    z, t, u = plant.internal_start(theta), jnp.zeros(()), jnp.full((len(plant.inputs),), 0.7)
+    above, below = (
+        np.asarray(plant.derivative(t, State(y.at[1, j].set(rate), z), u, theta))
+        for rate in (_REST, -_REST)
+    )
+    return np.flatnonzero(np.abs(above - below) > 1e-6 * (1.0 + np.abs(above))).tolist()
 
 
 def trajectory(
@@ -222,10 +230,8 @@ def trajectory(
 
     _, x = lax.scan(body, start, (driven_by.time, driven_by.inputs))
     every = slice(driven_by.substeps - 1, None, driven_by.substeps)
-    return (
-        jnp.concatenate([start.y[None], x.y[every]]),
-        jnp.concatenate([start.z[None], x.z[every]]),
-    )
+    y, z = x.y[every], x.z[every]
+    return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
 
 
 # The same, compiled once for each plant and shape.
@@ -246,7 +252,7 @@ class _Problem(eqx.Module):
     friction: tuple[bool, ...] = eqx.field(static=True)
 
     def input_at(self, fraction: Scalar) -> Input:
-        """The parabola through start, middle and end: exact for held and linear inputs."""
+        """A parabola through start, middle and end: exact for held and linear inputs."""
         first, middle, last = self.inputs
         slope = 4.0 * middle - 3.0 * first - last
         return first + fraction * (slope + fraction * (2.0 * (first - 2.0 * middle + last)))
@@ -415,24 +421,20 @@ def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
     return np.stack(powers, axis=1)
 
 
+def _check_finite(name: str, value: np.ndarray) -> None:
+    check(bool(np.all(np.isfinite(value))), name, "must be finite", "NaN or infinity")
+
+
 def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
-    check(
-        time.ndim == 1 and len(time) >= SHORTEST,
-        "time",
-        f"must be a line of at least {SHORTEST} samples",
-        f"shape {time.shape}",
-    )
-    check(bool(np.all(np.isfinite(time))), "time", "must be finite", "NaN or infinity")
+    rule = f"must be a line of at least {SHORTEST} samples"
+    check(time.ndim == 1 and len(time) >= SHORTEST, "time", rule, f"shape {time.shape}")
+    _check_finite("time", time)
     period = (time[-1] - time[0]) / (len(time) - 1)
     check(period > 0, "time", "must increase", f"{time[0]:g} to {time[-1]:g}")
     off = np.abs(time - (time[0] + period * np.arange(len(time))))
-    check(
-        bool(np.max(off) <= 1e-3 * period),
-        "time",
-        "must be a uniform grid",
-        f"a sample {np.max(off) / period:.3g} periods off, at index {int(np.argmax(off))}",
-        "Resample the inputs onto a uniform grid.",
-    )
+    worst = f"a sample {np.max(off) / period:.3g} periods off, at index {int(np.argmax(off))}"
+    advice = "Resample the inputs onto a uniform grid."
+    check(bool(np.max(off) <= 1e-3 * period), "time", "must be a uniform grid", worst, advice)
     return time
 
 
@@ -444,7 +446,7 @@ def _initial(plant: Plant, initial: ArrayLike | None) -> Float[Array, "r ny"]:
     if ny == 1 and value.shape == (r,):
         value = value[:, None]
     check_shape("initial", value, (r, ny), "the outputs, then each of their derivatives")
-    check(bool(np.all(np.isfinite(value))), "initial", "must be finite", initial)
+    _check_finite("initial", value)
     owned = np.arange(r)[:, None] < np.asarray(plant.degrees)
     return jnp.asarray(np.where(owned, value, 0.0))
 
@@ -455,7 +457,7 @@ def _internal(plant: Plant, internal: ArrayLike | None) -> Float[Array, " nz"]:
         return start
     value = np.atleast_1d(np.asarray(internal, dtype=np.float64))
     check_shape("internal", value, start.shape, "one value an internal state")
-    check(bool(np.all(np.isfinite(value))), "internal", "must be finite", internal)
+    _check_finite("internal", value)
     return jnp.asarray(value)
 
 
@@ -481,10 +483,12 @@ def _adaptive(
         powers = ((t - t0) / (t1 - t0)) ** jnp.arange(piece.shape[0], dtype=piece.dtype)
         return _rate(plant, theta, t, x, powers @ piece)
 
+    term = diffrax.ODETerm(field)
+
     def body(x: State, span: tuple[Scalar, Scalar, Array]) -> tuple[State, State]:
         t0, t1, piece = span
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
+            term,
             solver,
             t0,
             t1,

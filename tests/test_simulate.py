@@ -27,8 +27,8 @@ def block(stiffness=0.0, viscous=0.0, coulomb=1.0):
     return Plant(block_dynamics, parameters, relative_degree=2)
 
 
-def convergence_order(error_at, counts=(40, 100, 320)):
-    """Slope of log error against log h over all refinements, from the first to the last."""
+def convergence_order(error_at, counts=(40, 320)):
+    """Slope of log error against log h from the coarsest to the finest grid."""
     errors = [error_at(np.linspace(0.0, 4.0, count + 1)) for count in counts]
     return np.log2(errors[0] / errors[-1]) / np.log2(counts[-1] / counts[0])
 
@@ -207,7 +207,7 @@ def test_spring_with_coulomb_friction_converges_at_fourth_order():
 
 def test_breakaway_under_a_ramp_is_late_by_less_than_a_step():
     """Leaving rest is decided at the start of a step: second order, ½ ramp h² of velocity."""
-    for count in (40, 110, 320):
+    for count in (40, 320):
         time = np.linspace(0.0, 4.0, count + 1)
         got = simulate(block(), time, 0.7 * time, hold="linear").outputs[:, 0]
         h, moving = 4.0 / count, 4.0 - 1.0 / 0.7
@@ -239,11 +239,9 @@ def test_outputs_that_stop_within_the_same_step_both_stop_where_they_should():
     def dynamics(t, x, u, p):
         return -p.c * jnp.sign(x.y[1])
 
-    plant = Plant(
-        dynamics, {"c": 1.0}, relative_degree=2, inputs=(), outputs=("y1", "y2", "y3", "y4")
-    )
-    time, v0 = np.linspace(0.0, 2.0, 11), np.asarray([1.01, -1.05, 1.05, 1.17])
-    got = simulate(plant, time, np.zeros((11, 0)), np.stack([np.zeros(4), v0]))
+    plant = Plant(dynamics, {"c": 1.0}, relative_degree=2, inputs=(), outputs=("y1", "y2", "y3"))
+    time, v0 = np.linspace(0.0, 2.0, 11), np.asarray([1.01, -1.05, 1.05])
+    got = simulate(plant, time, np.zeros((11, 0)), np.stack([np.zeros(3), v0]))
     want = np.sign(v0) * v0**2 / 2
     np.testing.assert_allclose(got.outputs[-1], want, atol=1e-13)  # parabolas: exact
 
@@ -321,7 +319,7 @@ def test_forward_derivatives_pass_through_a_stop():
         start = State(jnp.stack([jnp.zeros_like(v0), v0])[:, None], jnp.zeros(0))
         return trajectory(plant, theta, still, start, friction)[0][-1, 0, 0]
 
-    got = jax.jacfwd(end)(jnp.asarray([1.0, 1.33]))
+    got = jax.jit(jax.jacfwd(end))(jnp.asarray([1.0, 1.33]))
     np.testing.assert_allclose(got, [-(1.33**2) / 2, 1.33], rtol=1e-9)
 
 
@@ -431,6 +429,16 @@ def test_a_jump_that_cannot_stick_is_refused():
 
     plant = Plant(dynamics, {"c": 1.0}, relative_degree=3)
     with pytest.raises(ValueError, match="`plant` must have relative degree 2 wherever f jumps"):
+        simulate(plant, TIME, np.zeros(11))
+
+
+def test_friction_that_acts_on_another_output_is_refused():
+    def dynamics(t, x, u, p):
+        friction = p.c * jnp.sign(x.y[1, 0])
+        return jnp.stack([u[0] - friction, 0.5 * friction - x.y[0, 1]])
+
+    plant = Plant(dynamics, {"c": 1.0}, relative_degree=2, outputs=("arm", "pendulum"))
+    with pytest.raises(ValueError, match="friction of arm in the acceleration of pendulum"):
         simulate(plant, TIME, np.zeros(11))
 
 
