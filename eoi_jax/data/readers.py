@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import Real
 
@@ -53,7 +53,8 @@ def read_record(
         units: ``{column: unit}`` after scaling, for tables and figures.
         hold: of the inputs, as in `Record`.
         burn_in: time at the start that is not to be scored [s], as in `Record`.
-        slice: ``(start, stop)``, the only samples to be taken; stop may be None.
+        slice: ``(start, stop)``, the only samples to be taken; stop may be None. Time stays as it
+            is in the file, or counts from the file's first sample.
         renames: ``{column: name in the record}``.
 
     Raises:
@@ -81,36 +82,19 @@ def read_record(
     for key, factor in (scale or {}).items():
         check(bool(np.isfinite(factor)), f"scale[{key}]", "must be finite", factor)
         picked[key] = picked[key] * float(factor)
-    rows = _rows(slice, len(picked[y_columns[0]]))
-    count = len(range(*rows.indices(len(picked[y_columns[0]]))))
+    count = len(picked[y_columns[0]])
+    rows = _rows(slice, count)
     labels = {key: (renames or {}).get(key, key) for key in picked}
-    unit = {"time" if key == time else labels[key]: value for key, value in (units or {}).items()}
-    u = np.stack([picked[key][rows] for key in u_columns], axis=1) if u_columns else None
-    u = np.zeros((count, 0)) if u is None else u
-    y = np.stack([picked[key][rows] for key in y_columns], axis=1)
-    name = _stem(path) if name is None else name
-    u_names, y_names = [labels[key] for key in u_columns], [labels[key] for key in y_columns]
-    if time is None:
-        assert sample_period is not None  # checked above
-        return Record.from_period(
-            sample_period,
-            u,
-            y,
-            name,
-            input_names=u_names,
-            hold=hold,
-            output_names=y_names,
-            units=unit,
-            burn_in=burn_in,
-        )
+    units = {"time" if key == time else labels[key]: unit for key, unit in (units or {}).items()}
+    stamps = float(sample_period or 0) * np.arange(count) if time is None else picked[time]
     return Record(
-        picked[time][rows],
-        u,
-        y,
-        name,
-        input_names=u_names,
-        output_names=y_names,
-        units=unit,
+        stamps[rows],
+        _matrix(picked, u_columns, count)[rows],
+        _matrix(picked, y_columns, count)[rows],
+        _stem(path) if name is None else name,
+        input_names=[labels[key] for key in u_columns],
+        output_names=[labels[key] for key in y_columns],
+        units=units,
         hold=hold,
         burn_in=burn_in,
     )
@@ -134,6 +118,10 @@ def _pick(
         ", ".join(f"{key} {length}" for key, length in lengths.items()),
     )
     return picked
+
+
+def _matrix(picked: Columns, keys: list[str], count: int) -> np.ndarray:
+    return np.stack([picked[key] for key in keys], axis=1) if keys else np.zeros((count, 0))
 
 
 def _column(path: Path, columns: Columns, field: str, key: str) -> np.ndarray:
@@ -193,6 +181,8 @@ def _check_clock(time: str | None, sample_period: Real | None) -> None:
         f"time={time}, sample_period={sample_period}",
         "Name the column of the stamps, or give the time between samples in seconds.",
     )
+    if sample_period is not None:
+        check_positive("sample_period", sample_period)
 
 
 def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:
@@ -293,7 +283,10 @@ def _header(lines: list[str]) -> tuple[list[str], int, str]:
 def _cells(line: str, separator: str) -> list[str]:
     if not separator:
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    return [
+        cell.strip()
+        for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    ]
 
 
 def _is_number(cell: str) -> bool:
