@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 import typer
 
-from eoi_jax import backend
+from eoi_jax import backend, build
 from eoi_jax import config as configs
 from eoi_jax.checks import RecordWarning, check
 from eoi_jax.data.record import Record
@@ -125,15 +125,15 @@ def _answer(
     with warnings.catch_warnings():
         # What was done to a record is in its notes, and the notes are in the result.
         warnings.simplefilter("ignore", RecordWarning)
-        model = configs.plant(settings, source.parent)
-        records = configs.records(settings, model, source.parent, data)
-        held_out = configs.validation_records(settings, model, source.parent, data)
+        model = build.plant(settings, source.parent)
+        records = build.records(settings, model, source.parent, data)
+        held_out = build.validation_records(settings, model, source.parent, data)
         table = settings.identify
         result = run_passes(
             model,
             records,
-            configs.observer(settings),
-            configs.lowpass(settings),
+            build.observer(settings),
+            build.lowpass(settings),
             table.passes,
             transient=table.transient,
             substeps=table.substeps,

@@ -83,8 +83,7 @@ def refused(path: Path, status: int, *said: str) -> None:
         (("cutoff = 50.0", 'cutoff = "low"'), ("`lowpass.cutoff`", "a number", "'low'")),
         (('inputs = ["u"]', 'inputs = ["force"]'), ("force", "u")),
         (('time = "t"\n', ""), ("time", "sample_period")),
-        (('["record.csv"]', '["absent.csv"]'), ("absent.csv",)),
-        (('["record.csv"]', '["record.xyz"]'), ("record.xyz",)),
+        (('["record.csv"]', '["absent.csv"]'), ("`data.files`", "absent.csv", "--data")),
         (('["record.csv"]', "[]"), ("files",)),
         (('outputs = ["y"]', 'outputs = ["y"]\nunits = { y = "mm" }'), ("'m'", "'mm'")),
         (('outputs = ["y"]', 'outputs = ["y"]\nslice = [0, 1]'), ("at least 8", "1")),
@@ -109,6 +108,12 @@ def test_a_file_that_is_not_what_its_name_says_is_refused(tmp_path: Path):
     path = prepared(tmp_path, ("record.csv", "record.mat"))
     (tmp_path / "record.mat").write_text("no MATLAB file")
     refused(path, 2, "record.mat")
+
+
+def test_a_file_of_an_unknown_kind_is_refused(tmp_path: Path):
+    path = prepared(tmp_path, ("record.csv", "record.xyz"))
+    (tmp_path / "record.xyz").write_text("")
+    refused(path, 2, "record.xyz", ".csv")
 
 
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):

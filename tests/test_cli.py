@@ -10,7 +10,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_jax import backend, cli
+from eoi_jax import backend, build, cli
+from eoi_jax import config as configs
 from eoi_jax.data.record import Record
 
 SHORT = """
@@ -98,10 +99,8 @@ def test_passes_of_the_call_replace_those_of_the_config(config: Path, tmp_path: 
 
 
 def test_a_held_out_record_is_validated(config: Path, tmp_path: Path):
-    from eoi_jax import config as configs
-
     settings = configs.load(config)
-    (record,) = configs.records(settings, configs.plant(settings, tmp_path), tmp_path)
+    (record,) = build.records(settings, build.plant(settings, tmp_path), tmp_path)
     write_csv(tmp_path / "record.csv", record)
     simulate = SHORT.index("[simulate]")
     config.write_text(SHORT[:simulate] + MEASURED)

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from eoi_jax import config, observers
+from eoi_jax import build, config, observers
 from eoi_jax.data.record import Record
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -65,20 +66,42 @@ def written(folder: Path, text: str, *changes: tuple[str, str]) -> Path:
 
 def built(path: Path, data: Path | None = None) -> tuple[config.Config, list[Record]]:
     settings = config.load(path)
-    model = config.plant(settings, path.parent)
-    return settings, config.records(settings, model, path.parent, data)
+    model = build.plant(settings, path.parent)
+    return settings, build.records(settings, model, path.parent, data)
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
 def test_every_shipped_config_loads_and_builds_its_plant(path: Path):
     settings = config.load(path)
-    model = config.plant(settings, path.parent)
+    model = build.plant(settings, path.parent)
     assert settings.name == path.stem
-    observer = config.observer(settings)
+    observer = build.observer(settings)
     if observer is not None:
         assert {observer.relative_degree} == set(model.degrees)
     if settings.simulate is not None:
-        assert set(config._truth(settings.simulate, model)) == set(model.names)
+        assert set(build._truth(settings.simulate, model)) == set(model.names)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_config_makes_records_that_move_its_outputs(
+    path: Path, request: pytest.FixtureRequest
+):
+    settings = config.load(path)
+    model = build.plant(settings, path.parent)
+    if settings.simulate is None:
+        data = request.getfixturevalue("data_directory")
+        held_out = build.validation_records(settings, model, path.parent, data)
+        made = build.records(settings, model, path.parent, data) + held_out
+        assert len(made) == 2
+    else:
+        # Coarse on purpose: all of the experiment, in a fraction of its samples.
+        coarse = msgspec.structs.replace(settings.simulate, sample_period=0.005)
+        settings = msgspec.structs.replace(settings, simulate=coarse)
+        made = build.records(settings, model, path.parent)
+    for record in made:
+        assert record.outputs.shape[1] == len(model.outputs)
+        assert np.all(np.ptp(record.outputs, axis=0) > 30 * record.noise)
+        assert record.valid.all()
 
 
 def test_nominal_bounds_and_fixed_of_the_config_reach_the_plant(tmp_path: Path):
@@ -87,7 +110,7 @@ def test_nominal_bounds_and_fixed_of_the_config_reach_the_plant(tmp_path: Path):
         SIMULATED,
         ("nominal = {", 'fixed = ["beta"]\nbounds = { alpha = [0.5, inf] }\nnominal = {'),
     )
-    model = config.plant(config.load(path), tmp_path)
+    model = build.plant(config.load(path), tmp_path)
     assert model.parameters == {"alpha": 1.5, "beta": 3.0075e-3}
     assert model.fixed == ("beta",)
     assert (model.lower[0], model.upper[0]) == (0.5, np.inf)
@@ -105,15 +128,15 @@ def test_nominal_bounds_and_fixed_of_the_config_reach_the_plant(tmp_path: Path):
 )
 def test_each_kind_of_observer_is_built(tmp_path: Path, table: str, kind: type):
     path = written(tmp_path, SIMULATED, ('kind = "first_order"\ndelta = 5.0', table))
-    made = config.observer(config.load(path))
+    made = build.observer(config.load(path))
     assert type(made) is kind
     assert made.scheme == ("explicit" if "explicit" in table else "implicit")
 
 
 def test_absent_observer_and_filter_are_left_to_be_chosen(tmp_path: Path):
     settings = config.load(written(tmp_path, MEASURED))
-    assert config.observer(settings) is None
-    assert config.lowpass(settings) is None
+    assert build.observer(settings) is None
+    assert build.lowpass(settings) is None
 
 
 def test_increments_are_added_to_the_nominal_values_and_truth_replaces_them(tmp_path: Path):
@@ -121,9 +144,9 @@ def test_increments_are_added_to_the_nominal_values_and_truth_replaces_them(tmp_
     old = "increments = { alpha = 0.1, beta = 0.5 }"
     new = "truth = { alpha = 1.6, beta = 0.5030075 }"
     by_truth = config.load(written(tmp_path, SIMULATED, (old, new)))
-    model = config.plant(by_truth, tmp_path)
+    model = build.plant(by_truth, tmp_path)
     one, other = (
-        config.records(each, model, tmp_path)[0].outputs for each in (by_increment, by_truth)
+        build.records(each, model, tmp_path)[0].outputs for each in (by_increment, by_truth)
     )
     np.testing.assert_allclose(one, other, rtol=1e-12)  # 1.5 + 0.1 and 1.6 differ by rounding
 
@@ -201,8 +224,8 @@ def test_validation_takes_what_it_leaves_out_from_data(tmp_path: Path):
     table_file(tmp_path / "one.csv")
     table_file(tmp_path / "two.csv")
     settings, (record,) = built(written(tmp_path, MEASURED))
-    model = config.plant(settings, tmp_path)
-    (held_out,) = config.validation_records(settings, model, tmp_path)
+    model = build.plant(settings, tmp_path)
+    (held_out,) = build.validation_records(settings, model, tmp_path)
     assert len(record) == 30
     assert len(held_out) == 20
     np.testing.assert_allclose(held_out.inputs, record.inputs[:20])
@@ -240,7 +263,7 @@ def fails():
 def test_a_plant_may_come_from_a_file_beside_the_config(tmp_path: Path, name: str):
     (tmp_path / "mine.py").write_text(PLANT_FILE)
     path = written(tmp_path, SIMULATED, ('"level_tank"', f'"mine.py:{name}"'))
-    assert config.plant(config.load(path), tmp_path).parameters["alpha"] == 1.5
+    assert build.plant(config.load(path), tmp_path).parameters["alpha"] == 1.5
 
 
 @pytest.mark.parametrize(
@@ -258,7 +281,7 @@ def test_a_plant_file_that_fails_is_named(tmp_path: Path, reference: str, messag
     (tmp_path / "mine.txt").write_text(PLANT_FILE)
     path = written(tmp_path, SIMULATED, ('"level_tank"', f'"{reference}"'))
     with pytest.raises(ValueError, match=message) as failure:
-        config.plant(config.load(path), tmp_path)
+        build.plant(config.load(path), tmp_path)
     assert "`plant`" in str(failure.value)
 
 

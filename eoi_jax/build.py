@@ -1,0 +1,298 @@
+"""From a config's tables to the plant, gains and records that `identify` takes."""
+
+import importlib.util
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from eoi_jax import observers, plants
+from eoi_jax.checks import check, check_choice
+from eoi_jax.config import (
+    ChirpTable,
+    Config,
+    DataTable,
+    FirstOrderTable,
+    HighOrderTable,
+    MultisineTable,
+    PrbsTable,
+    RandomStepsTable,
+    SecondOrderTable,
+    SimulateTable,
+    SquareTable,
+    StepsTable,
+    SuperTwistingTable,
+)
+from eoi_jax.data import excitation
+from eoi_jax.data.readers import read_record
+from eoi_jax.data.record import Record
+from eoi_jax.lowpass import LowPass
+from eoi_jax.plants.plant import Plant
+from eoi_jax.simulate import simulate
+
+DATA_VARIABLE = "EOI_DATA"
+
+_PLANTS: dict[str, Callable[[], Plant]] = {
+    factory.__name__: factory
+    for factory in (
+        plants.level_tank,
+        plants.mass_spring_damper,
+        plants.three_mass_spring_damper,
+        plants.pendulum,
+        plants.positioning_system,
+        plants.duffing_oscillator,
+        plants.cascaded_tanks,
+        plants.propeller_arm,
+    )
+}
+
+
+def plant(config: Config, folder: Path) -> Plant:
+    """The model with its nominal parameters, bounds and fixed names.
+
+    Args:
+        config: what was loaded.
+        folder: of the config; a plant's own file is relative to it.
+
+    Raises:
+        ValueError: an unknown plant or parameter, a value outside its bounds, a file that fails.
+    """
+    if ":" in config.plant:
+        base = _plant_from_file(config.plant, folder)
+    else:
+        check_choice("plant", config.plant, _PLANTS)
+        base = _PLANTS[config.plant]()
+    table = config.parameters
+    for field in ("nominal", "bounds"):
+        for key in getattr(table, field):
+            check_choice(f"parameters.{field}", key, base.names)
+    limits = {
+        key: (float(low), float(high))
+        for key, low, high in zip(base.names, base.lower, base.upper, strict=True)
+    }
+    return Plant(
+        base.dynamics,
+        {**base.parameters, **table.nominal},
+        relative_degree=base.degrees,
+        inputs=base.inputs,
+        outputs=base.outputs,
+        internal=base.internal,
+        internal_initial=base.internal_initial if base.internal else None,
+        bounds={**limits, **table.bounds},
+        fixed=(*base.fixed, *(key for key in table.fixed if key not in base.fixed)),
+        units=base.units,
+        name=base.name,
+    )
+
+
+def _plant_from_file(reference: str, folder: Path) -> Plant:
+    file, _, name = reference.rpartition(":")
+    path = folder / file
+    rule = 'must be "file.py:object"'
+    check(path.is_file(), "plant", f"{rule} with a file that exists", path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    check(spec is not None, "plant", f"{rule} with a Python file", path)
+    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    try:
+        spec.loader.exec_module(module)  # type: ignore[union-attr]
+        made = getattr(module, name, None)
+        made = made() if callable(made) and not isinstance(made, Plant) else made
+    except Exception as error:  # the user's code: whatever it raises is the user's to mend
+        raise ValueError(
+            f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
+        ) from error
+    check(
+        isinstance(made, Plant),
+        "plant",
+        f"{rule} where the object is a Plant or a function that returns one",
+        reference,
+    )
+    return made  # type: ignore[return-value]
+
+
+def observer(config: Config) -> Any:
+    """The observer of the [observer] table, or None: chosen from the records."""
+    table = config.observer
+    if table is None:
+        return None
+    kinds = {
+        FirstOrderTable: observers.FirstOrder,
+        SecondOrderTable: observers.SecondOrder,
+        SuperTwistingTable: observers.SuperTwisting,
+        HighOrderTable: observers.HighOrder,
+    }
+    return kinds[type(table)](**msgspec.structs.asdict(table))
+
+
+def lowpass(config: Config) -> LowPass | None:
+    """The filter of the [lowpass] table, or None: chosen from the records."""
+    table = config.lowpass
+    return None if table is None else LowPass(table.cutoff, order=table.order)
+
+
+def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
+    """The records to identify from, simulated or read.
+
+    Args:
+        config: what was loaded.
+        model: the plant with its nominal parameters.
+        folder: of the config.
+        data: folder of measured files; None: $EOI_DATA, else `folder`.
+
+    Raises:
+        ValueError: what `simulate` or `read_record` object to, or a name the plant does not have.
+    """
+    if config.data is not None:
+        return _read(config.data, "data", model, folder, data)
+    return [_simulated(config, model)]
+
+
+def validation_records(
+    config: Config, model: Plant, folder: Path, data: Path | None = None
+) -> list[Record]:
+    """The held-out records; none if the config names none. Arguments as in `records`."""
+    if config.validation is None:
+        return []
+    return _read(config.validation, "validation", model, folder, data)
+
+
+def _read(
+    table: DataTable, name: str, model: Plant, folder: Path, data: Path | None
+) -> list[Record]:
+    for field, own in (("inputs", model.inputs), ("outputs", model.outputs)):
+        columns = getattr(table, field)
+        check(
+            len(columns) == len(own),
+            f"{name}.{field}",
+            f"must name {len(own)} column(s), for the plant's {', '.join(own) or 'none'}",
+            ", ".join(columns) or "none",
+        )
+    root = data or Path(os.environ.get(DATA_VARIABLE) or folder)
+    for file in table.files:
+        check((root / file).is_file(), f"{name}.files", "must be files that exist", root / file,
+              f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip
+    return [
+        read_record(
+            root / file,
+            time=table.time,
+            inputs=list(table.inputs),
+            outputs=list(table.outputs),
+            sample_period=table.sample_period,
+            scale=dict(table.scale),
+            units=dict(table.units),
+            hold=table.hold,
+            burn_in=table.burn_in,
+            slice=table.slice,
+        )
+        for file in table.files
+    ]
+
+
+# -- simulated records ------------------------------------------------------------------------
+
+_SIGNALS: dict[type, Callable[..., Any]] = {
+    SquareTable: excitation.square,
+    PrbsTable: excitation.prbs,
+    ChirpTable: excitation.chirp,
+    MultisineTable: excitation.multisine,
+    StepsTable: excitation.steps,
+    RandomStepsTable: excitation.random_steps,
+}
+
+
+def _simulated(config: Config, model: Plant) -> Record:
+    table = config.simulate
+    assert table is not None
+    count = table.duration / table.sample_period
+    check(
+        count < 1e8,
+        "simulate.duration",
+        "must be less than 1e8 samples long",
+        table.duration,
+        "Choose a longer sample period.",
+    )
+    time = np.arange(round(count) + 1) * table.sample_period
+    check(
+        set(table.input) == set(model.inputs),
+        "simulate.input",
+        f"must have one table for each of the inputs {', '.join(model.inputs)}",
+        ", ".join(table.input) or "none",
+    )
+    signals = [_signal(table.input[name], time, name) for name in model.inputs]
+    record = simulate(
+        model.with_parameters(_truth(table, model)),
+        time,
+        np.stack(signals, axis=1),
+        initial=_initial(table, model),
+        name=config.name,
+    )
+    return _measured(record, table, model)
+
+
+def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
+    arguments = msgspec.structs.asdict(table)
+    offset = arguments.pop("offset", 0.0)
+    try:
+        return offset + _SIGNALS[type(table)](time, **arguments)
+    except ValueError as error:
+        raise ValueError(f"[simulate.input.{name}] {error}") from None
+
+
+def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
+    check(
+        bool(table.truth) != bool(table.increments),
+        "simulate",
+        "must have one of the tables `truth` and `increments`",
+        "both" if table.truth else "neither",
+    )
+    for field in ("truth", "increments"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.names)
+    nominal = model.parameters
+    return table.truth or {key: nominal[key] + add for key, add in table.increments.items()}
+
+
+def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
+    """Outputs and their derivatives at the start, shape (r, ny)."""
+    start = np.zeros((model.relative_degree, len(model.outputs)))
+    for name, given in table.initial.items():
+        check_choice("simulate.initial", name, model.outputs)
+        values = np.atleast_1d(given)
+        j = model.outputs.index(name)
+        check(
+            len(values) <= model.degrees[j],
+            f"simulate.initial.{name}",
+            f"must have at most {model.degrees[j]} value(s): the output and its derivatives",
+            list(values),
+        )
+        start[: len(values), j] = values
+    return start
+
+
+def _measured(record: Record, table: SimulateTable, model: Plant) -> Record:
+    """The record as a sensor gives it: white noise added, then rounded to the sensor's step."""
+    if not table.noise and not table.quantisation:
+        return record
+    for field in ("noise", "quantisation"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.outputs)
+    draw = np.random.default_rng(table.seed)
+    outputs = np.array(record.outputs)
+    for j, name in enumerate(model.outputs):
+        outputs[:, j] += table.noise.get(name, 0.0) * draw.standard_normal(len(outputs))
+        step = table.quantisation.get(name, 0.0)
+        if step > 0:
+            outputs[:, j] = step * np.round(outputs[:, j] / step)
+    return Record(
+        record.time,
+        record.inputs,
+        outputs,
+        name=record.name,
+        input_names=record.input_names,
+        output_names=record.output_names,
+        units=record.units,
+        hold=record.hold,
+    )
