@@ -40,6 +40,7 @@ _REST = 1e-9
 
 Motion = Float[Array, "time r ny"]
 Internal = Float[Array, "time nz"]
+Fraction = Scalar | float
 Pieces = Float[np.ndarray, "steps order nu"]
 
 
@@ -251,7 +252,7 @@ class _Problem(eqx.Module):
     inputs: Float[Array, "3 nu"]
     friction: tuple[bool, ...] = eqx.field(static=True)
 
-    def input_at(self, fraction: Scalar) -> Input:
+    def input_at(self, fraction: Fraction) -> Input:
         """A parabola through start, middle and end: exact for held and linear inputs."""
         first, middle, last = self.inputs
         slope = 4.0 * middle - 3.0 * first - last
@@ -282,20 +283,18 @@ def _rate(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
     return State(y, plant.internal_rate(t, x, u, theta))
 
 
-def _add(x: State, scale: Scalar | float, slope: State) -> State:
+def _add(x: State, scale: Fraction, slope: State) -> State:
     return State(x.y + scale * slope.y, x.z + scale * slope.z)
 
 
-def _runge_kutta(
-    problem: _Problem,
-    x: State,
-    h: Scalar,
-    times: tuple[Scalar, Scalar, Scalar],
-    inputs: tuple[Input, Input, Input],
-    direction: Output | None = None,
+def _advance(
+    problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
 ) -> State:
-    """One classical Runge-Kutta step of length `h`."""
-    (t0, t1, t2), (u0, u1, u2) = times, inputs
+    """One classical Runge-Kutta step between two fractions of the step, in fixed directions."""
+    fractions = (start, 0.5 * (start + end), end)
+    t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
+    u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
+    h = (end - start) * problem.step
     k1 = problem.rate(t0, x, u0, direction)
     k2 = problem.rate(t1, _add(x, 0.5 * h, k1), u1, direction)
     k3 = problem.rate(t1, _add(x, 0.5 * h, k2), u1, direction)
@@ -305,9 +304,7 @@ def _runge_kutta(
 
 
 def _smooth_step(problem: _Problem, x: State) -> State:
-    t, h = problem.time, problem.step
-    u0, u1, u2 = problem.inputs
-    return _runge_kutta(problem, x, h, (t, t + 0.5 * h, t + h), (u0, u1, u2))
+    return _advance(problem, x, 0.0, 1.0, None)
 
 
 # -- dry friction -------------------------------------------------------------------------
@@ -347,16 +344,6 @@ def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
     leaving = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
     moving = jnp.where(x.y[1] == 0, leaving, jnp.sign(x.y[1]))
     return jnp.where(np.asarray(problem.friction), moving, jnp.zeros_like(moving))
-
-
-def _advance(problem: _Problem, x: State, start: Scalar, end: Scalar, direction: Output) -> State:
-    """From one fraction of the step to another, in fixed directions."""
-    middle = 0.5 * (start + end)
-    fractions = (start, middle, end)
-    t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
-    u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
-    h = (end - start) * problem.step
-    return _runge_kutta(problem, x, h, (t0, t1, t2), (u0, u1, u2), direction)
 
 
 def _slope(problem: _Problem, x: State, done: Scalar, direction: Output) -> State:
