@@ -99,10 +99,11 @@ def _draw_injection(axes: Any, result: Identification, record: int, j: int) -> N
     unit = _injection_unit(result.plant.units.get(name), result.plant.degrees[j])
     axes.set_ylabel(f"injection of\n{name}" + (f" [{unit}]" if unit else ""))
     axes.grid(alpha=0.3)
-    # Above the panel: wherever it stood inside, it would hide data.
-    axes.legend(fontsize=9, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
-                borderaxespad=0.1)  # fmt: skip
-    if np.isnan(np.asarray(result.injection[record])[:, j]).any():
+    if j == 0:  # above the panel: wherever it stood inside, it would hide data
+        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
+        axes.legend(fontsize=9, ncols=2, frameon=False, **place)
+    scored = np.flatnonzero(np.isfinite(np.asarray(result.injection[record])[:, j]))
+    if np.any(np.diff(scored) > 1):  # the transient at the start is no gap
         axes.set_title("gaps: not scored", loc="left", fontsize=9)
 
 
