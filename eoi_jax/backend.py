@@ -44,7 +44,7 @@ def configure(float64: bool = True, cache: bool = True) -> None:
     if cache:
         folder = os.environ.get("EOI_CACHE", str(Path.home() / ".cache" / "eoi_jax"))
         jax.config.update("jax_compilation_cache_dir", folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 

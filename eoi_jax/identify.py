@@ -29,11 +29,15 @@ from eoi_jax.prepare import check_records, prepare
 from eoi_jax.regression.index import index as index_of
 from eoi_jax.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.results import Status
-from eoi_jax.tuning import default_lowpass, default_observer
+from eoi_jax.tuning import default_lowpass, default_observer, default_substeps
 
 # A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
 _PROGRESS = 1e-2
 _PATIENCE = 2
+# A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
+# that went wrong, and how many such passes in a row end the run.
+_DAMPING = 1e-2
+_RETRIES = 5
 # Velocity noise above this share of the velocity calls for smoothing the record.
 _NOISY_RATE = 0.01
 # Weights rise over this many time constants of F beside steps that do not count.
@@ -64,7 +68,7 @@ class Identification:
         status: how it ended.
         observer, lowpass: as used; `reasons` says why, where they were chosen.
         notes: what was done to the records, and health warnings.
-        records: as used (resampled, sub-stepped, smoothed).
+        records: as used (resampled, smoothed); sub-steps are not kept.
     """
 
     parameters: dict[str, float]
@@ -114,7 +118,7 @@ def identify(
     passes: int = 10,
     *,
     transient: float | None = None,
-    substeps: int = 1,
+    substeps: int | None = None,
     smoothing: float | bool | None = None,
     callback: Callable[[int, int, np.ndarray], None] | None = None,
 ) -> Identification:
@@ -128,8 +132,8 @@ def identify(
         passes: how many at most; fewer when the index no longer falls.
         transient: time at the start of each record that is not scored [s]; by default ten time
             constants of F, or the record's `burn_in` if that is longer.
-        substeps: run on a record interpolated this many times finer (quintic spline), for
-            records sampled close to the plant's dynamics.
+        substeps: run on a record interpolated this many times finer (quintic spline); chosen
+            by default so that the step is short against the band of F, 1 for the explicit form.
         smoothing: zero-phase cut-off [rad/s] applied to outputs and inputs alike; False for
             none; by default chosen when the measurement noise hides the velocity.
         callback: called after each pass with its number from 1, `passes` and its index (ny,).
@@ -151,17 +155,21 @@ def identify(
         reasons.append(reason)
     several, rate_noise, note = _smoothed(plant, several, lowpass, smoothing)
     notes += note
-    several = tuple(record.resample(substeps) for record in several)
-    if observer is None:
-        observer, reason = default_observer(plant, several, lowpass.cutoff)
+    if observer is not None:
+        _check_observer(plant, observer)
+    explicit = observer is not None and observer.scheme == "explicit"
+    if substeps is None:
+        substeps, reason = (1, []) if explicit else default_substeps(several, lowpass.cutoff)
         reasons += reason
-    _check_observer(plant, observer)
-    explicit = observer.scheme == "explicit"
+    fine = tuple(record.resample(substeps) for record in several)
+    if observer is None:
+        observer, reason = default_observer(plant, fine, lowpass.cutoff)
+        reasons += reason
     if transient is None:
         transient = _default_transient(several, lowpass, explicit)
     steps = prepare(
         plant,
-        several,
+        fine,
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient,
         3.0 * lowpass.memory,
@@ -169,9 +177,9 @@ def identify(
         explicit,
         _TAPER / lowpass.cutoff,
     )
-    filters = _stacked([lowpass.discretise(record.sample_period) for record in several])
+    filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
     notes += _precision_note()
-    driver = _Driver(plant, observer, filters, steps, passes, callback)
+    driver = _Driver(plant, observer, filters, steps, substeps, passes, callback)
     return driver.run(several, lowpass, tuple(reasons), tuple(notes))
 
 
@@ -200,20 +208,24 @@ class _Driver:
     observer: AbstractObserver
     filters: DiscreteFilter
     steps: Steps
+    substeps: int
     passes: int
     callback: Callable[[int, int, np.ndarray], None] | None
+
+    def __post_init__(self):
+        self._affine = self.plant.is_affine
 
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
-        done, traces = self._iterate()
+        done, first = self._iterate()
         best = int(np.argmin([one.cost for one in done]))
         chosen = done[best]
         sums, trace = self._pass(chosen.theta, "signals", chosen.increment, chosen.weights)
         covariance = self._covariance(chosen, sums)
         plant = self.plant.with_parameters(chosen.theta)
-        injection = _per_sample(trace.injection, self.steps, records)
-        explained = _per_sample(trace.explained, self.steps, records)
+        injection = self._per_sample(trace.injection, records)
+        explained = self._per_sample(trace.explained, records)
         count = np.maximum(np.asarray(chosen.sums.count), 1.0)
         observed = np.sqrt(np.asarray(chosen.sums.observed_square) / count)
         sliding = np.asarray(chosen.sums.sliding) / count
@@ -227,7 +239,7 @@ class _Driver:
             plant=plant,
             nominal=self.plant,
             injection=injection,
-            first_injection=_per_sample(traces, self.steps, records),
+            first_injection=self._per_sample(first, records),
             residual=[a - b for a, b in zip(injection, explained, strict=True)],
             sliding_fraction=sliding,
             unexplained=np.sqrt(chosen.index) / np.where(observed > 0, observed, 1.0),
@@ -243,7 +255,7 @@ class _Driver:
     def _iterate(self) -> tuple[list[_Pass], Any]:
         theta = np.asarray(self.plant.theta, dtype=float)
         done: list[_Pass] = []
-        first_injection, stale, best = None, 0, None
+        first_injection, stale, best, damping = None, 0, None, 0.0
         for number in range(self.passes):
             store = "nothing" if number else "signals"
             sums, trace = self._pass(theta, store)
@@ -254,13 +266,17 @@ class _Driver:
                 self.callback(number + 1, self.passes, one.index)
             done.append(one)
             if best is None or one.cost < best.cost - _PROGRESS:
-                best, stale = one, 0
+                best, stale, damping = one, 0, 0.0
             else:
                 stale += 1
-                if one.cost > best.cost + np.log(4.0) and not self.plant.is_affine:
-                    # Gauss–Newton overshot: half-way back to the best pass.
-                    one.increment = 0.5 * (best.theta - one.theta)
-            if stale >= _PATIENCE or not np.all(np.isfinite(one.increment)):
+                if one.cost > best.cost and not self._affine:
+                    # Gauss–Newton overshot: from the best pass again, a shorter step.
+                    damping = max(10.0 * damping, _DAMPING)
+                    one.increment = self._solve(best.theta, best.sums, damping).increment
+                    one.increment += best.theta - one.theta
+            if stale >= (_PATIENCE if damping == 0.0 else _RETRIES):
+                break
+            if not np.all(np.isfinite(one.increment)):
                 break
             theta = theta + one.increment
         return done, first_injection
@@ -282,7 +298,7 @@ class _Driver:
         )
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
-    def _solve(self, theta: np.ndarray, sums: Sums) -> _Pass:
+    def _solve(self, theta: np.ndarray, sums: Sums, damping: float = 0.0) -> _Pass:
         power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.count)))
         size = np.where(sums.count > 0, sums.observed_square / np.maximum(sums.count, 1.0), 0.0)
         # Rounding bounds how small an index can mean anything; it also keeps weights finite.
@@ -293,6 +309,7 @@ class _Driver:
             jnp.asarray(np.einsum("j,jab->ab", weights, sums.information)),
             jnp.asarray(weights @ sums.rhs),
             jnp.asarray(self.plant.free),
+            damping,
         )
         moved = np.clip(theta + np.asarray(solution.increment), self.plant.lower, self.plant.upper)
         return _Pass(theta, sums, power, weights, solution, moved - theta)
@@ -307,6 +324,17 @@ class _Driver:
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         return {name: float(one) for name, one in zip(self.plant.names, errors, strict=True)}
+
+    def _per_sample(self, values: Any, records: tuple[Record, ...]) -> list[np.ndarray]:
+        """Values of steps as (N, ny) per record: those of the step that ends at each sample."""
+        arrays = []
+        for i, record in enumerate(records):
+            count = (len(record) - 1) * self.substeps
+            score = np.asarray(self.steps.score)[i, :count]
+            scored = np.where(score > 0, np.asarray(values)[i, :count], np.nan)
+            ends = scored[self.substeps - 1 :: self.substeps]
+            arrays.append(np.concatenate([np.full((1, ends.shape[1]), np.nan), ends]))
+        return arrays
 
     def _status(self, done: list[_Pass], best: int) -> Status:
         if np.any(done[0].sums.count == 0):
@@ -405,18 +433,6 @@ def _default_transient(records: tuple[Record, ...], lowpass: LowPass, explicit: 
 
 def _stacked(filters: list[DiscreteFilter]) -> DiscreteFilter:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *filters)
-
-
-def _per_sample(values: Any, steps: Steps, records: tuple[Record, ...]) -> list[np.ndarray]:
-    """Values of steps as (N, ny) per record: a step belongs to the sample that ends it."""
-    arrays = []
-    for i, record in enumerate(records):
-        count = len(record) - 1
-        scored = np.where(
-            np.asarray(steps.score)[i, :count] > 0, np.asarray(values)[i, :count], np.nan
-        )
-        arrays.append(np.concatenate([np.full((1, scored.shape[1]), np.nan), scored]))
-    return arrays
 
 
 def _precision_note() -> list[str]:

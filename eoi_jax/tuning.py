@@ -21,6 +21,9 @@ from eoi_jax.plants.plant import Plant, State
 
 _POWER = 0.99  # of y^(r) below the cut-off
 _ABOVE_NOISE = 10.0  # power density of a frequency that counts as signal, over that of the noise
+_FINE = 0.05  # cut-off times step
+_MOST_SUBSTEPS = 20
+_MOST_SAMPLES = 2_000_000  # beyond this the memory of a sub-stepped record would show
 _RELAY = 2.0  # relay over the largest injection foreseen
 
 
@@ -68,6 +71,26 @@ def default_observer(
         )
         chosen.append(value)
     return _build(plant.degrees, np.asarray(chosen), cutoff), tuple(reasons)
+
+
+def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, list[str]]:
+    """Sub-steps per sample that make the step short against the band of F, and why.
+
+    Model and measurement are averaged over a step by kernels that agree to second order: at the
+    frequency ω what is left is a share (ω h)²/6 of the highest derivative.
+    """
+    period = max(record.sample_period for record in records)
+    longest = max(len(record) for record in records)
+    wanted = int(np.ceil(cutoff * period / _FINE))
+    substeps = max(min(wanted, _MOST_SUBSTEPS, _MOST_SAMPLES // longest), 1)
+    if substeps == 1:
+        return 1, []
+    left = (cutoff * period / substeps) ** 2 / 6.0
+    reason = (
+        f"{substeps} sub-steps a sample: the discretisation error at the cut-off falls from "
+        f"{substeps**2 * left:.2g} to {left:.2g} of the highest derivative"
+    )
+    return substeps, [reason]
 
 
 def _build(

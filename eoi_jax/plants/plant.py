@@ -229,26 +229,19 @@ class Plant(eqx.Module):
         """Whether θ enters f linearly (plus a constant), so that one least squares suffices."""
         if self.internal is not None:
             return False
-        for t, x, u, theta in _probes(self):
-            other = theta * 1.37 + 0.21
-            middle = self.derivative(t, x, u, 0.5 * (theta + other))
-            ends = 0.5 * (self.derivative(t, x, u, theta) + self.derivative(t, x, u, other))
-            scale = 1.0 + jnp.abs(middle) + jnp.abs(ends)
-            if bool(jnp.any(jnp.abs(middle - ends) > 1e3 * jnp.finfo(middle.dtype).eps * scale)):
-                return False
-        return True
+        bend, size = _bends(self, *_probes(self))
+        rounding = 1e3 * jnp.finfo(bend.dtype).eps
+        return not bool(jnp.any(bend > rounding * (1.0 + size)))
 
     @property
     def dry_friction(self) -> tuple[bool, ...]:
         """For each output, whether f jumps where its velocity changes sign."""
-        jumps = np.zeros(len(self.outputs), dtype=bool)
         if self.relative_degree < 2:
-            return tuple(jumps.tolist())
-        for t, x, u, theta in _probes(self):
-            above, below = self.at_rest(t, x, u, theta)
-            scale = 1.0 + jnp.abs(above) + jnp.abs(below)
-            jumps |= np.asarray(jnp.abs(above - below) > 1e-4 * scale)
-        return tuple((jumps & (np.asarray(self.degrees) >= 2)).tolist())
+            return (False,) * len(self.outputs)
+        above, below = _rest(self, *_probes(self))
+        jumps = jnp.abs(above - below) > 1e-4 * (1.0 + jnp.abs(above) + jnp.abs(below))
+        found = np.any(np.asarray(jumps), axis=0) & (np.asarray(self.degrees) >= 2)
+        return tuple(found.tolist())
 
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
@@ -341,15 +334,37 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
     return initial if callable(initial) else tuple(float(value) for value in initial)
 
 
-def _probes(plant: Plant) -> list[tuple[Scalar, State, Array, Array]]:
-    """A few fixed pseudo-random points (seed 0) at which structure is looked for."""
+_PROBES = 4
+
+
+def _probes(plant: Plant) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A few fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
     draw = np.random.default_rng(0)
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
-    points = []
-    for _ in range(4):
-        # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
-        theta = jnp.asarray(plant.theta * draw.uniform(0.8, 1.2, plant.theta.shape) + 0.1)
-        z = plant.internal_start(theta)
-        x = State(jnp.asarray(draw.uniform(0.1, 1.0, (r, ny))), z + 0.1)
-        points.append((jnp.asarray(0.3), x, jnp.asarray(draw.uniform(0.1, 1.0, nu)), theta))
-    return points
+    # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
+    theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (_PROBES, len(plant.names))) + 0.1
+    y = draw.uniform(0.1, 1.0, (_PROBES, r, ny))
+    return np.full(_PROBES, 0.3), y, draw.uniform(0.1, 1.0, (_PROBES, nu)), theta
+
+
+@eqx.filter_jit
+def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+    """How far f at the middle of two parameter vectors is off the mean of f at both; its size."""
+
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+        x, other = State(y, jnp.zeros(0, theta.dtype)), 1.37 * theta + 0.21
+        first, second = plant.derivative(t, x, u, theta), plant.derivative(t, x, u, other)
+        middle = plant.derivative(t, x, u, 0.5 * (theta + other))
+        return jnp.abs(middle - 0.5 * (first + second)), jnp.abs(first) + jnp.abs(second)
+
+    return jax.vmap(one)(t, y, u, theta)
+
+
+@eqx.filter_jit
+def _rest(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+    """`Plant.at_rest` at every probe."""
+
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+        return plant.at_rest(t, State(y, plant.internal_start(theta) + 0.1), u, theta)
+
+    return jax.vmap(one)(t, y, u, theta)

@@ -38,7 +38,10 @@ class Solution(eqx.Module):
 
 
 def least_squares(
-    information: Float[Array, "np np"], rhs: Float[Array, " np"], free: Float[Array, " np"]
+    information: Float[Array, "np np"],
+    rhs: Float[Array, " np"],
+    free: Float[Array, " np"],
+    damping: float = 0.0,
 ) -> Solution:
     r"""Solve $\sum\varphi^\top\varphi\,\Delta\theta = \sum\varphi^\top u_{eq}$, eq. (11).
 
@@ -46,18 +49,26 @@ def least_squares(
         information: Σ φᵀφ over scored samples.
         rhs: Σ φᵀ u_eq.
         free: 1 for an estimated parameter, 0 for a fixed one.
+        damping: added to the eigenvalues in the increment, which it shortens where they are
+            small (Levenberg); for a model that is not affine in θ.
     """
     length = jnp.sqrt(jnp.maximum(jnp.diagonal(information), 0.0)) * free
     scale = jnp.where(length > 0, length, 1.0)
     active = free * (length > 0)
     scaled = information / jnp.outer(scale, scale) * jnp.outer(active, active)
+    scaled = scaled + jnp.diag(1.0 - free)  # fixed parameters: directions of their own
     eigenvalues, directions = jnp.linalg.eigh(scaled)
     least = _ROUNDING * information.shape[0] * jnp.finfo(information.dtype).eps
     identified = eigenvalues > least * jnp.maximum(eigenvalues[-1], 0.0)
     identified &= eigenvalues > 0
-    weights = jnp.where(identified, 1.0 / jnp.where(identified, eigenvalues, 1.0), 0.0)
-    inverse = (directions * weights) @ directions.T / jnp.outer(scale, scale)
-    return Solution(inverse @ (rhs * free), inverse, eigenvalues, directions, identified, scale)
+    safe = jnp.where(identified, eigenvalues, 1.0)
+    unscale = jnp.outer(free, free) / jnp.outer(scale, scale)
+
+    def inverted(values: Float[Array, " np"]) -> Float[Array, "np np"]:
+        return (directions * jnp.where(identified, 1.0 / values, 0.0)) @ directions.T * unscale
+
+    increment = inverted(safe + damping) @ rhs
+    return Solution(increment, inverted(safe), eigenvalues, directions, identified, scale)
 
 
 def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, " np"]) -> list[str]:
@@ -75,8 +86,6 @@ def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, "
             continue
         # Undone scaling: a direction in scaled parameters moves θ by direction / scale.
         vector = direction / np.asarray(solution.scale) * free
-        if not np.any(np.abs(vector) > 0):
-            continue  # only fixed parameters
         vector = vector / np.max(np.abs(vector))
         terms = [
             (weight, name) for weight, name in zip(vector, names, strict=True) if abs(weight) > 1e-3
