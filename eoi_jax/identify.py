@@ -34,6 +34,8 @@ from eoi_jax.tuning import default_lowpass, default_observer, default_substeps
 # A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
 _PROGRESS = 1e-2
 _PATIENCE = 2
+# An increment whose effect is below this share of the observed derivative changes nothing.
+_ROUNDING = 1e-10
 # A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
 # that went wrong, and how many such passes in a row end the run.
 _DAMPING = 1e-2
@@ -42,6 +44,8 @@ _RETRIES = 5
 _NOISY_RATE = 0.01
 # Weights rise over this many time constants of F beside steps that do not count.
 _TAPER = 2.0
+# The injection over time is shown where the filter's memory holds at least this share that counts.
+_SHARE = 0.5
 # Smoothing keeps this many times the band of the filter F.
 _SMOOTH_BAND = 5.0
 
@@ -199,6 +203,13 @@ class _Pass:
             return np.inf
         return float(np.sum(np.log(np.maximum(self.index, np.finfo(float).tiny))))
 
+    @property
+    def settled(self) -> bool:
+        """Whether Δθ moves F[f] by less than rounding shows in F[y^(r)]."""
+        moved = np.abs(self.increment) * np.asarray(self.solution.scale)
+        size = np.sqrt(self.weights @ np.asarray(self.sums.observed_square))
+        return bool(np.all(moved <= _ROUNDING * size))
+
 
 @dataclass
 class _Driver:
@@ -224,11 +235,8 @@ class _Driver:
         sums, trace = self._pass(chosen.theta, "signals", chosen.increment, chosen.weights)
         covariance = self._covariance(chosen, sums)
         plant = self.plant.with_parameters(chosen.theta)
-        injection = self._per_sample(trace.injection, records)
-        explained = self._per_sample(trace.explained, records)
-        count = np.maximum(np.asarray(chosen.sums.count), 1.0)
-        observed = np.sqrt(np.asarray(chosen.sums.observed_square) / count)
-        sliding = np.asarray(chosen.sums.sliding) / count
+        observed = np.sqrt(_mean(chosen.sums.observed_square, chosen.sums.weight))
+        sliding = _mean(chosen.sums.sliding, chosen.sums.count)
         return Identification(
             parameters=plant.parameters,
             standard_errors=self._standard_errors(covariance),
@@ -238,9 +246,9 @@ class _Driver:
             best_pass=best,
             plant=plant,
             nominal=self.plant,
-            injection=injection,
-            first_injection=self._per_sample(first, records),
-            residual=[a - b for a, b in zip(injection, explained, strict=True)],
+            injection=self._per_sample(trace.injection, trace.weight, records),
+            first_injection=self._per_sample(first.injection, first.weight, records),
+            residual=self._per_sample(trace.injection - trace.explained, trace.weight, records),
             sliding_fraction=sliding,
             unexplained=np.sqrt(chosen.index) / np.where(observed > 0, observed, 1.0),
             covariance=covariance,
@@ -255,13 +263,13 @@ class _Driver:
     def _iterate(self) -> tuple[list[_Pass], Any]:
         theta = np.asarray(self.plant.theta, dtype=float)
         done: list[_Pass] = []
-        first_injection, stale, best, damping = None, 0, None, 0.0
+        first, stale, best, damping = None, 0, None, 0.0
         for number in range(self.passes):
             store = "nothing" if number else "signals"
             sums, trace = self._pass(theta, store)
             one = self._solve(theta, sums)
             if number == 0:
-                first_injection = trace.injection
+                first = trace
             if self.callback is not None:
                 self.callback(number + 1, self.passes, one.index)
             done.append(one)
@@ -274,12 +282,14 @@ class _Driver:
                     damping = max(10.0 * damping, _DAMPING)
                     one.increment = self._solve(best.theta, best.sums, damping).increment
                     one.increment += best.theta - one.theta
+            if one.settled:
+                break
             if stale >= (_PATIENCE if damping == 0.0 else _RETRIES):
                 break
             if not np.all(np.isfinite(one.increment)):
                 break
             theta = theta + one.increment
-        return done, first_injection
+        return done, first
 
     def _pass(
         self, theta: np.ndarray, store: str, increment: Any = None, weights: Any = None
@@ -299,8 +309,8 @@ class _Driver:
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
     def _solve(self, theta: np.ndarray, sums: Sums, damping: float = 0.0) -> _Pass:
-        power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.count)))
-        size = np.where(sums.count > 0, sums.observed_square / np.maximum(sums.count, 1.0), 0.0)
+        power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.weight)))
+        size = _mean(sums.observed_square, sums.weight)
         # Rounding bounds how small an index can mean anything; it also keeps weights finite.
         floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
         weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
@@ -325,15 +335,22 @@ class _Driver:
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         return {name: float(one) for name, one in zip(self.plant.names, errors, strict=True)}
 
-    def _per_sample(self, values: Any, records: tuple[Record, ...]) -> list[np.ndarray]:
-        """Values of steps as (N, ny) per record: those of the step that ends at each sample."""
+    def _per_sample(
+        self, values: Any, weight: Any, records: tuple[Record, ...]
+    ) -> list[np.ndarray]:
+        """F[m·]/F[m] as (N, ny) per record; NaN where not scored or where little of F is left."""
         arrays = []
         for i, record in enumerate(records):
-            count = (len(record) - 1) * self.substeps
-            score = np.asarray(self.steps.score)[i, :count]
-            scored = np.where(score > 0, np.asarray(values)[i, :count], np.nan)
-            ends = scored[self.substeps - 1 :: self.substeps]
-            arrays.append(np.concatenate([np.full((1, ends.shape[1]), np.nan), ends]))
+            # A step belongs to the sample that ends it, the last of its sub-steps.
+            ends = slice(self.substeps - 1, (len(record) - 1) * self.substeps, self.substeps)
+            share = np.asarray(weight)[i, ends]
+            scored = (np.asarray(self.steps.score)[i, ends] > 0) & (share > _SHARE)
+            mean = np.asarray(values)[i, ends] / np.where(scored, share, 1.0)
+            arrays.append(
+                np.concatenate(
+                    [np.full((1, mean.shape[1]), np.nan), np.where(scored, mean, np.nan)]
+                )
+            )
         return arrays
 
     def _status(self, done: list[_Pass], best: int) -> Status:
@@ -422,6 +439,12 @@ def _check_observer(plant: Plant, observer: AbstractObserver) -> None:
             f"must be one number or {len(plant.outputs)}, one an output",
             f"shape {shape}",
         )
+
+
+def _mean(total: Any, weight: Any) -> np.ndarray:
+    """Total over weight; 0 where nothing was added up."""
+    weight = np.asarray(weight)
+    return np.where(weight > 0, np.asarray(total) / np.where(weight > 0, weight, 1.0), 0.0)
 
 
 def _default_transient(records: tuple[Record, ...], lowpass: LowPass, explicit: bool) -> float:

@@ -52,22 +52,31 @@ class Steps(eqx.Module):
 
 
 class Sums(eqx.Module):
-    """What a pass adds up, over scored steps and for each output."""
+    """What a pass adds up, over scored steps and for each output.
+
+    `weight` is the sum of F[m]², the power that a unit injection would have had.
+    """
 
     information: Float[Array, "ny np np"]
     rhs: Float[Array, "ny np"]
     square: Float[Array, " ny"]
     observed_square: Float[Array, " ny"]
+    weight: Float[Array, " ny"]
     count: Float[Array, " ny"]
     sliding: Float[Array, " ny"]
     meat: Float[Array, "np np"]
 
 
 class Trace(eqx.Module):
-    """What a pass stores when asked: for each step, at its end."""
+    """What a pass stores when asked: for each step, at its end.
+
+    All of it is filtered with the mask m inside, F[m u_eq], F[m φ] Δθ, F[m φ]; divided by
+    `weight` = F[m] it is a weighted mean over the filter's memory.
+    """
 
     injection: Float[Array, "S ny"]
     explained: Float[Array, "S ny"]
+    weight: Float[Array, "S ny"]
     Phi: Float[Array, "S ny np"] | None
 
 
@@ -143,22 +152,24 @@ class _Kernel(eqx.Module):
             lambda shift: self.plant.internal_start(self.theta + shift), size, dtype
         )
         taps = _kernel_weights(self.observer, ny).shape[0]
-        blank = (zeros(ny, dtype), zeros((ny, size), dtype))
+        each = zeros(ny, dtype)
+        phi = zeros((ny, size), dtype)
         sums = Sums(
             zeros((ny, size, size), dtype),
-            zeros((ny, size), dtype),
-            zeros(ny, dtype),
-            zeros(ny, dtype),
-            zeros(ny, dtype),
-            zeros(ny, dtype),
+            phi,
+            each,
+            each,
+            each,
+            each,
+            each,
             zeros((size, size), dtype),
         )
         return _Carry(
             self._start(steps.y[0], steps.y_next[0], h),
             z,
             sensitivity,
-            (blank,) * (taps - 1),
-            zeros((self.lowpass.entry.shape[0], ny, size + 2), dtype),
+            ((each, phi),) * (taps - 1),
+            zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
             zeros(size, dtype),
             sums,
         )
@@ -185,7 +196,10 @@ class _Kernel(eqx.Module):
         f, phi = self._model(t, position, seen, z, sensitivity, u)
         history = ((f, phi), *carry.history)
         f, phi = self._averaged(history)
-        signals = jnp.concatenate([(seen.observed - f)[:, None], seen.observed[:, None], phi], 1)
+        signals = jnp.concatenate(
+            [(seen.observed - f)[:, None], seen.observed[:, None], jnp.ones_like(f)[:, None], phi],
+            1,
+        )
         # A model that is undefined where it does not count (√ of a negative level) must not spread.
         signals = jnp.where(use[:, None] > 0, use[:, None] * signals, 0.0)
         filtered = self.lowpass.step(carry.filtered, signals)
@@ -242,7 +256,7 @@ class _Kernel(eqx.Module):
         score: Output,
         block_end: Array,
     ) -> tuple[Sums, Array, Any]:
-        injection, observed, phi = output[:, 0], output[:, 1], output[:, 2:]
+        injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
         explained = phi @ self.increment
         old = carry.sums
         weighted = score[:, None] * phi
@@ -256,14 +270,15 @@ class _Kernel(eqx.Module):
             old.rhs + weighted * injection[:, None],
             old.square + score * injection**2,
             old.observed_square + score * observed**2,
+            old.weight + score * weight**2,
             old.count + score,
             old.sliding + score * seen.sliding,
             meat,
         )
         shown = {
             "nothing": None,
-            "signals": Trace(injection, explained, None),
-            "regressors": Trace(injection, explained, phi),
+            "signals": Trace(injection, explained, weight, None),
+            "regressors": Trace(injection, explained, weight, phi),
         }[self.store]
         return sums, block, shown
 

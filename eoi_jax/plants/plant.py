@@ -337,14 +337,15 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
 _PROBES = 4
 
 
-def _probes(plant: Plant) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _probes(plant: Plant) -> tuple[Array, Array, Array, Array]:
     """A few fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
     draw = np.random.default_rng(0)
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
     # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
     theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (_PROBES, len(plant.names))) + 0.1
     y = draw.uniform(0.1, 1.0, (_PROBES, r, ny))
-    return np.full(_PROBES, 0.3), y, draw.uniform(0.1, 1.0, (_PROBES, nu)), theta
+    u = draw.uniform(0.1, 1.0, (_PROBES, nu))
+    return jnp.full(_PROBES, 0.3), jnp.asarray(y), jnp.asarray(u), jnp.asarray(theta)
 
 
 @eqx.filter_jit

@@ -11,10 +11,15 @@ from jaxtyping import Array, Float
 
 
 def index(
-    square_sum: Float[Array, "*channel"], count: Float[Array, "*channel"]
+    square_sum: Float[Array, "*channel"], weight: Float[Array, "*channel"]
 ) -> Float[Array, "*channel"]:
-    """P from the sum of squares and the number of scored samples [unit of y^(r), squared].
+    """P from the sum of squares [unit of y^(r), squared].
 
-    Without a scored sample it is NaN: no evidence is not a perfect fit.
+    Args:
+        square_sum: Σ |F[m u_eq]|², m the weight of each sample (0 in a gap or at rest).
+        weight: Σ F[m]² over the same samples: their number, where nothing is left out.
+
+    Returns:
+        P; without a scored sample NaN, for no evidence is not a perfect fit.
     """
-    return jnp.where(count > 0, square_sum / jnp.maximum(count, 1.0), jnp.nan)
+    return jnp.where(weight > 0, square_sum / jnp.where(weight > 0, weight, 1.0), jnp.nan)
