@@ -389,7 +389,8 @@ def test_outputs_side_by_side_equal_each_alone():
     state = both.init(jnp.asarray(y[0]), jnp.asarray(rates))
 
     def body(state, row):
-        return both.step(state, *row, jnp.asarray(h))
+        here, there, model = row
+        return both.step(state, here, there, model, jnp.asarray(h))
 
     _, seen = jax.lax.scan(body, state, tuple(map(jnp.asarray, (y[:-1], y[1:], drift))))
     for j, one in enumerate((first, second, third)):
