@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -113,6 +114,11 @@ def case(name: str, sample_period: float | None = None, duration: float | None =
         with_outputs(library, y),
         library,
     )
+
+
+def explicit(observer: Any) -> eoi.observers.AbstractObserver:
+    """The published form of an observer, with the same gains."""
+    return type(observer)(**{**vars(observer), "scheme": "explicit"})
 
 
 def simulated(kind: str, truth: dict[str, float], record: eoi.Record, initial: dict) -> np.ndarray:

@@ -15,6 +15,7 @@ Where the library's simulator agrees, and how closely, is a column of the tables
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -69,7 +70,7 @@ def pendulum(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.nd
     angle = np.zeros(len(time))
     edges = [0, *(np.flatnonzero(np.diff(u)) + 1).tolist(), len(time) - 1]
     state = (0.0, 0.0)
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         stamps = time[first : last + 1]
         angle[first : last + 1], state = _swing(p, stamps, p["d"] * u[first], state)
     return angle[:, None]
@@ -107,9 +108,7 @@ def _swing(
     return out, (y, v)
 
 
-def _linear(
-    a: np.ndarray, b: np.ndarray, time: np.ndarray, u: np.ndarray, hold: str
-) -> np.ndarray:
+def _linear(a: np.ndarray, b: np.ndarray, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
     """States of ẋ = a x + b u from rest, exact at the samples, shape (N, n)."""
     n, h = len(b), _period(time)
     # u and its slope as two more states: the top row blocks give ∫e^{a s} b and ∫∫e^{a s} b.
