@@ -33,7 +33,8 @@ def main() -> None:
     report = Report("Measured records")
     report.add(
         "Parameters are given ± their standard error, which knows the noise and nothing of what "
-        "the model leaves out. Free runs start from a state estimated over the first 50 samples, which "
+        "the model leaves out. Free runs start from a state estimated over the first 50 samples, "
+        "which "
         "are not scored; *windows* start anew at regular intervals."
     )
     for name, run in _SETS.items():
@@ -121,8 +122,8 @@ def _emps(report: Report, quick: bool) -> None:
         ])  # fmt: skip
     report.add(
         "The same from other starts (mass; viscous, Coulomb, offset, times the published values):",
-        table(["start", "best pass", "status", "mass", "viscous", "Coulomb", "offset", "unexplained",
-               "reached"],
+        table(["start", "best pass", "status", "mass", "viscous", "Coulomb", "offset",
+               "unexplained", "reached"],
               rows),
     )  # fmt: skip
     rows = []
@@ -161,7 +162,8 @@ def _silverbox(report: Report, quick: bool) -> None:
         fit, check = fit[:12000], check[:6000]
     report.add(
         "Rule for cut-off and sub-steps, fixed before looking at held-out records: estimate from "
-        "the first three quarters of the estimation record, take the pair with the smallest free-run "
+        "the first three quarters of the estimation record, take the pair with the smallest "
+        "free-run "
         "error on its last quarter (*choice*), then estimate once more from all of it. The columns "
         "behind *choice* are shown and not used."
     )
@@ -277,8 +279,10 @@ def _quarter_drone(report: Report, quick: bool) -> None:
         "delayed by 0.1 s):",
         _parameters(shown, reference, "README", {}),
         _ended(shown),
-        "Free run over 60 s / over windows of 2 s on the other records, rms [°]. The declared model "
-        "has no lag of the thrust: it is good for slow motion only, hence the low cut-off. The rows "
+        "Free run over 60 s / over windows of 2 s on the other records, rms [°]. The declared "
+        "model "
+        "has no lag of the thrust: it is good for slow motion only, hence the low cut-off. The "
+        "rows "
         "with a delayed command show what the lag is worth. No reference error is published.",
         table(["delay", "cut-off [rad/s]", "estimated from", "unexplained", *_DRONE], rows),
     )
@@ -363,7 +367,8 @@ def _qube(report: Report, quick: bool) -> None:
     spread = np.std(np.concatenate([one.outputs for one in held_out]), axis=0) / DEGREES
     report.add(
         f"Free run over windows on {len(held_out)} held-out episodes, rms [°] of arm, pendulum "
-        f"(their standard deviations: {spread[0]:.3g}, {spread[1]:.3g}; one step of the encoder: 0.176). "
+        f"(their standard deviations: {spread[0]:.3g}, {spread[1]:.3g}; one step of the encoder: "
+        "0.176). "
         "The plant is unstable, so windows are short, and the first 0.1 s of each is not scored. "
         "In these simulations the sign is tanh(θ'/0.05).",
         table(["parameters", "0.2 s", "0.3 s", "0.5 s"], rows),

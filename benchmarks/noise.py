@@ -27,9 +27,11 @@ def main() -> None:
     report.add(
         f"White noise on every output, its standard deviation σ a share of that output's rms; "
         f"records of 20 s (three masses 10 s) at 1 ms from `independent.py`, {seeds} seeds, "
-        "implicit form, smoothing decided by the library. *Error* is that of an increment Δθ over the true "
+        "implicit form, smoothing decided by the library. *Error* is that of an increment Δθ over "
+        "the true "
         "Δθ: the median over all increments and seeds, then the worst increment of a seed: its "
-        "median and its largest value over the seeds. Sub-steps: 5 for the three masses, else none. h² c3 / σ takes "
+        "median and its largest value over the seeds. Sub-steps: 5 for the three masses, else "
+        "none. h² c3 / σ takes "
         "the σ of the raw record: smoothing (zero phase, five times the filter's band) makes "
         "the relay's reach sufficient again."
     )

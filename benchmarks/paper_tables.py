@@ -125,7 +125,8 @@ def main() -> None:
         "Increments are compared with the true ones, Δθ. P is the index of eq. (14), one value an "
         "output. *Implicit* is the default form of the observers, *explicit* the published one "
         "(Euler, sign of the error at the start of the step) with the paper's gains; both with the "
-        "same filter on both sides of the regression (the paper filters u_eq alone). Data: `independent.py`."
+        "same filter on both sides of the regression (the paper: on what is noisy). Data: "
+        "`independent.py`."
     )
     _asked(report, given.quick)
     report.add("## Simulated experiments")
@@ -325,7 +326,7 @@ explicit form has no such floor and is merely of first order.
 
 The ratio first / smallest P depends on the first index too, hence on inputs and nominal values
 that the paper does not give in full. With ours it grows as $1/h^2$: the pendulum's index falls by
-the paper's factor of 714 at 6 µs, that of the first mass by 738 at 6 µs."""
+the paper's factor of 714 at about 6 µs, that of the first mass by 738 at about 6 µs."""
 
 
 def _figure(curves: dict[tuple[str, str], list[Point]]) -> None:
