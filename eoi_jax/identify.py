@@ -167,7 +167,7 @@ def identify(
         reasons += reason
     fine = tuple(record.resample(substeps) for record in several)
     if observer is None:
-        observer, reason = default_observer(plant, fine, lowpass.cutoff)
+        observer, reason = default_observer(plant, fine, lowpass.cutoff, substeps)
         reasons += reason
     if transient is None:
         transient = _default_transient(several, lowpass, explicit)
@@ -315,8 +315,12 @@ class _Driver:
         floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
         weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
         weights = weights / max(np.max(weights), np.finfo(float).tiny)
+        information = np.einsum("j,jab->ab", weights, sums.information)
+        # A share of f that rounding alone would give is no trace of its parameter.
+        share = np.abs(theta) * np.sqrt(np.maximum(np.diagonal(information), 0.0))
+        seen = (theta == 0) | (share > 1e-12 * np.max(share))
         solution = least_squares(
-            jnp.asarray(np.einsum("j,jab->ab", weights, sums.information)),
+            jnp.asarray(information * np.outer(seen, seen)),
             jnp.asarray(weights @ sums.rhs),
             jnp.asarray(self.plant.free),
             damping,
@@ -404,8 +408,10 @@ def _smoothed(
             np.sqrt(np.mean((np.diff(one.outputs, axis=0) / one.sample_period) ** 2, axis=0))
             for one in records
         ]
+        moving = np.asarray(plant.degrees) > 1
         noisy = any(
-            np.any(noise > _NOISY_RATE * rate) for noise, rate in zip(raw, rates, strict=True)
+            np.any((noise > _NOISY_RATE * rate) & moving)
+            for noise, rate in zip(raw, rates, strict=True)
         )
         smoothing = _SMOOTH_BAND * lowpass.cutoff if noisy else False
     if not smoothing:

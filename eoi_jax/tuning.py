@@ -1,17 +1,23 @@
-r"""Default gains and filter cut-off, read off the records, with the reason in words.
+r"""Default gains, filter and sub-steps, read off the records, with the reason in words.
 
-The cut-off keeps the band in which the record says something about the plant: 99 % of the power of
-y^(r), counted only where it stands above the measurement noise. The relay is set well above all
-that it may have to inject, so that the implicit observer stays in sliding; in the implicit form a
-large relay costs nothing (no chatter), and what noise it lets through, the filter removes.
+**Filter.** Least squares on F[y^(r)] is disturbed by the measurement noise that F lets through,
+whose density grows as ω^2r. The cut-off is the highest at which that noise stays below a
+thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the power of y^(r), so
+that the plant's own dynamics stay inside, and at most the one below which 99 % of it lies. One
+pole more than the derivatives that are taken bounds the noise at any sampling rate.
+
+**Relay.** It is set well above all that it may have to inject, so that the implicit observer stays
+in sliding; in the implicit form a large relay costs nothing (no chatter), and what noise it lets
+through, the filter removes.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -19,8 +25,10 @@ from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.plants.plant import Plant, State
 
-_POWER = 0.99  # of y^(r) below the cut-off
-_ABOVE_NOISE = 10.0  # power density of a frequency that counts as signal, over that of the noise
+_NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
+_CHANCE = 8.0  # standard deviations of the mean power of noise that chance does not reach
+_NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
+_CUTOFFS = 200  # that are tried
 _FINE = 0.05  # cut-off times step
 _MOST_SUBSTEPS = 20
 _MOST_SAMPLES = 2_000_000  # beyond this the memory of a sub-stepped record would show
@@ -28,30 +36,33 @@ _RELAY = 2.0  # relay over the largest injection foreseen
 
 
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
-    """The filter (19) and the reason for its cut-off."""
-    bands = [
-        signal_band(record, j, degree)
-        for record in records
-        for j, degree in enumerate(plant.degrees)
+    """The filter (19) for these records, and the reason for its cut-off."""
+    order = plant.relative_degree + 1
+    spectra = [
+        spectrum(record, j, degree) for record in records for j, degree in enumerate(plant.degrees)
     ]
-    period = max(record.sample_period for record in records)
-    duration = max(record.sample_period * len(record) for record in records)
-    low, high = 20.0 / duration, 0.1 * 2.0 * np.pi / period
-    band = float(np.max(bands))
-    cutoff = float(np.clip(band, low, high))
-    bound = {
-        low: " (at least 20 over the record's length)",
-        high: " (a tenth of the sampling rate)",
+    half, most = (max(one.below(share) for one in spectra) for share in (0.5, 0.99))
+    quiet = min(one.quiet_cutoff(_NOISE_SHARE, order) for one in spectra)
+    choices = {
+        f"the highest with noise below {_NOISE_SHARE:g} of the filtered highest derivative": quiet,
+        "below it lie 99 % of the power of the highest derivative": most,
     }
-    reason = (
-        f"cut-off {cutoff:.4g} rad/s: {100 * _POWER:.0f} % of the power of the highest derivative "
-        f"that stands above the noise lies below {band:.4g} rad/s{bound.get(cutoff, '')}"
-    )
-    return LowPass(cutoff), reason
+    reason = min(choices, key=lambda key: choices[key])
+    cutoff = choices[reason]
+    duration = max(record.sample_period * len(record) for record in records)
+    period = max(record.sample_period for record in records)
+    for why, limit, bound in (
+        ("below it lies half of the power of the highest derivative", max, half),
+        ("twenty over the record's length", max, 20.0 / duration),
+        ("a tenth of the sampling rate", min, 0.2 * np.pi / period),
+    ):
+        if limit(cutoff, bound) != cutoff:
+            reason, cutoff = why, bound
+    return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
 
 
 def default_observer(
-    plant: Plant, records: Sequence[Record], cutoff: float
+    plant: Plant, records: Sequence[Record], cutoff: float, substeps: int = 1
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
     """An implicit observer for each relative degree of the plant, and the reasons for its gains."""
     needed = _largest_injection(plant, records)
@@ -60,13 +71,13 @@ def default_observer(
         relay = _RELAY * float(needed[j])
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
-        ratio = period**degree * relay / noise if noise > 0 else np.inf
+        ratio = (substeps * period) ** degree * relay / noise if noise > 0 else np.inf
         # A first-order observer integrates its relay: it must reach the injection in one step.
         what = "delta" if degree == 1 else "relay"
         value = 2.0 * relay / period if degree == 1 else relay
         reasons.append(
             f"{plant.outputs[j]}: {what} {value:.3g}, {_RELAY:g} times the largest injection "
-            f"foreseen at the nominal parameters ({needed[j]:.3g}); its reach over one step is "
+            f"foreseen at the nominal parameters ({needed[j]:.3g}); its reach over one sample is "
             f"{ratio:.3g} times the measurement noise"
         )
         chosen.append(value)
@@ -109,21 +120,62 @@ def _build(
     return PerOutput(tuple(one(degree, gains[j]) for j, degree in enumerate(degrees)))
 
 
-def signal_band(record: Record, output: int, degree: int) -> float:
-    """Frequency [rad/s] below which 99 % of the noise-free power of y^(degree) lies."""
+@dataclass(frozen=True)
+class Spectrum:
+    """Power of y^(r) over frequency, in any one unit.
+
+    Attributes:
+        omega: frequencies, evenly spaced [rad/s].
+        signal: power of the signal at each, 0 where it is lost in the noise.
+        noise: expected power of the measurement noise at each.
+    """
+
+    omega: Float[np.ndarray, " frequency"]
+    signal: Float[np.ndarray, " frequency"]
+    noise: Float[np.ndarray, " frequency"]
+
+    def below(self, share: float) -> float:
+        """Frequency below which this share of the signal's power lies [rad/s]; 0 without signal."""
+        total = np.cumsum(self.signal)
+        if total[-1] <= 0:
+            return 0.0
+        return float(self.omega[np.searchsorted(total, share * total[-1])])
+
+    def quiet_cutoff(self, share: float, order: int) -> float:
+        """Highest cut-off [rad/s] whose filter passes noise below `share` of the signal (rms)."""
+        cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
+        gain = 1.0 / (1.0 + (self.omega / cutoffs[:, None]) ** (2 * order))
+        good = gain @ self.noise <= share**2 * (gain @ self.signal)
+        return float(cutoffs[np.flatnonzero(good)[-1]]) if np.any(good) else 0.0
+
+
+def spectrum(record: Record, output: int, degree: int) -> Spectrum:
+    """Spectrum of the derivative of one output, over the longest run of valid samples."""
     start, stop = max(record.segments(), key=lambda one: one[1] - one[0])
     y = record.outputs[start:stop, output]
-    h, n = record.sample_period, stop - start
+    n = stop - start
     line = np.polynomial.polynomial.polyfit(np.arange(n), y, 1)
     window = np.hanning(n)
-    spectrum = np.abs(np.fft.rfft(window * (y - line[0] - line[1] * np.arange(n)))) ** 2
-    omega = 2.0 * np.pi * np.fft.rfftfreq(n, h)
+    power = np.abs(np.fft.rfft(window * (y - line[0] - line[1] * np.arange(n)))) ** 2
+    omega = 2.0 * np.pi * np.fft.rfftfreq(n, record.sample_period)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
-    power = np.where(spectrum > _ABOVE_NOISE * floor, spectrum, 0.0) * omega ** (2 * degree)
-    total = np.cumsum(power)
-    if total[-1] <= 0:
-        return 0.0
-    return float(omega[np.searchsorted(total, _POWER * total[-1])])
+    derivative = omega ** (2 * degree)
+    signal = np.where(_above(power, floor), power, 0.0) * derivative
+    return Spectrum(omega, signal, floor * derivative)
+
+
+def _above(power: Float[np.ndarray, " frequency"], floor: float) -> Bool[np.ndarray, " frequency"]:
+    """Where the power, averaged over neighbours, is more than white noise gives by chance.
+
+    The average spans a fixed ratio of frequencies: single bins at high frequency, which ω^2r weighs
+    most, are many, and one of them exceeds its expectation manifold in every record.
+    """
+    bins = np.arange(len(power))
+    reach = _NEIGHBOURS + (_RATIO * bins).astype(int)
+    first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    count = last - first
+    return (total[last] - total[first]) / count > (1.0 + _CHANCE / np.sqrt(count)) * floor
 
 
 def _largest_injection(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
