@@ -112,12 +112,13 @@ def _emps(report: Report, quick: bool) -> None:
         start = plant.with_parameters(
             {key: value * factors[key] for key, value in published.parameters.items()}
         )
-        one = eoi.identify(start, records, passes=20)
+        one = eoi.identify(start, records, passes=60)
         off = {key: one.parameters[key] / published.parameters[key] - 1.0 for key in _ASKED}
         offset = one.parameters["offset"] - published.parameters["offset"]
         good = all(abs(off[key]) <= _ASKED[key] for key in off) and abs(offset) <= 0.3
         rows.append([
-            label, one.best_pass + 1, one.status.code, *(percent(value) for value in off.values()),
+            label, f"{one.best_pass + 1} of {len(one.index)}", one.status.code,
+            *(percent(value) for value in off.values()),
             f"{offset:.2g} N", percent(one.unexplained[0]), "yes" if good else "NO",
         ])  # fmt: skip
     report.add(
