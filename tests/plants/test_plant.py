@@ -1,0 +1,281 @@
+"""The grey-box model: its regressor, its structure found by probing, what it refuses."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eoi_jax.plants import Plant, State
+
+POINT = (jnp.asarray(0.4), State(jnp.array([[0.3], [-0.7]]), jnp.zeros(0)), jnp.array([1.2]))
+
+
+def spring(t, x, u, p):
+    return -p.k * x.y[0] - p.d * x.y[1] + p.g * u
+
+
+def shaped(t, x, u, p):
+    return -jnp.exp(p.k) * x.y[0] - p.d * jnp.tanh(p.g * x.y[1]) + u * p.k * p.g
+
+
+PARAMETERS = {"k": 2.0, "d": 0.5, "g": 1.5}
+SPRING = Plant(spring, PARAMETERS, 2)
+SHAPED = Plant(shaped, PARAMETERS, 2)
+
+
+# -- the equations ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plant", [SPRING, SHAPED], ids=["affine", "nonlinear"])
+def test_regressor_is_the_derivative_of_f(plant):
+    theta, step = jnp.asarray(plant.theta), 1e-6
+    got = plant.regressor(*POINT, theta)
+    assert got.shape == (1, 3)
+    for i in range(3):
+        shift = step * jnp.eye(3)[i]
+        ends = [float(plant.derivative(*POINT, theta + sign * shift)[0]) for sign in (1.0, -1.0)]
+        assert float(got[0, i]) == pytest.approx((ends[0] - ends[1]) / (2.0 * step), abs=1e-8)
+
+
+def test_regressor_of_an_affine_plant_holds_its_columns():
+    got = SPRING.regressor(*POINT, jnp.asarray(SPRING.theta))
+    np.testing.assert_allclose(got, [[-0.3, 0.7, 1.2]], rtol=1e-14)
+
+
+def test_regressor_of_several_outputs_has_a_row_each():
+    def two(t, x, u, p):
+        return jnp.stack([-p.k * (x.y[0, 0] - x.y[0, 1]), p.k * (x.y[0, 0] - x.y[0, 1])])
+
+    plant = Plant(two, {"k": 3.0}, outputs=("left", "right"))
+    x = State(jnp.array([[0.5, 0.2]]), jnp.zeros(0))
+    got = plant.regressor(jnp.asarray(0.0), x, jnp.zeros(1), jnp.asarray(plant.theta))
+    np.testing.assert_allclose(got, [[-0.3], [0.3]], rtol=1e-14)
+
+
+def test_a_scalar_does_for_one_output():
+    plant = Plant(lambda t, x, u, p: p.a * u[0], {"a": 2.0})
+    x = State(jnp.zeros((1, 1)), jnp.zeros(0))
+    f = plant.derivative(jnp.asarray(0.0), x, jnp.array([3.0]), jnp.array([2.0]))
+    np.testing.assert_allclose(f, [6.0])
+
+
+def test_parameters_are_reached_by_name_in_their_order():
+    values = SPRING.named(np.array([1.0, 2.0, 3.0]))
+    assert (values.k, values.d, values.g) == (1.0, 2.0, 3.0)
+    assert SPRING.parameters == PARAMETERS
+    assert SPRING.names == ("k", "d", "g")
+
+
+def test_other_parameters_leave_everything_else():
+    other = SPRING.with_parameters({"d": 9.0})
+    assert other.parameters == {"k": 2.0, "d": 9.0, "g": 1.5}
+    assert SPRING.parameters == PARAMETERS
+    again = SPRING.with_parameters(np.array([1.0, 2.0, 3.0]))
+    assert again.parameters == {"k": 1.0, "d": 2.0, "g": 3.0}
+    assert jax.tree.structure(again) == jax.tree.structure(SPRING)
+
+
+def test_internal_states_have_their_rate_and_their_start():
+    plant = Plant(
+        lambda t, x, u, p: p.a * x.z[0],
+        {"a": 2.0, "z0": 0.7},
+        internal=lambda t, x, u, p: -p.a * x.z + u,
+        internal_initial=lambda p: jnp.stack([p.z0]),
+    )
+    theta = jnp.asarray(plant.theta)
+    np.testing.assert_allclose(plant.internal_start(theta), [0.7])
+    x = State(jnp.zeros((1, 1)), jnp.array([0.5]))
+    rate = plant.internal_rate(jnp.asarray(0.0), x, jnp.array([3.0]), theta)
+    np.testing.assert_allclose(rate, [2.0])
+    given = Plant(plant.dynamics, {"a": 1.0}, internal=plant.internal, internal_initial=[0.2])
+    np.testing.assert_allclose(given.internal_start(jnp.asarray([1.0])), [0.2])
+
+
+def test_without_internal_states_there_is_no_rate():
+    assert SPRING.internal_rate(*POINT, jnp.asarray(SPRING.theta)).shape == (0,)
+    assert SPRING.internal_start(jnp.asarray(SPRING.theta)).shape == (0,)
+
+
+def test_fixed_parameters_are_not_free():
+    plant = Plant(spring, PARAMETERS, 2, fixed="d")
+    np.testing.assert_array_equal(plant.free, [1.0, 0.0, 1.0])
+    np.testing.assert_array_equal(Plant(spring, PARAMETERS, 2, fixed=("k", "g")).free, [0, 1, 0])
+
+
+def test_the_same_equations_share_one_structure():
+    """jit compares static parts: a plant built twice must be compiled once."""
+    again = Plant(spring, {"k": 5.0, "d": 6.0, "g": 7.0}, 2)
+    assert jax.tree.structure(again) == jax.tree.structure(SPRING)
+
+
+# -- structure found by probing ---------------------------------------------------------------
+
+
+def test_a_plant_is_affine_where_its_parameters_enter_linearly():
+    assert SPRING.is_affine
+    offset = Plant(lambda t, x, u, p: p.a * jnp.sin(x.y[0]) + 3.0 * u, {"a": 1.0})
+    assert offset.is_affine
+    assert not SHAPED.is_affine
+    product = Plant(lambda t, x, u, p: p.a * p.b * x.y[0] + u, {"a": 1.0, "b": 1.0})
+    assert not product.is_affine
+    internal = Plant(
+        lambda t, x, u, p: x.z,
+        {"a": 1.0},
+        internal=lambda t, x, u, p: -p.a * x.z + u,
+        internal_initial=[0.0],
+    )
+    assert not internal.is_affine  # its sensitivity depends on a
+
+
+def coulomb(p, v):
+    return p.c * jnp.sign(v)
+
+
+FRICTION = {
+    "Coulomb": coulomb,
+    "Stribeck": lambda p, v: (p.c + p.s * jnp.exp(-((v / 0.1) ** 2))) * jnp.sign(v),
+    "asymmetric": lambda p, v: jnp.where(v > 0, p.c, -p.s),
+    "with viscous": lambda p, v: p.s * v + p.c * jnp.sign(v),
+    "one-sided": lambda p, v: p.c * jnp.heaviside(v, 0.5),
+}
+SMOOTH = {
+    "none": lambda p, v: 0.0 * p.c * v + 0.0 * p.s,
+    "viscous": lambda p, v: p.c * v + p.s * v**3,
+    "boundary layer": lambda p, v: p.c * jnp.tanh(v / 1e-3),
+    "quadratic drag": lambda p, v: p.c * v * jnp.abs(v),
+}
+
+
+def rubbing(friction, c=0.7):
+    def dynamics(t, x, u, p):
+        return -10.0 * x.y[0] - friction(p, x.y[1]) + u
+
+    return Plant(dynamics, {"c": c, "s": 0.4}, 2)
+
+
+@pytest.mark.parametrize("friction", FRICTION.values(), ids=FRICTION)
+@pytest.mark.parametrize("level", [0.7, 0.0])
+def test_dry_friction_is_found_even_at_a_nominal_level_of_zero(friction, level):
+    assert rubbing(friction, level).dry_friction == (True,)
+
+
+@pytest.mark.parametrize("friction", SMOOTH.values(), ids=SMOOTH)
+def test_smooth_friction_is_not_taken_for_dry(friction):
+    assert rubbing(friction).dry_friction == (False,)
+
+
+def test_dry_friction_is_found_for_the_output_that_has_it():
+    def two(t, x, u, p):
+        return jnp.stack([-p.k * x.y[0, 0], -p.k * x.y[0, 1] - p.c * jnp.sign(x.y[1, 1])])
+
+    assert Plant(two, {"k": 1.0, "c": 0.0}, 2, outputs=("a", "b")).dry_friction == (False, True)
+
+
+def test_a_level_has_no_velocity_to_stick():
+    assert Plant(lambda t, x, u, p: p.a * jnp.sign(x.y[0]), {"a": 1.0}).dry_friction == (False,)
+    assert not any(
+        Plant(
+            lambda t, x, u, p: p.a * jnp.sign(x.y[0]), {"a": 1.0}, (1, 2), outputs=("a", "b")
+        ).dry_friction
+    )
+
+
+@pytest.mark.xfail(strict=True, reason="the threshold of a jump is 1e-4 of f itself")
+def test_dry_friction_of_a_stiff_plant_is_found():
+    def stiff(t, x, u, p):
+        return -p.k * x.y[0] - p.c * jnp.sign(x.y[1]) + u
+
+    assert Plant(stiff, {"k": 1e6, "c": 1.0}, 2).dry_friction == (True,)
+
+
+def test_at_rest_gives_f_on_both_sides_of_zero_velocity():
+    plant = rubbing(coulomb)
+    x = State(jnp.array([[0.1], [5.0]]), jnp.zeros(0))
+    above, below = plant.at_rest(jnp.asarray(0.0), x, jnp.array([0.5]), jnp.asarray(plant.theta))
+    np.testing.assert_allclose(above, [-1.0 - 0.7 + 0.5], rtol=1e-12)
+    np.testing.assert_allclose(below, [-1.0 + 0.7 + 0.5], rtol=1e-12)
+
+
+def test_at_rest_moves_each_output_alone():
+    def two(t, x, u, p):
+        v = x.y[1]
+        return jnp.stack([-jnp.sign(v[0]) * p.c + 10.0 * v[1], -jnp.sign(v[1]) * p.c + v[0]])
+
+    plant = Plant(two, {"c": 2.0}, 2, outputs=("a", "b"))
+    x = State(jnp.array([[0.0, 0.0], [3.0, 4.0]]), jnp.zeros(0))
+    above, below = plant.at_rest(jnp.asarray(0.0), x, jnp.zeros(1), jnp.array([2.0]))
+    np.testing.assert_allclose(above, [-2.0 + 40.0, -2.0 + 3.0])
+    np.testing.assert_allclose(below, [2.0 + 40.0, 2.0 + 3.0])
+
+
+def test_at_rest_of_a_level_is_f_itself():
+    plant = Plant(lambda t, x, u, p: -p.a * x.y[0] + u, {"a": 2.0})
+    x = State(jnp.array([[0.5]]), jnp.zeros(0))
+    above, below = plant.at_rest(jnp.asarray(0.0), x, jnp.array([3.0]), jnp.array([2.0]))
+    np.testing.assert_allclose([above, below], [[2.0], [2.0]])
+
+
+# -- wrong calls ------------------------------------------------------------------------------
+
+
+def build(**change):
+    call = {"dynamics": spring, "parameters": PARAMETERS, "relative_degree": 2} | change
+    return Plant(**call)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parameters": {}}, "`parameters` must name at least one parameter"),
+        ({"parameters": {"k 1": 1.0}}, "`parameters` must have names that are Python identifiers"),
+        ({"parameters": {"lambda": 1.0}}, "Python identifiers, got 'lambda'. The model reads them"),
+        ({"parameters": {"_k": 1.0}}, "Python identifiers, got '_k'"),
+        ({"parameters": {"k": np.nan}}, "`parameters` must be finite"),
+        ({"fixed": ("dd",)}, "`fixed` must be one of k, d, g, got 'dd'. Did you mean `d`"),
+        ({"fixed": ("k", "d", "g")}, "`fixed` must leave a parameter to estimate, got k, d, g"),
+        ({"bounds": {"kk": (0.0, 1.0)}}, "`bounds` must be one of k, d, g, got 'kk'"),
+        (
+            {"bounds": {"k": (3.0, 1.0)}},
+            r"`bounds\[k\]` must be \(lower, upper\) with lower < upper",
+        ),
+        (
+            {"bounds": {"k": (0.0, 1.0)}},
+            r"`parameters\[k\]` must lie in its bounds \[0, 1\], got 2",
+        ),
+        ({"relative_degree": 0}, "`relative_degree` must be an integer ≥ 1, or 1 of them"),
+        ({"relative_degree": (1, 2)}, r"`relative_degree` must be .* got \(1, 2\)"),
+        ({"internal_initial": [0.0]}, "`internal_initial` must be left out without `internal`"),
+        (
+            {"internal": spring},
+            "`internal_initial` must be given with `internal`, got none. Give z",
+        ),
+        (
+            {"dynamics": lambda t, x, u, p: jnp.zeros(3)},
+            r"`dynamics` must return shape \(1,\), one value for each of the outputs y, got shape",
+        ),
+        (
+            {"internal": lambda t, x, u, p: jnp.zeros(3), "internal_initial": [0.0, 1.0]},
+            r"`internal` must return the shape of `internal_initial` \(2,\), got shape \(3,\)",
+        ),
+    ],
+)
+def test_wrong_calls_name_field_rule_and_value(change, message):
+    with pytest.raises(ValueError, match=message):
+        build(**change)
+
+
+def test_other_parameters_must_be_known():
+    with pytest.raises(ValueError, match="`parameters` must be one of k, d, g, got 'kk'"):
+        SPRING.with_parameters({"kk": 1.0})
+
+
+@pytest.mark.xfail(strict=True, reason="an array of another length is taken as it is")
+def test_other_parameters_must_be_as_many():
+    with pytest.raises(ValueError, match="parameters"):
+        SPRING.with_parameters(np.ones(2))
+
+
+@pytest.mark.xfail(strict=True, reason="not checked: a result then has two columns of one name")
+def test_outputs_must_have_different_names():
+    with pytest.raises(ValueError, match="outputs"):
+        Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, outputs=("y", "y"))

@@ -1,0 +1,110 @@
+"""Importing changes nothing; `configure` sets up JAX, each in a fresh process."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+OPTION = "xla_cpu_small_while_loop_byte_threshold"
+
+
+def fresh(code, **environment):
+    """Standard output of `code` in a new interpreter that fails on any other warning."""
+    clean = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=clean | {"JAX_PLATFORMS": "cpu"} | environment,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+def test_importing_prints_nothing_and_changes_no_setting():
+    code = """
+import os
+import jax
+before, flags = dict(jax.config.values), os.environ.get("XLA_FLAGS")
+import eoi_jax
+after = dict(jax.config.values)
+assert before == {key: after[key] for key in before}, "jax.config"
+assert os.environ.get("XLA_FLAGS") == flags, "XLA_FLAGS"
+from jax._src.xla_bridge import backends_are_initialized
+assert not backends_are_initialized(), "backend"
+"""
+    assert fresh(code) == ("", "")
+
+
+def test_importing_leaves_heavy_modules_alone():
+    code = """
+import sys
+import eoi_jax
+heavy = ("matplotlib", "pandas", "diffrax", "optimistix", "h5py", "rich", "typer")
+print([name for name in heavy if name in sys.modules])
+"""
+    assert fresh(code)[0].strip() == "[]"
+
+
+def test_configure_sets_precision_and_whole_loops_before_the_backend_starts(tmp_path):
+    code = f"""
+import os, warnings
+warnings.simplefilter("error")
+import eoi_jax
+eoi_jax.configure()
+eoi_jax.configure()
+assert os.environ["XLA_FLAGS"].count("{OPTION}") == 1, "once"
+import jax, jax.numpy as jnp
+print(jnp.ones(1).dtype, jax.config.jax_compilation_cache_dir)
+"""
+    shown, _ = fresh(code, EOI_CACHE=str(tmp_path))
+    assert shown.split() == ["float64", str(tmp_path)]
+
+
+def test_configure_keeps_flags_that_are_set_already():
+    code = f"""
+import os
+import eoi_jax
+eoi_jax.configure(float64=False, cache=False)
+assert os.environ["XLA_FLAGS"].startswith("--xla_force_host_platform_device_count=2 ")
+assert "{OPTION}" in os.environ["XLA_FLAGS"]
+import jax, jax.numpy as jnp
+print(jnp.ones(1).dtype, jax.device_count(), jax.config.jax_compilation_cache_dir)
+"""
+    shown, _ = fresh(code, XLA_FLAGS="--xla_force_host_platform_device_count=2")
+    assert shown.split() == ["float32", "2", "None"]
+
+
+def test_configure_warns_when_the_backend_runs_already():
+    code = """
+import os, warnings
+import jax.numpy as jnp
+jnp.ones(1).block_until_ready()
+import eoi_jax
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    eoi_jax.configure(cache=False)
+(one,) = caught
+assert one.category is RuntimeWarning
+print(one.message)
+assert "XLA_FLAGS" not in os.environ
+assert jnp.ones(1).dtype == "float64"
+"""
+    shown, _ = fresh(code)
+    assert "Call `eoi_jax.configure()` before using JAX" in shown
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_state_of_the_backend_is_asked_where_jax_tells_it(known):
+    spoil = "" if known else "del xla_bridge.backends_are_initialized"
+    code = f"""
+import jax.numpy as jnp
+from jax._src import xla_bridge
+jnp.ones(1).block_until_ready()
+{spoil}
+from eoi_jax.backend import _backend_runs
+print(_backend_runs())
+"""
+    assert fresh(code)[0].strip() == str(known)

@@ -1,0 +1,177 @@
+"""Gains and cut-off chosen from the records."""
+
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from problems import SWAY, Motion, grid, moved_mass_spring
+
+from eoi_jax.data.record import Record
+from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
+from eoi_jax.plants import Plant, level_tank, mass_spring_damper
+from eoi_jax.tuning import default_lowpass, default_observer, default_substeps
+
+H = 2e-3
+TRUE = mass_spring_damper(true=True).parameters
+PLANT = mass_spring_damper()
+
+
+def made(motion=SWAY, samples=8001, h=H, noise=0.0):
+    u, y = moved_mass_spring(grid(samples, h), TRUE, motion)
+    y = y + noise * np.random.default_rng(0).standard_normal(samples)
+    return Record.from_period(h, u, y, hold="smooth")
+
+
+def cutoff_of(*records, plant=PLANT):
+    return default_lowpass(plant, records)[0].cutoff
+
+
+@pytest.mark.parametrize("top", [15.0, 60.0])
+def test_cutoff_follows_the_band_of_the_highest_derivative(top):
+    lowpass, reason = default_lowpass(PLANT, [made(Motion((1.0, 0.5), (4.0, top), (0.0, 1.0)))])
+    # A line of the spectrum is smeared over two bins of 2π/16 s by the window.
+    assert lowpass.cutoff == pytest.approx(top, abs=1.0)
+    assert reason.startswith(f"cut-off {lowpass.cutoff:.4g} rad/s")
+    assert "99 % of the power" in reason
+
+
+def test_band_grows_with_the_derivative_that_is_looked_at():
+    record = made(Motion((1.0, 0.01), (3.0, 30.0), (0.0, 1.0)))
+    slow = Plant(lambda t, x, u, p: p.a * u, {"a": 1.0})
+    # 30 rad/s holds 1e-4 of the power of y, 1 % of that of ẏ, and half of that of ÿ.
+    assert cutoff_of(record, plant=slow) < 4.0
+    assert cutoff_of(record) == pytest.approx(30.0, abs=1.0)
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3])
+def test_noise_does_not_widen_the_band(noise):
+    # ω⁴ lifts white noise far above the signal's ÿ at the Nyquist frequency of 1571 rad/s.
+    cutoff = cutoff_of(made(noise=noise))
+    assert cutoff <= cutoff_of(made()) + 1.0
+    assert cutoff >= 6.0  # the motions at 7 and 12 rad/s hold most of the power of ÿ
+
+
+def test_widest_record_decides():
+    wide = made(Motion((1.0, 0.5), (4.0, 60.0), (0.0, 1.0)))
+    assert cutoff_of(made(), wide) == cutoff_of(wide)
+
+
+def test_cutoff_stays_a_decade_below_the_sampling_rate_and_says_so():
+    record = made(Motion((1.0,), (200.0,), (0.0,)), samples=2001, h=1e-2)
+    lowpass, reason = default_lowpass(PLANT, [record])
+    assert lowpass.cutoff == pytest.approx(0.1 * 2.0 * np.pi / 1e-2)
+    assert "a tenth of the sampling rate" in reason
+
+
+def test_cutoff_leaves_twenty_time_constants_to_a_short_record_and_says_so():
+    record = made(Motion((1.0,), (0.8,), (0.0,)), samples=4001)
+    slow = Plant(lambda t, x, u, p: p.a * u, {"a": 1.0})
+    lowpass, reason = default_lowpass(slow, [record])
+    assert lowpass.cutoff == pytest.approx(20.0 / (4001 * H))
+    assert "over the record's length" in reason
+
+
+def test_an_output_that_stands_still_still_gets_a_filter():
+    record = Record.from_period(H, np.zeros(100), np.full(100, 0.3))
+    assert 0.0 < cutoff_of(record) < np.inf
+
+
+def test_relay_is_twice_what_it_may_have_to_inject():
+    record = made()
+    observer, (reason,) = default_observer(PLANT, [record], 30.0)
+    assert isinstance(observer, SecondOrder)
+    t = grid(8001, H)
+    alpha, beta, rho = PLANT.theta
+    u = record.inputs[:, 0]
+    missing = SWAY(t, 2) + alpha * SWAY(t) + beta * SWAY(t, 1) - rho * u
+    relay = float(observer.c3[0])
+    assert relay > 1.9 * np.max(np.abs(missing))
+    bound = np.max(np.abs(SWAY(t, 2))) + np.max(np.abs(SWAY(t, 2) - missing))
+    assert relay == pytest.approx(2.0 * bound, rel=0.01)
+    # The reason names the relay, the bound, and the reach against the noise.
+    numbers = re.findall(r"relay ([\d.e+]+), 2 times .*\(([\d.e+]+)\); its reach", reason)
+    assert float(numbers[0][0]) == pytest.approx(relay, rel=5e-3)
+    assert float(numbers[0][1]) == pytest.approx(relay / 2.0, rel=5e-3)
+    assert reason.startswith("position: ")
+    assert "times the measurement noise" in reason
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+def test_relay_reaches_beyond_the_noise(noise):
+    """In sliding while h² c3 is ten times the noise: differences of the noise are in the bound."""
+    record = made(noise=noise)
+    observer, _ = default_observer(PLANT, [record], 30.0)
+    assert isinstance(observer, SecondOrder)
+    assert H**2 * float(observer.c3[0]) > 8.0 * noise
+
+
+def test_linear_gains_follow_the_cutoff():
+    observer, _ = default_observer(PLANT, [made()], 30.0)
+    assert isinstance(observer, SecondOrder)
+    assert float(observer.c1) == pytest.approx(1.4 * 30.0)
+    assert float(observer.c2) == pytest.approx(30.0**2)
+    assert observer.scheme == "implicit"
+
+
+def test_degree_one_gets_the_first_order_observer():
+    t = grid(2001, H)
+    record = Record.from_period(H, np.sin(t), 0.5 + 0.1 * np.sin(3.0 * t), hold="smooth")
+    observer, (reason,) = default_observer(level_tank(), [record], 30.0)
+    assert isinstance(observer, FirstOrder)
+    assert reason.startswith("level: delta ")
+
+
+def test_higher_and_mixed_degrees_get_their_own_observers():
+    t = grid(501, H)
+    y = np.stack([SWAY(t), SWAY(t + 1.0), SWAY(t + 2.0)], axis=1)
+    record = Record.from_period(H, np.sin(t), y, hold="smooth")
+    mixed = Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, (1, 2, 3), outputs=("a", "b", "c"))
+    observer, reasons = default_observer(mixed, [record], 30.0)
+    assert isinstance(observer, PerOutput)
+    assert [type(one) for one in observer.observers] == [FirstOrder, SecondOrder, HighOrder]
+    assert [reason[:3] for reason in reasons] == ["a: ", "b: ", "c: "]
+    same = Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, 3, outputs=("a", "b", "c"))
+    observer, _ = default_observer(same, [record], 30.0)
+    assert isinstance(observer, HighOrder)
+    assert np.shape(observer.bound) == (3,)
+
+
+def test_masked_samples_do_not_enter_the_bound():
+    t = grid(2001, H)
+    u, y = moved_mass_spring(t, TRUE)
+    clean, _ = default_observer(PLANT, [Record.from_period(H, u, y, hold="smooth")], 30.0)
+    spoilt, hole = np.array(y), np.array(y)
+    hole[900:1000] = np.nan
+    with pytest.warns(UserWarning, match="not finite"):
+        record = Record.from_period(H, u, hole, hold="smooth")
+    masked, _ = default_observer(PLANT, [record], 30.0)
+    assert isinstance(clean, SecondOrder)
+    assert isinstance(masked, SecondOrder)
+    assert float(masked.c3[0]) <= 1.01 * float(clean.c3[0])
+    spoilt[950] += 1.0  # an outlier that is not masked does
+    outlier, _ = default_observer(PLANT, [Record.from_period(H, u, spoilt, hold="smooth")], 30.0)
+    assert isinstance(outlier, SecondOrder)
+    assert float(outlier.c3[0]) > 1e3 * float(clean.c3[0])
+
+
+def test_a_model_that_is_not_finite_somewhere_still_gets_a_finite_relay():
+    plant = Plant(lambda t, x, u, p: -p.a * jnp.log(x.y[0]) + u, {"a": 1.0}, 2)
+    observer, _ = default_observer(plant, [made()], 30.0)
+    assert isinstance(observer, SecondOrder)
+    assert np.all(np.isfinite(observer.c3))
+
+
+def test_substeps_make_the_step_short_against_the_filter_and_say_so():
+    record = made(samples=401, h=1e-2)
+    assert default_substeps([record], 4.0) == (1, [])  # ω h = 0.04 already
+    substeps, (reason,) = default_substeps([record], 30.0)
+    assert substeps == 6  # ω h = 0.3 over 0.05
+    assert reason.startswith("6 sub-steps a sample")
+    # (ω h)²/6 of the highest derivative: 0.015 before, 36 times less after.
+    assert "from 0.015 to 0.00042" in reason
+
+
+def test_substeps_follow_the_slowest_record():
+    fast, slow = made(samples=401, h=1e-3), made(samples=401, h=1e-2)
+    assert default_substeps([fast, slow], 30.0)[0] == default_substeps([slow], 30.0)[0]
