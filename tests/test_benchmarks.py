@@ -10,8 +10,8 @@ import eoi_jax as eoi
 from eoi_jax.validate import validate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-import common
-import independent
+import common  # pyright: ignore[reportMissingImports]
+import independent  # pyright: ignore[reportMissingImports]
 
 
 def _best(result: eoi.Identification) -> float:
