@@ -82,6 +82,9 @@ def load(path: str | Path, plant: Plant | None = None) -> Any:
         plant: the plant of the result, if its model is not one of `eoi_jax.plants`; only its
             functions are taken, parameters come from the file.
 
+    Returns:
+        The result, of the class that was saved.
+
     Raises:
         ValueError: no such file, a file of something else or of a newer version, another plant.
     """

@@ -329,6 +329,23 @@ def test_fixed_parameters_keep_their_value():
     assert got.standard_errors["m"] == 0.0
 
 
+@pytest.mark.parametrize(
+    "start",
+    [
+        0.0,
+        pytest.param(
+            1e-14,
+            marks=pytest.mark.xfail(
+                strict=True, reason="the share of f decides at θ ≠ 0 whether a parameter is seen"
+            ),
+        ),
+    ],
+)
+def test_a_nominal_value_near_zero_is_as_good_as_zero(start):
+    got = identify(NOMINAL.with_parameters({"beta": start}), swaying(), OBSERVER, LOWPASS)
+    recovered(got, TRUE, 5e-4)
+
+
 def test_a_second_estimate_does_not_retrace_the_model():
     traced = []
 
@@ -450,6 +467,16 @@ def test_standard_errors_cover_the_truth_under_noise():
     ratio = np.mean(claimed, axis=0) / np.std(errors, axis=0)
     # Blocks cut differences of the noise apart that cancel over the record: 3 times too large here.
     assert np.all((ratio > 0.7) & (ratio < 4.0))
+
+
+@pytest.mark.xfail(
+    strict=True, reason="scores of one block sum to zero at the estimate: 1e-14 for an error of 0.3"
+)
+def test_standard_errors_of_a_record_of_one_block_do_not_claim_certainty():
+    record = swaying(150, noise=1e-3)  # 0.3 s; blocks of 3 memories of F are longer
+    got = identify(NOMINAL, record, OBSERVER, LOWPASS, smoothing=False, transient=0.1)
+    for name, error in got.standard_errors.items():
+        assert not error < 1e-6 * TRUE[name]  # large or NaN, not tiny
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -26,6 +26,9 @@ def square(
         offset: mean at half duty.
         duty: share of each period spent at the upper level, in (0, 1).
 
+    Returns:
+        The signal at the stamps, shape (N,).
+
     Raises:
         ValueError: an argument out of its range.
     """
@@ -48,6 +51,9 @@ def prbs(time: Any, amplitude: Real, switching_period: Real, seed: int) -> TimeA
         switching_period: shortest time between two switches [s].
         seed: integer ≥ 0.
 
+    Returns:
+        The signal at the stamps, shape (N,).
+
     Raises:
         ValueError: an argument out of its range.
     """
@@ -65,6 +71,9 @@ def chirp(time: Any, amplitude: Real, start: Real, stop: Real) -> TimeAxis:
         amplitude: peak value.
         start: frequency at the first stamp [Hz].
         stop: frequency at the last stamp [Hz].
+
+    Returns:
+        The signal at the stamps, shape (N,).
 
     Raises:
         ValueError: an argument out of its range.
@@ -91,6 +100,9 @@ def multisine(
         frequencies: band (low, high) [Hz], below half the sampling frequency.
         components: number n of cosines.
         seed: of the phases, integer ≥ 0.
+
+    Returns:
+        The signal at the stamps, shape (N,).
 
     Raises:
         ValueError: an argument out of its range, or more components than multiples of
@@ -131,6 +143,14 @@ def multisine(
 def steps(time: Any, levels: Sequence[Real] | np.ndarray, holding_time: Real) -> TimeAxis:
     """Levels one after the other, each for `holding_time` [s]; the last one stays.
 
+    Args:
+        time: stamps (N,) [s].
+        levels: values, in their order.
+        holding_time: of each level [s].
+
+    Returns:
+        The signal at the stamps, shape (N,).
+
     Raises:
         ValueError: an argument out of its range.
     """
@@ -143,6 +163,16 @@ def steps(time: Any, levels: Sequence[Real] | np.ndarray, holding_time: Real) ->
 
 def random_steps(time: Any, low: Real, high: Real, holding_time: Real, seed: int) -> TimeAxis:
     """Levels drawn uniformly from [low, high], a new one every `holding_time` [s].
+
+    Args:
+        time: stamps (N,) [s].
+        low: smallest level.
+        high: largest level.
+        holding_time: of each level [s].
+        seed: integer ≥ 0.
+
+    Returns:
+        The signal at the stamps, shape (N,).
 
     Raises:
         ValueError: an argument out of its range.

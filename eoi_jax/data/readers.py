@@ -57,6 +57,9 @@ def read_record(
             is in the file, or counts from the file's first sample.
         renames: ``{column: name in the record}``.
 
+    Returns:
+        The record, with `notes` on whatever was done to it.
+
     Raises:
         ValueError: a file that is missing, of an unknown kind or not what its name says; a column
             that is unknown, not numeric or of another length; no stamps and no sample period;

@@ -51,6 +51,9 @@ def least_squares(
         free: 1 for an estimated parameter, 0 for a fixed one.
         damping: added to the eigenvalues in the increment, which it shortens where they are
             small (Levenberg); for a model that is not affine in θ.
+
+    Returns:
+        Δθ, and which directions of θ the data say something about.
     """
     length = jnp.sqrt(jnp.maximum(jnp.diagonal(information), 0.0)) * free
     scale = jnp.where(length > 0, length, 1.0)
@@ -73,6 +76,11 @@ def least_squares(
 
 def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, " np"]) -> list[str]:
     """Combinations of free parameters that left no trace in the data, as text.
+
+    Args:
+        solution: of the least squares.
+        names: of the parameters.
+        free: 1 for an estimated parameter, 0 for a fixed one, as it was solved with.
 
     Returns:
         For example ``["mass"]`` or ``["0.71 b + 0.70 c"]``, in parameters' own units; empty if
