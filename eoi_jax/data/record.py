@@ -336,7 +336,8 @@ class Record:
         The d-th difference of white noise has the variance $\binom{2d}{d}\sigma^2$, and removes the
         signal the better the higher d and the faster the sampling. Signal that is left adds to
         the estimate, so the smallest over d = 2 … 8 is taken. Quantisation finer than the noise is
-        part of it; a signal that stands still between coarse steps hides it, see `quantum`.
+        part of it; a signal that stands still between coarse steps hides it from the differences,
+        so the noise is at least that of its steps, quantum/√12.
         Of a sub-stepped record it is the noise of its samples, of a smoothed one what the filter
         leaves of that.
 
@@ -350,9 +351,8 @@ class Record:
             differences = np.concatenate(pieces)  # empty for segments shorter than d + 1
             if len(differences):
                 estimates.append(np.sqrt(np.mean(differences**2, axis=0) / comb(2 * d, d)))
-        if not estimates:
-            return np.zeros(self.outputs.shape[1])
-        return np.min(estimates, axis=0)
+        steps = self.quantum / np.sqrt(12.0)
+        return np.maximum(np.min(estimates, axis=0), steps) if estimates else steps
 
     @property
     def quantum(self) -> Float[np.ndarray, " ny"]:
