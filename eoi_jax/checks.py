@@ -14,7 +14,9 @@ class RecordWarning(UserWarning):
     """A record was changed on the way in (resampled, masked): nothing is done silently."""
 
 
-def check(condition: bool, name: str, rule: str, value: object, advice: str = "") -> None:
+def check(
+    condition: bool | np.bool_, name: str, rule: str, value: object, advice: str = ""
+) -> None:
     """Raise ``"`name` rule, got value. advice"`` unless `condition` holds.
 
     Args:

@@ -87,14 +87,14 @@ class IdentifyTable(msgspec.Struct, frozen=True):
         passes: the most passes to make.
         transient: not scored at the start of each record [s]; absent: ten time constants of the
             filter.
-        substeps: observer steps per sample.
+        substeps: observer steps per sample; absent: chosen from the filter and the sampling.
         smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
             absent: decided from the record's noise.
     """
 
     passes: Count = 10
     transient: NotNegative | None = None
-    substeps: Count = 1
+    substeps: Count | None = None
     smoothing: Positive | bool | None = None
 
     def __post_init__(self) -> None:

@@ -23,6 +23,7 @@ from eoi_jax.checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
+from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records, prepare
@@ -38,7 +39,7 @@ _PATIENCE = 2
 _ROUNDING = 1e-10
 # A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
 # that went wrong, and how many such passes in a row end the run.
-_DAMPING = 1e-2
+_DAMPING = 0.1
 _RETRIES = 5
 # Velocity noise above this share of the velocity calls for smoothing the record.
 _NOISY_RATE = 0.01
@@ -153,6 +154,10 @@ def identify(
     """
     several = check_records(plant, records)
     check(isinstance(passes, int) and passes >= 1, "passes", "must be an integer ≥ 1", passes)
+    if transient is not None:
+        check(0.0 <= transient < np.inf, "transient", "must be a time ≥ 0 in seconds", transient)
+    if smoothing is True or (smoothing not in (None, False) and not smoothing > 0):
+        check(False, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
     reasons, notes = [], [note for record in several for note in _named_notes(record)]
     if lowpass is None:
         lowpass, reason = default_lowpass(plant, several)
@@ -176,7 +181,7 @@ def identify(
         fine,
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient,
-        3.0 * lowpass.memory,
+        lowpass.memory,
         rate_noise,
         explicit,
         _TAPER / lowpass.cutoff,
@@ -198,10 +203,17 @@ class _Pass:
 
     @property
     def cost(self) -> float:
-        """Σ_j log P_j; the smallest is the best pass."""
-        if not np.all(np.isfinite(self.index)):
+        """Σ_j log P_j over the outputs that were scored; the smallest is the best pass."""
+        power = self.index[self.sums.count > 0]
+        if not np.all(np.isfinite(power)):
             return np.inf
-        return float(np.sum(np.log(np.maximum(self.index, np.finfo(float).tiny))))
+        return float(np.sum(np.log(np.maximum(power, np.finfo(float).tiny))))
+
+    @property
+    def promise(self) -> float:
+        """Share of the index that Δθ takes away if φ does not change: Δθᵀ Σφᵀu_eq / Σu_eq²."""
+        gain = self.weights @ self.sums.rhs @ self.increment
+        return float(gain / max(self.weights @ self.sums.square, np.finfo(float).tiny))
 
     @property
     def settled(self) -> bool:
@@ -274,7 +286,9 @@ class _Driver:
                 self.callback(number + 1, self.passes, one.index)
             done.append(one)
             if best is None or one.cost < best.cost - _PROGRESS:
-                best, stale, damping = one, 0, 0.0
+                best, stale = one, 0
+                damping = damping / 10.0 if damping > _DAMPING else 0.0
+                one.increment = self._solve(theta, sums, damping).increment
             else:
                 stale += 1
                 if one.cost > best.cost and not self._affine:
@@ -294,16 +308,16 @@ class _Driver:
     def _pass(
         self, theta: np.ndarray, store: str, increment: Any = None, weights: Any = None
     ) -> tuple[Sums, Any]:
-        moved = None if increment is None else jnp.asarray(increment)
-        weighed = None if weights is None else jnp.asarray(weights)
+        moved = np.zeros_like(theta) if increment is None else increment
+        weighed = np.ones(len(self.plant.outputs)) if weights is None else weights
         sums, trace = run_pass(
             self.plant,
             self.observer,
             self.filters,
             self.steps,
             jnp.asarray(theta),
-            moved,
-            weighed,
+            jnp.asarray(moved),
+            jnp.asarray(weighed),
             store,
         )
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
@@ -316,11 +330,8 @@ class _Driver:
         weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
         weights = weights / max(np.max(weights), np.finfo(float).tiny)
         information = np.einsum("j,jab->ab", weights, sums.information)
-        # A share of f that rounding alone would give is no trace of its parameter.
-        share = np.abs(theta) * np.sqrt(np.maximum(np.diagonal(information), 0.0))
-        seen = (theta == 0) | (share > 1e-12 * np.max(share))
         solution = least_squares(
-            jnp.asarray(information * np.outer(seen, seen)),
+            jnp.asarray(information),
             jnp.asarray(weights @ sums.rhs),
             jnp.asarray(self.plant.free),
             damping,
@@ -329,11 +340,20 @@ class _Driver:
         return _Pass(theta, sums, power, weights, solution, moved - theta)
 
     def _covariance(self, one: _Pass, scored: Sums) -> np.ndarray:
-        r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory."""
-        blocks = float(np.sum(self.steps.block_end & np.any(self.steps.score > 0, axis=2)))
-        freedom = blocks / max(blocks - len(self.plant.names), 1.0)
+        r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory.
+
+        NaN where the records hold less than three blocks: too short to tell.
+        """
+        counted = np.any(self.steps.score > 0, axis=2)
+        inside = counted & (self.steps.block_weight > 0)
+        share = np.sum(inside) / max(np.sum(self.steps.block_weight > 0), 1)
+        blocks = int(share * np.sum(self.steps.block_end))
         inverse = np.asarray(one.solution.inverse)
-        return freedom * inverse @ scored.meat @ inverse
+        if blocks < 3:
+            return np.where(np.outer(self.plant.free, self.plant.free) > 0, np.nan, 0.0)
+        # One for the estimate, at which the scores of all samples sum to zero.
+        scale = np.sum(counted) / np.sum(inside) * blocks / (blocks - 1)
+        return scale * inverse @ scored.meat @ inverse
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
@@ -358,7 +378,7 @@ class _Driver:
         return arrays
 
     def _status(self, done: list[_Pass], best: int) -> Status:
-        if np.any(done[0].sums.count == 0):
+        if np.all(done[0].sums.count == 0):
             return Status("no_data", _NO_DATA)
         if not np.isfinite(done[best].cost):
             return Status("diverged", _DIVERGED)
@@ -366,19 +386,24 @@ class _Driver:
         if lost:
             return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
         number = best + 1
-        if len(done) < self.passes or best < len(done) - 1:
-            return Status("converged", f"the index is smallest in pass {number} of {len(done)}")
         if len(done) == 1:
             return Status("passes_exhausted", "one pass only: the nominal values were scored")
-        return Status(
-            "passes_exhausted",
-            f"the index still fell in pass {number}, the last: allow more passes",
-        )
+        if done[best].promise > _PROGRESS and len(done) == self.passes:
+            return Status("passes_exhausted", _MORE.format(number))
+        if done[best].promise <= _PROGRESS or self._affine:
+            return Status("converged", f"the index is smallest in pass {number} of {len(done)}")
+        return Status("stalled", _STALLED.format(number, done[best].promise))
 
 
 _NO_DATA = (
     "no sample is left to score: the record is shorter than the transient, masked, or the plant "
     "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
+)
+_MORE = "the index is smallest in pass {} and was still to fall: allow more passes"
+_STALLED = (
+    "the index is smallest in pass {}, though least squares promises to lower it by {:.0%} more: "
+    "the model is far from linear in its parameters there. Start from other nominal values, or "
+    "set bounds"
 )
 _DIVERGED = (
     "the model is not finite along the record: check units, nominal values, and functions such as "
@@ -429,7 +454,8 @@ def _smoothed(
 
 
 def _check_observer(plant: Plant, observer: AbstractObserver) -> None:
-    degrees = np.broadcast_to(observer.relative_degree, len(plant.outputs))
+    own = np.atleast_1d(observer.relative_degree)
+    degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
     check(
         tuple(degrees) == plant.degrees,
         "observer",
@@ -437,14 +463,16 @@ def _check_observer(plant: Plant, observer: AbstractObserver) -> None:
         f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
         "Leave it out to have one chosen; `PerOutput` mixes several.",
     )
-    for name, value in vars(observer).items():
-        shape = np.shape(value)
-        check(
-            not isinstance(value, np.ndarray | jax.Array) or shape in ((), (len(plant.outputs),)),
-            f"observer.{name}",
-            f"must be one number or {len(plant.outputs)}, one an output",
-            f"shape {shape}",
-        )
+    parts = observer.observers if isinstance(observer, PerOutput) else (observer,)
+    size = len(plant.outputs) if len(parts) == 1 else 1
+    for part in parts:
+        for name, value in vars(part).items():
+            check(
+                not isinstance(value, np.ndarray | jax.Array) or np.shape(value) in ((), (size,)),
+                f"observer.{name}",
+                f"must be one number or {size}, one an output",
+                f"shape {np.shape(value)}",
+            )
 
 
 def _mean(total: Any, weight: Any) -> np.ndarray:

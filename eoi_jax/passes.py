@@ -36,19 +36,21 @@ class Steps(eqx.Module):
         score: 1 where least squares and index count the step, shape (S, ny).
         restart: where the observer starts anew (first step, first step after a gap).
         start_rates: rough rates to start with, shape (rates, ny).
-        block_end: last step of each block of scores, for the covariance.
+        block_weight: of each step's scores in its block, for the covariance.
+        block_end: last step of each block.
         sample_period: h [s].
     """
 
-    time: Float[Array | np.ndarray, " S"]
-    y: Float[Array | np.ndarray, "S ny"]
-    y_next: Float[Array | np.ndarray, "S ny"]
-    u: Float[Array | np.ndarray, "S nu"]
-    use: Float[Array | np.ndarray, "S ny"]
-    score: Float[Array | np.ndarray, "S ny"]
-    restart: Bool[Array | np.ndarray, " S"]
-    block_end: Bool[Array | np.ndarray, " S"]
-    sample_period: Float[Array | np.ndarray, ""]
+    time: Float[Array | np.ndarray, "*batch S"]
+    y: Float[Array | np.ndarray, "*batch S ny"]
+    y_next: Float[Array | np.ndarray, "*batch S ny"]
+    u: Float[Array | np.ndarray, "*batch S nu"]
+    use: Float[Array | np.ndarray, "*batch S ny"]
+    score: Float[Array | np.ndarray, "*batch S ny"]
+    restart: Bool[Array | np.ndarray, "*batch S"]
+    block_weight: Float[Array | np.ndarray, "*batch S"]
+    block_end: Bool[Array | np.ndarray, "*batch S"]
+    sample_period: Float[Array | np.ndarray, "*batch"]
 
 
 class Sums(eqx.Module):
@@ -74,10 +76,10 @@ class Trace(eqx.Module):
     `weight` = F[m] it is a weighted mean over the filter's memory.
     """
 
-    injection: Float[Array, "S ny"]
-    explained: Float[Array, "S ny"]
-    weight: Float[Array, "S ny"]
-    Phi: Float[Array, "S ny np"] | None
+    injection: Float[Array, "*steps ny"]
+    explained: Float[Array, "*steps ny"]
+    weight: Float[Array, "*steps ny"]
+    Phi: Float[Array, "*steps ny np"] | None
 
 
 class _Carry(eqx.Module):
@@ -109,8 +111,8 @@ def run_pass(
         lowpass: the sampled filter of each record.
         steps: the records, padded to one length with `use` = `score` = 0.
         theta: θ of this pass.
-        increment: Δθ with which `Trace.explained` = F[φ] Δθ and the scores are formed.
-        weights: of each output in the scores, shape (ny,).
+        increment: Δθ with which `Trace.explained` = F[φ] Δθ and the scores are formed; or zero.
+        weights: of each output in the scores, shape (ny,); or one.
         store: ``"nothing"``, ``"signals"`` (injection and explained part), or
             ``"regressors"`` (F[φ] too).
 
@@ -183,7 +185,7 @@ class _Kernel(eqx.Module):
         return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
 
     def _step(self, carry: _Carry, row: tuple, h: Scalar) -> tuple[_Carry, Any]:
-        t, y, y_next, u, use, score, restart, block_end = row
+        t, y, y_next, u, use, score, restart, *block = row
         state = jax.tree.map(
             lambda new, old: jnp.where(restart, new, old), self._start(y, y_next, h), carry.observer
         )
@@ -203,7 +205,7 @@ class _Kernel(eqx.Module):
         # A model that is undefined where it does not count (√ of a negative level) must not spread.
         signals = jnp.where(use[:, None] > 0, use[:, None] * signals, 0.0)
         filtered = self.lowpass.step(carry.filtered, signals)
-        sums, block, shown = self._add(carry, filtered[0], seen, score, block_end)
+        sums, block, shown = self._add(carry, filtered[0], seen, score, *block)
         new = _Carry(
             state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
         )
@@ -254,6 +256,7 @@ class _Kernel(eqx.Module):
         output: Float[Array, "ny columns"],
         seen: Observation,
         score: Output,
+        block_weight: Scalar,
         block_end: Array,
     ) -> tuple[Sums, Array, Any]:
         injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
@@ -262,7 +265,7 @@ class _Kernel(eqx.Module):
         weighted = score[:, None] * phi
         block, meat = carry.block, old.meat
         if self.store != "nothing":
-            block = block + (self.weights * (injection - explained)) @ weighted
+            block = block + block_weight * (self.weights * (injection - explained)) @ weighted
             meat = meat + jnp.where(block_end, jnp.outer(block, block), 0.0)
             block = jnp.where(block_end, 0.0, block)
         sums = Sums(
@@ -292,6 +295,7 @@ def _rows(steps: Steps) -> tuple:
         steps.use,
         steps.score,
         steps.restart,
+        steps.block_weight,
         steps.block_end,
     )
 

@@ -15,6 +15,7 @@ from eoi_jax.plants.plant import Plant
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
+_BLOCKS, _FEWEST = 50, 10  # of scores, for the covariance, if the filter's memory allows them
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -23,8 +24,10 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     Raises:
         ValueError: no record, another number of channels, channels in another order, other units.
     """
-    several = (records,) if isinstance(records, Record) else tuple(records)
+    several = (records,) if isinstance(records, Record) else tuple(records or ())
     check(len(several) > 0, "records", "must hold at least one record", "none")
+    for one in several:
+        check(isinstance(one, Record), "records", "must be a Record or several", type(one).__name__)
     for record in several:
         for kind, names, own, signals in (
             ("inputs", plant.inputs, record.input_names, record.inputs),
@@ -60,7 +63,7 @@ def prepare(
     records: Sequence[Record],
     taps: int,
     transient: float,
-    block: float,
+    memory: float,
     rate_noise: Sequence[Float[np.ndarray, " ny"]],
     explicit: bool,
     taper: float,
@@ -72,13 +75,16 @@ def prepare(
         records: uniformly sampled.
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
-        block: length of a block of scores, several filter memories [s].
+        memory: of the filter [s]; scores further apart are independent.
         rate_noise: standard deviation of the measured increment over one step / h, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which a step's weight rises from zero beside one that does not count [s].
     """
     length = max(len(record) for record in records) - 1
-    friction = np.asarray(plant.dry_friction)
+    friction = plant.jumps
+    # Many blocks for a steady covariance, each longer than the filter remembers.
+    total = sum(len(record) * record.sample_period for record in records)
+    block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
     rows = []
     for record, noise in zip(records, rate_noise, strict=True):
         h = record.sample_period
@@ -88,25 +94,39 @@ def prepare(
         score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
         if explicit:
             score *= _settled(restart, round(transient / h))[:, None]
-        ends = np.zeros(len(use), dtype=bool)
-        ends[max(round(block / h), 1) - 1 :: max(round(block / h), 1)] = True
-        ends[-1] = True
         rows.append(
             (
-                record.time[:-1] + 0.5 * h,
+                record.time[:-1] + (0.0 if explicit else 0.5 * h),
                 record.outputs[:-1],
                 record.outputs[1:],
                 _inputs(record, explicit),
                 use,
                 score,
                 restart,
-                ends,
+                *_blocks(len(use), max(round(block / h), 1)),
             )
         )
     stacked = [
         np.stack([_pad(row[i], length, hold=i < 4) for row in rows]) for i in range(len(rows[0]))
     ]
     return Steps(*stacked, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
+
+
+def _blocks(
+    steps: int, length: int
+) -> tuple[Float[np.ndarray, " steps"], Bool[np.ndarray, " steps"]]:
+    """Weight of each step in its block, and where blocks end; a rest shorter than one is left out.
+
+    The mean square of block sums estimates the spectrum of the scores at frequency zero. White
+    measurement noise, differenced, has next to none there and much beside: the blocks are windowed
+    (Hann, mean square one), or that would leak in over their edges.
+    """
+    length = min(length, steps)
+    phase = (np.arange(steps) % length + 0.5) / length
+    weights = np.sqrt(8.0 / 3.0) * np.sin(np.pi * phase) ** 2
+    weights[steps - steps % length :] = 0.0
+    ends = (np.arange(steps) + 1) % length == 0
+    return weights, ends
 
 
 def moving(
@@ -126,20 +146,30 @@ def moving(
 
 
 def _usable(
-    record: Record, taps: int, friction: Bool[np.ndarray, " ny"], noise: Float[np.ndarray, " ny"]
+    record: Record,
+    taps: int,
+    friction: Bool[np.ndarray, "ny ny"],
+    noise: Float[np.ndarray, " ny"],
 ) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     valid = record.valid[:-1] & record.valid[1:]
     restart = valid & ~np.concatenate([[False], valid[:-1]])
     restart[0] = True
     good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
-    free = moving(np.diff(record.outputs, axis=0), noise)
-    good &= free | ~friction[None, :]
+    resting = ~moving(np.diff(record.outputs, axis=0), noise)
+    good &= ~(resting @ friction.T)  # its own friction, or another's that acts on it by inertia
+    good &= ~_constant(record)
     use = good.copy()
     for lag in range(1, taps):  # every step of the moving average must be good
         use[lag:] &= good[:-lag]
     # An implicit observer started on the measurement slides after about r steps.
     use &= _settled(restart, taps + 3)[:, None]
     return use.astype(float), restart
+
+
+def _constant(record: Record) -> Bool[np.ndarray, " ny"]:
+    """Outputs that never move: all that differences show of them is rounding."""
+    y = record.outputs[record.valid]
+    return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
 
 
 def _tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:

@@ -9,7 +9,7 @@ class Status:
 
     Attributes:
         code: one word for programs: ``"converged"``, ``"passes_exhausted"``,
-            ``"unidentifiable"``, ``"diverged"``, ``"no_data"``.
+            ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``.
         message: what happened, the likely cause, what to try.
     """
 
@@ -19,7 +19,7 @@ class Status:
     @property
     def ok(self) -> bool:
         """Whether the run has an answer for every free parameter."""
-        return self.code in ("converged", "passes_exhausted")
+        return self.code in ("converged", "passes_exhausted", "stalled")
 
     def __str__(self) -> str:
         return f"{self.code}: {self.message}"

@@ -64,7 +64,7 @@ def simulate(
     plant: Plant,
     time: ArrayLike,
     inputs: ArrayLike,
-    initial: ArrayLike | None = None,
+    initial: Any = None,
     *,
     hold: str = "auto",
     internal: ArrayLike | None = None,
@@ -175,34 +175,19 @@ def frictional(plant: Plant) -> tuple[bool, ...]:
             output of higher degree, which cannot stick; or in the acceleration of another output
             (masses coupled by inertia), on which a stuck one would act through its reaction.
     """
-    flags = plant.dry_friction
+    jumps = plant.jumps
+    flags = tuple(np.diagonal(jumps).tolist())
     for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
         if not flags[j]:
             continue
         rule = "must have relative degree 2 wherever f jumps with the sign of the velocity"
         check(degree == 2, "plant", rule, f"degree {degree} of output {key}")
-        struck = [plant.outputs[i] for i in _struck(plant, j) if i != j]
+        struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j]) if i != j]
         rule = "must have dry friction that acts on its own output alone"
         found = f"friction of {key} in the acceleration of {', '.join(struck)}"
         advice = "Masses coupled by inertia cannot be simulated with dry friction."
         check(not struck, "plant", rule, found, advice)
     return flags
-
-
-def _struck(plant: Plant, j: int) -> list[int]:
-    """Outputs whose highest derivative jumps with the sign of the velocity of output `j`."""
-    if len(plant.outputs) == 1:
-        return [j]
-    theta = jnp.asarray(plant.theta)
-    # One point where nothing is zero by accident.
-    y = 0.3 + 0.1 * np.arange(plant.relative_degree * len(plant.outputs), dtype=np.float64)
-    y = jnp.asarray(y.reshape(plant.relative_degree, -1))
-    z, t, u = plant.internal_start(theta), jnp.zeros(()), jnp.full((len(plant.inputs),), 0.7)
-    above, below = (
-        np.asarray(plant.derivative(t, State(y.at[1, j].set(rate), z), u, theta))
-        for rate in (_REST, -_REST)
-    )
-    return np.flatnonzero(np.abs(above - below) > 1e-6 * (1.0 + np.abs(above))).tolist()
 
 
 def trajectory(
@@ -425,7 +410,7 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
     return time
 
 
-def _initial(plant: Plant, initial: ArrayLike | None) -> Float[Array, "r ny"]:
+def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
     r, ny = plant.relative_degree, len(plant.outputs)
     value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
     if ny == 1 and value.shape == ():

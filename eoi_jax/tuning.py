@@ -13,11 +13,13 @@ through, the filter removes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -107,7 +109,7 @@ def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, lis
 def _build(
     degrees: tuple[int, ...], gains: Float[np.ndarray, " ny"], cutoff: float
 ) -> AbstractObserver:
-    def one(degree: int, value: Float[np.ndarray, "..."]) -> AbstractObserver:
+    def one(degree: int, value: Any) -> AbstractObserver:
         if degree == 1:
             return FirstOrder(delta=value)
         if degree == 2:
@@ -183,7 +185,7 @@ def _largest_injection(plant: Plant, records: Sequence[Record]) -> Float[np.ndar
     bounds = []
     for record in records:
         h, valid = record.sample_period, record.valid
-        model = np.abs(np.asarray(_model_along(plant, record)))[valid[:-1] & valid[1:]]
+        model = np.abs(_model_along(plant, record))[valid[:-1] & valid[1:]]
         bound = np.max(np.where(np.isfinite(model), model, 0.0), axis=0, initial=0.0)
         for j, degree in enumerate(plant.degrees):
             good = np.convolve(valid, np.ones(degree + 1), "valid") > degree
@@ -200,11 +202,15 @@ def _model_along(plant: Plant, record: Record) -> Float[np.ndarray, "steps ny"]:
     for degree in range(1, r):
         rate = np.diff(record.outputs, degree, axis=0) / h**degree
         rows.append(np.pad(rate, ((0, len(rows[0]) - len(rate)), (0, 0)), mode="edge"))
+    states = np.stack(rows, axis=1)
+    return np.asarray(_evaluate(plant, record.time[:-1], states, record.midpoint_inputs()))
+
+
+@eqx.filter_jit
+def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny"]:
+    """f at every step, with the internal states where they start."""
     theta = jnp.asarray(plant.theta)
     z = plant.internal_start(theta)
-
-    def at(t, y, u):
-        return plant.derivative(t, State(y, z), u, theta)
-
-    states = np.stack(rows, axis=1)
-    return jax.jit(jax.vmap(at))(record.time[:-1], states, record.midpoint_inputs())
+    return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, z), u, theta))(
+        time, states, inputs
+    )

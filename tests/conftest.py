@@ -15,6 +15,12 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", RuntimeWarning)  # the backend may run already under plugins
     configure(cache=False)
 
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A record that was changed says so; named here, for pytest would import it before the hook."""
+    config.addinivalue_line("filterwarnings", "default::eoi_jax.checks.RecordWarning")
+
+
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
 

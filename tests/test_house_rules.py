@@ -232,10 +232,6 @@ def test_the_api_is_a_list_of_explicit_names():
         assert all(alias.asname == alias.name for alias in node.names)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="`filterwarnings` names a class of the package, so pytest imports it before the hook",
-)
 def test_shapes_are_checked_at_run_time():
     """Else every annotation in the tests is decoration."""
     with pytest.raises(TypeCheckError):

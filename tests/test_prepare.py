@@ -12,9 +12,9 @@ H = 0.01
 ROUGH, SMOOTH = pendulum(), mass_spring_damper()
 
 
-def made(plant, records, taps=2, transient=0.0, block=1.0, noise=0.0, explicit=False, taper=0.0):
+def made(plant, records, taps=2, transient=0.0, memory=1.0, noise=0.0, explicit=False, taper=0.0):
     rate_noise = [np.full(len(plant.outputs), noise)] * len(records)
-    return prepare(plant, records, taps, transient, block, rate_noise, explicit, taper)
+    return prepare(plant, records, taps, transient, memory, rate_noise, explicit, taper)
 
 
 def record_of(y, hold="linear", u=None, **kwargs):
@@ -147,9 +147,26 @@ def test_transient_and_burn_in_are_not_scored_but_filtered():
         assert np.all(steps.use[i, 10:] == 1)
 
 
-def test_blocks_end_after_their_length_and_at_the_end():
-    steps = made(SMOOTH, [record_of(SWAY(grid(251, H)))], block=1.0)
-    np.testing.assert_array_equal(np.flatnonzero(steps.block_end[0]), [99, 199, 249])
+def test_blocks_have_their_length_and_a_rest_is_left_out():
+    record = record_of(SWAY(grid(251, H)))  # 2.5 s, a tenth of it is shorter than the memory
+    steps = made(SMOOTH, [record], memory=1.0)
+    np.testing.assert_array_equal(np.flatnonzero(steps.block_end[0]), [99, 199])
+    assert np.all(steps.block_weight[0, 200:] == 0.0)
+
+
+def test_weights_of_a_block_have_mean_square_one_and_vanish_at_its_ends():
+    steps = made(SMOOTH, [record_of(SWAY(grid(251, H)))], memory=1.0)
+    one = steps.block_weight[0, :100]
+    assert np.mean(one**2) == pytest.approx(1.0, rel=1e-6)
+    assert one[0] < 1e-3
+    np.testing.assert_allclose(one, one[::-1], rtol=1e-12)
+
+
+def test_a_long_record_has_fifty_blocks_and_a_short_one_ten_if_the_memory_allows():
+    long = made(SMOOTH, [record_of(SWAY(grid(5001, H)))], memory=0.01)
+    assert np.sum(long.block_end) == 50
+    short = made(SMOOTH, [record_of(SWAY(grid(1001, H)))], memory=0.9)
+    assert np.sum(short.block_end) == 10
 
 
 def test_padding_counts_nowhere_and_shows_the_model_no_new_number():

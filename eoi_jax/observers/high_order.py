@@ -55,7 +55,7 @@ class HighOrder(AbstractObserver):
 
     def __init__(self, bound: Any, degree: int, lambdas: tuple[float, ...] | None = None):
         check_gains("implicit", bound=bound)
-        check(degree >= 1, "degree", "must be an integer ≥ 1", degree)
+        check(isinstance(degree, int) and degree >= 1, "degree", "must be an integer ≥ 1", degree)
         check(
             lambdas is not None or degree in _LAMBDAS,
             "lambdas",
@@ -119,7 +119,7 @@ class HighOrder(AbstractObserver):
     def _root(self, b: Output, gains: list, h: Scalar) -> Output:
         r = self.degree
 
-        def newton(_: int, rho: Output) -> Output:
+        def newton(_: Any, rho: Output) -> Output:
             value, slope = jnp.ones_like(rho), jnp.zeros_like(rho)
             for i in range(r):  # Horner, highest power first
                 slope = slope * rho + value

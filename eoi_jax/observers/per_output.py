@@ -72,7 +72,7 @@ class PerOutput(AbstractObserver):
         )
         return tuple(new for new, _ in pairs), joined
 
-    def _columns(self, rates: list[Rates]) -> Rates:
+    def _columns(self, rates: list[Any]) -> Rates:
         rows = max(self.relative_degree) - 1
         padded = [jnp.pad(one, ((0, rows - one.shape[0]), (0, 0))) for one in rates]
         return jnp.concatenate(padded, axis=1)

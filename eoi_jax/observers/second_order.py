@@ -19,6 +19,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from eoi_jax.observers.observer import AbstractObserver, Observation, check_gains, gain
 from eoi_jax.types import Output, Rates, Scalar
@@ -101,7 +102,8 @@ class SecondOrder(AbstractObserver):
         injection = self.c3 * jnp.sign(e)
         x1 = state.x1 + h * (state.x2 + self.c1 * e)
         x2 = state.x2 + h * (drift + self.c2 * e + injection)
-        # A sampled relay crosses the surface within a few steps of the width h² c₃.
-        sliding = jnp.abs(e) <= 2.0 * h**2 * self.c3
+        # The sampled relay ends in a limit cycle at ω² = c₁/h, where its delay h cancels the
+        # damping: amplitude 4 c₃/(π ω²). Within twice that it follows.
+        sliding = jnp.abs(e) <= 8.0 / np.pi * self.c3 * h / self.c1
         new = SecondOrderState(x1, x2, drift)
         return new, Observation(injection, injection + drift, state.x2[None], sliding)

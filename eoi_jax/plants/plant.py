@@ -14,13 +14,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check, check_choice
 from eoi_jax.types import Input, Output, Regressor, Scalar
 
 # f just above and just below rest; small enough that only a jump shows between the two.
 _REST = 1e-9
+_APART = 1e3  # times as far
 
 
 class State(eqx.Module):
@@ -104,6 +105,8 @@ class Plant(eqx.Module):
         self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
         self.name = name or getattr(dynamics, "__name__", "plant")
         _check_names(self.names, self.fixed, bounds or {})
+        for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
+            check(len(set(channels)) == len(channels), kind, "must have different names", channels)
         self.theta = np.asarray([float(parameters[key]) for key in self.names])
         check(bool(np.all(np.isfinite(self.theta))), "parameters", "must be finite", parameters)
         limits = [(bounds or {}).get(key, (-np.inf, np.inf)) for key in self.names]
@@ -113,13 +116,13 @@ class Plant(eqx.Module):
             self.names, self.lower, self.theta, self.upper, strict=True
         ):
             check(
-                low < high,
+                bool(low < high),
                 f"bounds[{key}]",
                 "must be (lower, upper) with lower < upper",
                 (float(low), float(high)),
             )
             check(
-                low <= value <= high,
+                bool(low <= value <= high),
                 f"parameters[{key}]",
                 f"must lie in its bounds [{low:g}, {high:g}]",
                 float(value),
@@ -159,7 +162,7 @@ class Plant(eqx.Module):
             values: ``{name: value}`` for some or all names, or an array (np,).
 
         Raises:
-            ValueError: an unknown name.
+            ValueError: an unknown name, an array of another length.
         """
         if isinstance(values, Mapping):
             for key in values:
@@ -169,6 +172,13 @@ class Plant(eqx.Module):
             )
         else:
             theta = values
+            shape = np.shape(theta)
+            check(
+                shape == (len(self.names),),
+                "parameters",
+                f"must be {len(self.names)} values ({', '.join(self.names)})",
+                f"shape {shape}",
+            )
         return eqx.tree_at(lambda plant: plant.theta, self, theta)
 
     # -- equations ------------------------------------------------------------------------
@@ -209,18 +219,18 @@ class Plant(eqx.Module):
         A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
         Only outputs of relative degree 2 or more have a velocity among their states.
         """
-
-        def own(j: int, velocity: float) -> Scalar:
-            moved = State(x.y.at[1, j].set(velocity), x.z)
-            return self.derivative(t, moved, u, theta)[j]
-
         if self.relative_degree < 2:
             f = self.derivative(t, x, u, theta)
             return f, f
-        ny = len(self.outputs)
-        above = jnp.stack([own(j, _REST) for j in range(ny)])
-        below = jnp.stack([own(j, -_REST) for j in range(ny)])
-        return above, below
+        above = jnp.diagonal(self._with_velocities(t, x, u, theta, _REST))
+        return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -_REST))
+
+    def _with_velocities(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
+    ) -> Float[Array, "ny ny"]:
+        """f of every output, row j with the velocity of output j set to `velocity`."""
+        moved = [State(x.y.at[1, j].set(velocity), x.z) for j in range(len(self.outputs))]
+        return jnp.stack([self.derivative(t, one, u, theta) for one in moved])
 
     # -- structure, found by probing ------------------------------------------------------
 
@@ -236,12 +246,21 @@ class Plant(eqx.Module):
     @property
     def dry_friction(self) -> tuple[bool, ...]:
         """For each output, whether f jumps where its velocity changes sign."""
+        return tuple(np.diagonal(self.jumps).tolist())
+
+    @property
+    def jumps(self) -> Bool[np.ndarray, "ny ny"]:
+        """Whether f of output i jumps where the velocity of output j changes sign, at [i, j].
+
+        Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
+        """
+        ny = len(self.outputs)
         if self.relative_degree < 2:
-            return (False,) * len(self.outputs)
-        above, below = _rest(self, *_probes(self))
-        jumps = jnp.abs(above - below) > 1e-4 * (1.0 + jnp.abs(above) + jnp.abs(below))
-        found = np.any(np.asarray(jumps), axis=0) & (np.asarray(self.degrees) >= 2)
-        return tuple(found.tolist())
+            return np.zeros((ny, ny), dtype=bool)
+        near, far, size = _across_rest(self, *_probes(self))
+        # A slope grows with the distance between the two velocities, a jump does not.
+        jumps = (near > 1e2 * jnp.finfo(near.dtype).eps * size) & (near > 0.5 * far)
+        return np.any(np.asarray(jumps), axis=0) & (np.asarray(self.degrees) >= 2)
 
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
@@ -362,10 +381,20 @@ def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Ar
 
 
 @eqx.filter_jit
-def _rest(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-    """`Plant.at_rest` at every probe."""
+def _across_rest(
+    plant: Plant, t: Array, y: Array, u: Array, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Change of f_i from below to above rest of output j: near rest, further off; and its size."""
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-        return plant.at_rest(t, State(y, plant.internal_start(theta) + 0.1), u, theta)
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
+        x = State(y, plant.internal_start(theta) + 0.1)
+
+        def change(distance: float) -> tuple[Array, Array]:
+            above = plant._with_velocities(t, x, u, theta, distance)
+            below = plant._with_velocities(t, x, u, theta, -distance)
+            return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
+
+        (near, size), (far, _) = change(_REST), change(_APART * _REST)
+        return near, far, size
 
     return jax.vmap(one)(t, y, u, theta)

@@ -76,7 +76,7 @@ def test_the_text_of_a_result_holds_status_gains_and_reasons(result: Identificat
     text = tables.identification_text(result)
     assert text.startswith(f"three masses: {result.status.code}")
     assert "SecondOrder(c1 " in text
-    assert f"LowPass(cutoff {result.lowpass.cutoff:.4g}, order 2)" in text
+    assert f"LowPass(cutoff {result.lowpass.cutoff:.4g}, order {result.lowpass.order})" in text
     for line in (*result.reasons, *result.notes):
         assert line in text
     assert str(result) == text

@@ -1,0 +1,36 @@
+"""Arguments of a wrong type meet a house message, outside the tests' own type checks too."""
+
+import subprocess
+import sys
+
+import pytest
+
+CALLS = {
+    "identify(plant, None)": "`records` must hold at least one record, got none",
+    "identify(plant, [3])": "`records` must be a Record or several, got int",
+    "observers.HighOrder(1.0, 2.0)": "`degree` must be an integer ≥ 1, got 2.0",
+    "LowPass(1.0, 2.5)": "`order` must be an integer ≥ 1, got 2.5",
+}
+SCRIPT = """
+import eoi_jax as eoi
+plant = eoi.plants.pendulum()
+for call in {calls!r}:
+    try:
+        eval("eoi." + call)
+    except ValueError as error:
+        print(error)
+"""
+
+
+@pytest.fixture(scope="module")
+def answers() -> list[str]:
+    script = SCRIPT.format(calls=list(CALLS))
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("number", range(len(CALLS)), ids=list(CALLS))
+def test_a_wrong_type_is_named_with_its_rule(answers: list[str], number: int):
+    assert answers[number].startswith(list(CALLS.values())[number])
