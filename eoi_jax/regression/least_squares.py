@@ -9,6 +9,7 @@ alike. Directions without information keep their nominal value (the smallest Î”Î
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -37,6 +38,7 @@ class Solution(eqx.Module):
     scale: Float[Array, " np"]
 
 
+@jax.jit
 def least_squares(
     information: Float[Array, "np np"],
     rhs: Float[Array, " np"],
