@@ -197,7 +197,8 @@ def _commit() -> str:
         return run.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "eoi_jax", "configs")
+        sources = ("eoi_jax", "configs", "benchmarks/*.py")
+        changed = git("status", "--porcelain", "--untracked-files=no", *sources)
         return git("rev-parse", "--short", "HEAD") + (" with local changes" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

@@ -14,8 +14,6 @@ import eoi_jax as eoi
 
 LEVELS = (1e-5, 1e-4, 1e-3, 1e-2)  # of rms(y), output by output
 STEP = 1e-3
-# Sub-steps of the three masses: without any their discretisation error alone is 5 % at 1 ms.
-SUBSTEPS = {"three_masses": 5, "one_mass": 1, "pendulum": 1}
 USABLE = 0.05  # worst increment, median over the seeds
 
 
@@ -27,13 +25,11 @@ def main() -> None:
     report.add(
         f"White noise on every output, its standard deviation σ a share of that output's rms; "
         f"records of 20 s (three masses 10 s) at 1 ms from `independent.py`, {seeds} seeds, "
-        "implicit form, smoothing decided by the library. *Error* is that of an increment Δθ over "
-        "the true "
-        "Δθ: the median over all increments and seeds, then the worst increment of a seed: its "
-        "median and its largest value over the seeds. Sub-steps: 5 for the three masses, else "
-        "none. h² c3 / σ takes "
-        "the σ of the raw record: smoothing (zero phase, five times the filter's band) makes "
-        "the relay's reach sufficient again."
+        "implicit form, sub-steps and smoothing decided by the library. *Error* is that of an "
+        "increment Δθ over the true Δθ: the median over all increments and seeds, then the worst "
+        "increment of a seed: its median and its largest value over the seeds. h² c3 / σ, the "
+        "relay's reach over one sample, takes the σ of the raw record: smoothing (zero phase, five "
+        "times the filter's band) makes it sufficient again."
     )
     plants = {
         "one_mass": _one_mass(),
@@ -42,7 +38,7 @@ def main() -> None:
     }
     for name, one in plants.items():
         report.add(f"## {name.replace('_', ' ')}")
-        _plant(report, name, one, seeds)
+        _plant(report, one, seeds)
     report.close("noise", given.write)
 
 
@@ -59,7 +55,7 @@ def _one_mass() -> Case:
     )  # fmt: skip
 
 
-def _plant(report: Report, name: str, one: Case, seeds: int) -> None:
+def _plant(report: Report, one: Case, seeds: int) -> None:
     started = time.perf_counter()
     rms = np.sqrt(np.mean(one.record.outputs**2, axis=0))
     rows, usable = [], {}
@@ -68,7 +64,7 @@ def _plant(report: Report, name: str, one: Case, seeds: int) -> None:
         ("default", replace(one, observer=None, lowpass=None)),
     ):
         for level in (0.0, *LEVELS):
-            row, error = _level(tuned, level * rms, SUBSTEPS[name], seeds if level else 1)
+            row, error = _level(tuned, level * rms, seeds if level else 1)
             rows.append([gains, f"{level:g}", *row])
             if error <= USABLE:
                 usable[gains] = level
@@ -84,18 +80,17 @@ def _plant(report: Report, name: str, one: Case, seeds: int) -> None:
     )  # fmt: skip
 
 
-def _level(one: Case, sigma: np.ndarray, substeps: int, seeds: int) -> tuple[list[str], float]:
+def _level(one: Case, sigma: np.ndarray, seeds: int) -> tuple[list[str], float]:
     errors, sliding, reach, cutoffs, smoothed = [], [], [], [], 0
     for seed in range(seeds):
         noisy = with_outputs(one.record, with_sensor(one.record.outputs, sigma, 0.0, seed))
-        result = one.identify(noisy, substeps=substeps)
+        result = one.identify(noisy)
         errors.append([abs(value) for value in one.errors(result).values()])
         sliding.append(np.min(result.sliding_fraction))
-        h = noisy.sample_period / substeps
         assert isinstance(result.observer, eoi.observers.SecondOrder)
-        reach.append(np.min(h**2 * np.asarray(result.observer.c3) / np.maximum(sigma, 1e-300)))
+        reach.append(np.min(STEP**2 * np.asarray(result.observer.c3) / np.maximum(sigma, 1e-300)))
         cutoffs.append(result.lowpass.cutoff)
-        smoothed += any("smoothed" in note for note in result.notes)
+        smoothed += any("smoothed" in note for note in result.reasons)
     worst = np.max(errors, axis=1)
     row = [
         percent(float(np.median(errors))), percent(float(np.median(worst))),

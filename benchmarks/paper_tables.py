@@ -108,7 +108,7 @@ LABORATORY = (
         "The minimum is iteration 4, so three increments count; the final a, b, c are that sum, "
         "the increments in the text sum four. The nominal d is not given: 6.657 minus three "
         "increments is 103.000, minus the text's sum 102.7024. The rule, and its roundness, speak "
-        "for 103; the plant declares 102.7024, which changes nothing here.",
+        "for 103.",
     ),
 )  # fmt: skip
 
