@@ -23,14 +23,20 @@ from eoi_jax.checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records, prepare
+from eoi_jax.prepare import check_observer, check_records, prepare
 from eoi_jax.regression.index import index as index_of
 from eoi_jax.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.results import Status
-from eoi_jax.tuning import default_lowpass, default_observer, default_substeps
+from eoi_jax.tuning import (
+    default_lowpass,
+    default_observer,
+    default_smoothing,
+    default_substeps,
+    default_transient,
+    rate_noise,
+)
 
 # A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
 _PROGRESS = 1e-2
@@ -41,14 +47,10 @@ _ROUNDING = 1e-10
 # that went wrong, and how many such passes in a row end the run.
 _DAMPING = 0.1
 _RETRIES = 5
-# Velocity noise above this share of the velocity calls for smoothing the record.
-_NOISY_RATE = 0.01
 # Weights rise over this many time constants of F beside steps that do not count.
 _TAPER = 2.0
 # The injection over time is shown where the filter's memory holds at least this share that counts.
 _SHARE = 0.5
-# Smoothing keeps this many times the band of the filter F.
-_SMOOTH_BAND = 5.0
 
 
 @dataclass(frozen=True)
@@ -158,15 +160,19 @@ def identify(
         check(0.0 <= transient < np.inf, "transient", "must be a time ≥ 0 in seconds", transient)
     if smoothing is True or (smoothing not in (None, False) and not smoothing > 0):
         check(False, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
-    reasons, notes = [], [note for record in several for note in _named_notes(record)]
+    if observer is not None:
+        check_observer(plant, observer)
+    explicit = observer is not None and observer.scheme == "explicit"
+    reasons: list[str] = []
     if lowpass is None:
         lowpass, reason = default_lowpass(plant, several)
         reasons.append(reason)
-    several, rate_noise, note = _smoothed(plant, several, lowpass, smoothing)
-    notes += note
-    if observer is not None:
-        _check_observer(plant, observer)
-    explicit = observer is not None and observer.scheme == "explicit"
+    if smoothing is None:
+        smoothing, reason = default_smoothing(plant, several, lowpass.cutoff)
+        reasons += reason
+    noise = [rate_noise(record, smoothing) for record in several]
+    if smoothing:
+        several = tuple(record.smooth(smoothing) for record in several)
     if substeps is None:
         substeps, reason = (1, []) if explicit else default_substeps(several, lowpass.cutoff)
         reasons += reason
@@ -175,18 +181,19 @@ def identify(
         observer, reason = default_observer(plant, fine, lowpass.cutoff, substeps)
         reasons += reason
     if transient is None:
-        transient = _default_transient(several, lowpass, explicit)
+        transient = default_transient(several, lowpass, explicit)
     steps = prepare(
         plant,
         fine,
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient,
         lowpass.memory,
-        rate_noise,
+        noise,
         explicit,
         _TAPER / lowpass.cutoff,
     )
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
+    notes = [f"{record.name}: {note}" for record in several for note in record.notes]
     notes += _precision_note()
     driver = _Driver(plant, observer, filters, steps, substeps, passes, callback)
     return driver.run(several, lowpass, tuple(reasons), tuple(notes))
@@ -415,77 +422,10 @@ _UNTRACED = (
 )
 
 
-def _named_notes(record: Record) -> list[str]:
-    return [f"{record.name}: {note}" for note in record.notes]
-
-
-def _smoothed(
-    plant: Plant, records: tuple[Record, ...], lowpass: LowPass, smoothing: float | bool | None
-) -> tuple[tuple[Record, ...], list[np.ndarray], list[str]]:
-    """Records, smoothed if asked or needed; noise of their velocity; and a note.
-
-    White noise σ per sample is √2 σ/h in a velocity taken over one step; behind a zero-phase
-    low-pass of cut-off ω it is σ √(h ω³/3π).
-    """
-    raw = [np.sqrt(2.0) * record.noise / record.sample_period for record in records]
-    if smoothing is None and plant.relative_degree > 1:
-        rates = [
-            np.sqrt(np.mean((np.diff(one.outputs, axis=0) / one.sample_period) ** 2, axis=0))
-            for one in records
-        ]
-        moving = np.asarray(plant.degrees) > 1
-        noisy = any(
-            np.any((noise > _NOISY_RATE * rate) & moving)
-            for noise, rate in zip(raw, rates, strict=True)
-        )
-        smoothing = _SMOOTH_BAND * lowpass.cutoff if noisy else False
-    if not smoothing:
-        return records, raw, []
-    nyquist = min(np.pi / record.sample_period for record in records)
-    if smoothing >= 0.9 * nyquist:
-        return records, raw, []
-    cutoff = float(smoothing)
-    kept = [one.noise * np.sqrt(one.sample_period * cutoff**3 / (3.0 * np.pi)) for one in records]
-    note = (
-        f"smoothed at {cutoff:.4g} rad/s, outputs and inputs alike, zero phase: the noise of the "
-        f"velocity falls from {np.max(raw):.2g} to {np.max(kept):.2g}"
-    )
-    return tuple(record.smooth(cutoff) for record in records), kept, [note]
-
-
-def _check_observer(plant: Plant, observer: AbstractObserver) -> None:
-    own = np.atleast_1d(observer.relative_degree)
-    degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
-    check(
-        tuple(degrees) == plant.degrees,
-        "observer",
-        f"must have the relative degree of the plant's outputs, {plant.degrees}",
-        f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
-        "Leave it out to have one chosen; `PerOutput` mixes several.",
-    )
-    parts = observer.observers if isinstance(observer, PerOutput) else (observer,)
-    size = len(plant.outputs) if len(parts) == 1 else 1
-    for part in parts:
-        for name, value in vars(part).items():
-            check(
-                not isinstance(value, np.ndarray | jax.Array) or np.shape(value) in ((), (size,)),
-                f"observer.{name}",
-                f"must be one number or {size}, one an output",
-                f"shape {np.shape(value)}",
-            )
-
-
 def _mean(total: Any, weight: Any) -> np.ndarray:
     """Total over weight; 0 where nothing was added up."""
     weight = np.asarray(weight)
     return np.where(weight > 0, np.asarray(total) / np.where(weight > 0, weight, 1.0), 0.0)
-
-
-def _default_transient(records: tuple[Record, ...], lowpass: LowPass, explicit: bool) -> float:
-    shortest = min(record.sample_period * len(record) for record in records)
-    # The explicit observer also has to reach its surface; published gains take about a second.
-    wanted = 10.0 / lowpass.cutoff + (1.0 if explicit else 0.0)
-    return min(wanted, 0.2 * shortest)
 
 
 def _stacked(filters: list[DiscreteFilter]) -> DiscreteFilter:

@@ -5,11 +5,14 @@ All on the host, once for an estimate; the kernel then reads one rectangular bat
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
+from eoi_jax.observers.observer import AbstractObserver
+from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant
 
@@ -56,6 +59,37 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                     "Convert the column, or correct the unit.",
                 )
     return several
+
+
+def check_observer(plant: Plant, observer: AbstractObserver) -> None:
+    """An observer must suit the plant's outputs.
+
+    Args:
+        plant: whose relative degrees count.
+        observer: with its gains.
+
+    Raises:
+        ValueError: another relative degree, gains that are neither one nor one an output.
+    """
+    own = np.atleast_1d(observer.relative_degree)
+    degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
+    check(
+        tuple(degrees) == plant.degrees,
+        "observer",
+        f"must have the relative degree of the plant's outputs, {plant.degrees}",
+        f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
+        "Leave it out to have one chosen; `PerOutput` mixes several.",
+    )
+    parts = observer.observers if isinstance(observer, PerOutput) else (observer,)
+    size = len(plant.outputs) if len(parts) == 1 else 1
+    for part in parts:
+        for name, value in vars(part).items():
+            check(
+                not isinstance(value, np.ndarray | jax.Array) or np.shape(value) in ((), (size,)),
+                f"observer.{name}",
+                f"must be one number or {size}, one an output",
+                f"shape {np.shape(value)}",
+            )
 
 
 def prepare(

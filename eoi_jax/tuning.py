@@ -31,6 +31,8 @@ _NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
 _CHANCE = 8.0  # standard deviations of the mean power of noise that chance does not reach
 _NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
 _CUTOFFS = 200  # that are tried
+_NOISY_RATE = 0.01  # noise of the velocity over the velocity, rms, that calls for smoothing
+_SMOOTH_BAND = 5.0  # of the smoothing over the cut-off of F
 _FINE = 0.015  # cut-off times step
 _MOST_SUBSTEPS = 20
 _MOST_SAMPLES = 2_000_000  # beyond this the memory of a sub-stepped record would show
@@ -84,6 +86,55 @@ def default_observer(
         )
         chosen.append(value)
     return _build(plant.degrees, np.asarray(chosen), cutoff), tuple(reasons)
+
+
+def default_smoothing(
+    plant: Plant, records: Sequence[Record], cutoff: float
+) -> tuple[float | bool, list[str]]:
+    """Zero-phase cut-off [rad/s] for records whose noise hides the velocity, else False; and why.
+
+    A model sees the velocity before the filter F does: sign(ẏ) or ẏ|ẏ| of a noisy velocity is
+    wrong in the mean, and no filter behind it can mend that.
+    """
+    smoothing = _SMOOTH_BAND * cutoff
+    moving = np.asarray(plant.degrees) > 1
+    noisy = False
+    for record in records:
+        rates = np.diff(record.outputs, axis=0) / record.sample_period
+        rms = np.sqrt(np.mean(rates**2, axis=0))
+        noisy |= bool(np.any((rate_noise(record, False) > _NOISY_RATE * rms) & moving))
+    if not noisy or smoothing > 0.9 * min(np.pi / record.sample_period for record in records):
+        return False, []
+    before, after = (
+        max(float(np.max(rate_noise(record, one))) for record in records)
+        for one in (False, smoothing)
+    )
+    reason = (
+        f"smoothed at {smoothing:.4g} rad/s, outputs and inputs alike, zero phase: the noise of "
+        f"the velocity falls from {before:.2g} to {after:.2g}"
+    )
+    return smoothing, [reason]
+
+
+def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the noise in a velocity taken over one step [unit of y / s].
+
+    White noise σ per sample gives √2 σ/h; behind a zero-phase low-pass of cut-off ω it gives
+    σ √(h ω³/3π).
+    """
+    h = record.sample_period
+    if smoothing:
+        return record.noise * np.sqrt(h * float(smoothing) ** 3 / (3.0 * np.pi))
+    return np.sqrt(2.0) * record.noise / h
+
+
+def default_transient(records: Sequence[Record], lowpass: LowPass, explicit: bool) -> float:
+    """Ten time constants of F, at most a fifth of the shortest record [s].
+
+    The explicit observer also has to reach its surface; published gains take about a second.
+    """
+    shortest = min(record.sample_period * len(record) for record in records)
+    return min(10.0 / lowpass.cutoff + (1.0 if explicit else 0.0), 0.2 * shortest)
 
 
 def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, list[str]]:

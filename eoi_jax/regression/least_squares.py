@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.types import Scalar
+
 # An eigenvalue of the scaled information matrix below this many rounding errors is no information.
 _ROUNDING = 100.0
 
@@ -43,7 +45,7 @@ def least_squares(
     information: Float[Array, "np np"],
     rhs: Float[Array, " np"],
     free: Float[Array, " np"],
-    damping: float = 0.0,
+    damping: float | Scalar = 0.0,
 ) -> Solution:
     r"""Solve $\sum\varphi^\top\varphi\,\Delta\theta = \sum\varphi^\top u_{eq}$, eq. (11).
 
