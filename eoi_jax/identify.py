@@ -25,7 +25,7 @@ from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_observer, check_records, prepare
+from eoi_jax.prepare import check_observer, check_records, constant, prepare
 from eoi_jax.regression.index import index as index_of
 from eoi_jax.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.results import Status
@@ -271,7 +271,7 @@ class _Driver:
             sliding_fraction=sliding,
             unexplained=np.sqrt(chosen.index) / np.where(observed > 0, observed, 1.0),
             covariance=covariance,
-            status=self._status(done, best),
+            status=self._status(done, best, records),
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
@@ -384,9 +384,11 @@ class _Driver:
             )
         return arrays
 
-    def _status(self, done: list[_Pass], best: int) -> Status:
+    def _status(self, done: list[_Pass], best: int, records: tuple[Record, ...]) -> Status:
         if np.all(done[0].sums.count == 0):
-            return Status("no_data", _NO_DATA)
+            still = all(np.all(constant(record)) for record in records)
+            names = ", ".join(self.plant.outputs)
+            return Status("no_data", _STILL.format(names) if still else _NO_DATA)
         if not np.isfinite(done[best].cost):
             return Status("diverged", _DIVERGED)
         lost = untraced(done[best].solution, self.plant.names, self.plant.free)
@@ -402,6 +404,10 @@ class _Driver:
         return Status("stalled", _STALLED.format(number, done[best].promise))
 
 
+_STILL = (
+    "the outputs ({}) are constant throughout, so that no parameter leaves a trace: excite the "
+    "plant, or check which columns are read"
+)
 _NO_DATA = (
     "no sample is left to score: the record is shorter than the transient, masked, or the plant "
     "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"

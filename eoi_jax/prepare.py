@@ -191,7 +191,7 @@ def _usable(
     good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
     resting = ~moving(np.diff(record.outputs, axis=0), noise)
     good &= ~(resting @ friction.T)  # its own friction, or another's that acts on it by inertia
-    good &= ~_constant(record)
+    good &= ~constant(record)
     use = good.copy()
     for lag in range(1, taps):  # every step of the moving average must be good
         use[lag:] &= good[:-lag]
@@ -200,7 +200,7 @@ def _usable(
     return use.astype(float), restart
 
 
-def _constant(record: Record) -> Bool[np.ndarray, " ny"]:
+def constant(record: Record) -> Bool[np.ndarray, " ny"]:
     """Outputs that never move: all that differences show of them is rounding."""
     y = record.outputs[record.valid]
     return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)

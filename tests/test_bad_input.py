@@ -126,7 +126,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
 
 def test_constant_input_and_output_give_no_answer_and_say_why(tmp_path: Path):
     still = prepared(tmp_path, u=np.zeros(2000), y=np.full(2000, 0.01))
-    refused(still, 1, "no answer", "unidentifiable", "rho")
+    refused(still, 1, "no answer", "no_data", "position", "constant throughout")
 
 
 def test_with_json_a_refusal_is_one_object_too(tmp_path: Path):

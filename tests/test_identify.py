@@ -423,9 +423,17 @@ def test_status_says_that_a_plant_at_rest_gives_no_data():
     record = Record.from_period(1e-3, u, np.full(8001, 0.2), hold="linear")
     got = identify(pendulum(), record, OBSERVER, LOWPASS)
     assert got.status.code == "no_data"
-    assert "stands still" in got.status.message
+    assert "constant throughout" in got.status.message
     assert got.parameters == pendulum().parameters
     assert np.all(np.isnan(got.injection[0]))
+
+
+def test_status_says_that_dry_friction_holds_a_noisy_plant():
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(8001)
+    record = Record.from_period(1e-3, np.sin(grid(8001, 1e-3)), 0.2 + noise, hold="linear")
+    got = identify(pendulum(), record, OBSERVER, LOWPASS)
+    assert got.status.code == "no_data"
+    assert "stands still" in got.status.message
 
 
 def test_status_says_that_the_transient_is_longer_than_the_record():
