@@ -49,6 +49,9 @@ _DAMPING = 0.1
 _RETRIES = 5
 # Weights rise over this many time constants of F beside steps that do not count.
 _TAPER = 2.0
+# Up to so many values every pass stores its signals, which the first and the best need anyway:
+# tracing a second kernel that stores nothing would take longer than that saves.
+_SHORT = 2_000_000
 # The injection over time is shown where the filter's memory holds at least this share that counts.
 _SHARE = 0.5
 
@@ -284,7 +287,7 @@ class _Driver:
         done: list[_Pass] = []
         first, stale, best, damping = None, 0, None, 0.0
         for number in range(self.passes):
-            store = "nothing" if number else "signals"
+            store = "nothing" if number and self.steps.use.size > _SHORT else "signals"
             sums, trace = self._pass(theta, store)
             one = self._solve(theta, sums)
             if number == 0:
