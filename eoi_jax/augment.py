@@ -1,0 +1,196 @@
+"""A plant plus effects is a plant: discovery wraps a model, it never edits one.
+
+    y^(r) = f(t, x, ψ(u); θ) + Σ effect terms        ż = g(t, x, ψ(u); θ)
+
+The effects' own parameters are ordinary parameters of the new plant, their own states internal
+states behind the plant's; identify, validate, simulate take it like any other.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At
+from eoi_jax.plants.plant import Dynamics, Plant, State
+
+
+@dataclass(frozen=True)
+class Placed:
+    """One effect at one channel of a plant, with the names of its parameters there.
+
+    Attributes:
+        effect: what.
+        channel: index of the output (or of the input, for an input effect) that it acts on.
+        names: of its parameters, gains first, in the augmented plant.
+    """
+
+    effect: AbstractEffect
+    channel: int
+    names: tuple[str, ...]
+
+    @property
+    def on_input(self) -> bool:
+        """Whether it acts on an input."""
+        return isinstance(self.effect, AbstractInputEffect)
+
+
+def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
+    """An effect at a channel, with parameter names that are free in the plant.
+
+    Named as the effect and its part; with several channels also as the channel.
+    """
+    channels = plant.inputs if isinstance(effect, AbstractInputEffect) else plant.outputs
+    suffix = f"_{channels[channel]}" if len(channels) > 1 else ""
+    names = []
+    for parameter in effect.parameters:
+        name = "_".join(filter(None, (effect.name, parameter.name))) + suffix
+        base, count = name, 2
+        while name in plant.names:
+            name, count = f"{base}_{count}", count + 1
+        names.append(name)
+    return Placed(effect, channel, tuple(names))
+
+
+def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float]) -> Plant:
+    """The plant with effects added.
+
+    Args:
+        plant: the model that lacks them.
+        placed: what is added, and where; input effects act in this order.
+        values: of the effects' parameters, by their placed names.
+
+    Returns:
+        A plant with the parameters of both, the effects' ones behind.
+    """
+    if not placed:
+        return plant
+    nz = len(np.asarray(plant.internal_start(jnp.asarray(plant.theta))))
+    several = tuple(placed)
+    states = sum(one.effect.states for one in several)
+    limits = {
+        key: (float(low), float(high))
+        for key, low, high in zip(plant.names, plant.lower, plant.upper, strict=True)
+    }
+    units = plant.units
+    for one in several:
+        for name, parameter in zip(one.names, one.effect.parameters, strict=True):
+            limits[name] = (parameter.lower, parameter.upper)
+            units[name] = unit(plant, one, parameter.unit)
+    added = {name: float(values[name]) for one in several for name in one.names}
+    moving = states + nz > 0
+    return Plant(
+        _Dynamics(plant.dynamics, several, nz, plant.relative_degree),
+        {**plant.parameters, **added},
+        relative_degree=plant.degrees,
+        inputs=plant.inputs,
+        outputs=plant.outputs,
+        internal=_Internal(plant.internal, several, nz, plant.relative_degree) if moving else None,
+        internal_initial=_Start(plant.internal_initial, states) if moving else None,
+        bounds=limits,
+        fixed=plant.fixed,
+        units=units,
+        name=plant.name,
+    )
+
+
+def unit(plant: Plant, placed: Placed, pattern: str) -> str:
+    """The unit of an effect's parameter at its channel; "" where the plant declares none."""
+    j = placed.channel
+    y = "" if placed.on_input else plant.units.get(plant.outputs[j], "")
+    u = plant.units.get(plant.inputs[j if placed.on_input else 0], "")
+    known = {"{y}": y, "{v}": y, "{f}": y, "{u}": u}
+    if any(key in pattern and not value for key, value in known.items()):
+        return ""
+    power = {1: "", 2: "²", 3: "³", 4: "⁴"}
+    r = 1 if placed.on_input else plant.degrees[j]
+    return pattern.format(y=y, v=f"{y}/s", f=f"{y}/s{power.get(r, f'^{r}')}", u=u)
+
+
+@dataclass(frozen=True)
+class _Dynamics:
+    """f of the augmented plant; equal (and compiled once) for equal plants and effects."""
+
+    base: Dynamics
+    placed: tuple[Placed, ...]
+    nz: int
+    r: int
+
+    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        changed = _inputs(self, t, x, u, p)
+        f = jnp.asarray(self.base(t, State(x.y, x.z[: self.nz]), changed, p))
+        f = jnp.reshape(f, (x.y.shape[1],))
+        for one, z in _own_states(self.placed, x.z[self.nz :]):
+            if isinstance(one.effect, AbstractTerm):
+                gain, shape = _parameters(one, p)
+                f = f.at[one.channel].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
+        return f
+
+
+@dataclass(frozen=True)
+class _Internal:
+    """g of the augmented plant."""
+
+    base: Dynamics | None
+    placed: tuple[Placed, ...]
+    nz: int
+    r: int
+
+    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        rates = []
+        if self.base is not None:
+            changed = _inputs(self, t, x, u, p)
+            rate = self.base(t, State(x.y, x.z[: self.nz]), changed, p)
+            rates.append(jnp.reshape(jnp.asarray(rate), (self.nz,)))
+        at_input = u
+        for one, z in _own_states(self.placed, x.z[self.nz :]):
+            _, shape = _parameters(one, p)
+            at = _at(one, t, x, at_input, z)
+            if one.effect.states:
+                rates.append(jnp.reshape(one.effect.rate(at, shape), (one.effect.states,)))
+            if isinstance(one.effect, AbstractInputEffect):
+                at_input = at_input.at[one.channel].set(one.effect.changed(at, shape))
+        return jnp.concatenate(rates)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Internal states at the start: the plant's own, then zeros."""
+
+    base: Any
+    states: int
+
+    def __call__(self, p: Any) -> Any:
+        own = self.base(p) if callable(self.base) else self.base
+        own = jnp.reshape(jnp.asarray(own, dtype=jnp.result_type(float)), (-1,))
+        return jnp.concatenate([own, jnp.zeros(self.states, own.dtype)])
+
+
+def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> Any:
+    for one, z in _own_states(model.placed, x.z[model.nz :]):
+        if isinstance(one.effect, AbstractInputEffect):
+            _, shape = _parameters(one, p)
+            u = u.at[one.channel].set(one.effect.changed(_at(one, t, x, u, z), shape))
+    return u
+
+
+def _own_states(placed: tuple[Placed, ...], z: Any) -> list[tuple[Placed, Any]]:
+    parts, first = [], 0
+    for one in placed:
+        parts.append((one, z[first : first + one.effect.states]))
+        first += one.effect.states
+    return parts
+
+
+def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
+    values = [getattr(p, name) for name in one.names]
+    count = len(one.effect.gains)
+    return values[:count], values[count:]
+
+
+def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
+    y = x.y[:, 0 if one.on_input else one.channel]
+    rate = y[1] if x.y.shape[0] > 1 else jnp.zeros_like(y[0])
+    return At(t, y[0], rate, u[one.channel if one.on_input else 0], z)

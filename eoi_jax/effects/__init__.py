@@ -1,0 +1,34 @@
+"""What a model may lack: the canonical effects, and what one is."""
+
+from eoi_jax.effects.disturbance import ConstantOffset as ConstantOffset
+from eoi_jax.effects.disturbance import Drift as Drift
+from eoi_jax.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
+from eoi_jax.effects.effect import AbstractEffect as AbstractEffect
+from eoi_jax.effects.effect import AbstractInputEffect as AbstractInputEffect
+from eoi_jax.effects.effect import AbstractTerm as AbstractTerm
+from eoi_jax.effects.effect import At as At
+from eoi_jax.effects.effect import Parameter as Parameter
+from eoi_jax.effects.effect import Seen as Seen
+from eoi_jax.effects.friction import AsymmetricFriction as AsymmetricFriction
+from eoi_jax.effects.friction import AsymmetricViscousFriction as AsymmetricViscousFriction
+from eoi_jax.effects.friction import CoulombFriction as CoulombFriction
+from eoi_jax.effects.friction import CubicDamping as CubicDamping
+from eoi_jax.effects.friction import QuadraticDrag as QuadraticDrag
+from eoi_jax.effects.friction import StribeckFriction as StribeckFriction
+from eoi_jax.effects.friction import ViscousFriction as ViscousFriction
+from eoi_jax.effects.inputs import ActuatorLag as ActuatorLag
+from eoi_jax.effects.inputs import InputDeadZone as InputDeadZone
+from eoi_jax.effects.inputs import InputDelay as InputDelay
+from eoi_jax.effects.inputs import InputQuadratic as InputQuadratic
+from eoi_jax.effects.inputs import InputSaturation as InputSaturation
+from eoi_jax.effects.library import standard as standard
+from eoi_jax.effects.memory import Hysteresis as Hysteresis
+from eoi_jax.effects.outflow import Leak as Leak
+from eoi_jax.effects.outflow import Overflow as Overflow
+from eoi_jax.effects.stiffness import CubicStiffness as CubicStiffness
+from eoi_jax.effects.stiffness import EndStop as EndStop
+from eoi_jax.effects.stiffness import FreePlay as FreePlay
+from eoi_jax.effects.stiffness import Gravity as Gravity
+from eoi_jax.effects.stiffness import LinearStiffness as LinearStiffness
+from eoi_jax.effects.stiffness import PositionRipple as PositionRipple
+from eoi_jax.effects.stiffness import QuadraticStiffness as QuadraticStiffness

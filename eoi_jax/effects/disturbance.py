@@ -1,0 +1,58 @@
+"""What acts from outside, whatever the plant does."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.effects.effect import AbstractTerm, At, Grid, Parameter, Seen
+
+
+class ConstantOffset(AbstractTerm):
+    """A constant force, flow or bias of the drive."""
+
+    name = "constant_offset"
+    sentence = "a constant offset"
+    gains = (Parameter("", "{f}"),)
+    depends_on = "t"
+    form = ("+ {0}", "+ {0}")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] + 0.0 * at.t
+
+
+class Drift(AbstractTerm):
+    """a t: a disturbance that grows with time.
+
+    Its value at t = 0 is part of it where the model has a constant; else it starts from zero.
+    """
+
+    name = "drift"
+    sentence = "a drift, linear in time"
+    gains = (Parameter("", "{f}/s"),)
+    depends_on = "t"
+    form = ("+ {0}·t", r"+ {0}\,t")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * at.t
+
+
+class SinusoidalDisturbance(AbstractTerm):
+    """a sin(ω t) + b cos(ω t)."""
+
+    name = "sinusoidal_disturbance"
+    sentence = "a sinusoidal disturbance of one frequency"
+    gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
+    shapes = (Parameter("frequency", "rad/s", lower=0.0),)
+    depends_on = "t"
+    form = ("+ {0}·sin({2}·t) + {1}·cos({2}·t)", r"+ {0}\sin({2}\,t) + {1}\cos({2}\,t)")
+
+    def grid(self, seen: Seen) -> Grid:
+        # A neighbour on the grid would have to be within 1/T: only peaks of the residual are tried.
+        step = 1.5 / seen.duration
+        around = seen.peaks[:, None] + step * np.array([-0.5, 0.0, 0.5])
+        return np.maximum(around.reshape(-1, 1), step)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        phase = shape[0] * at.t
+        return gain[0] * jnp.sin(phase) + gain[1] * jnp.cos(phase)

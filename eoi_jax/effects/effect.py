@@ -1,0 +1,168 @@
+"""What an effect is: one thing that a model may lack, with its term, parameters and grid.
+
+An effect adds a term to y^(r) that is linear in its *gains* and may depend nonlinearly on its
+*shapes*, or it changes an input on its way into the model. It may carry a state of its own.
+A new one is a small class:
+
+    class CubicStiffness(AbstractTerm):
+        name = "cubic_stiffness"
+        sentence = "a spring whose stiffness grows with the square of the displacement"
+        gains = (Parameter("", "{f}/{y}³"),)
+        depends_on = "y"
+        form = ("-{0} {y}³", r"-{0}\\,{y}^3")
+
+        def term(self, at, gain, shape):
+            return -gain[0] * at.y**3
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.plants.plant import Plant
+
+Grid = Float[np.ndarray, "grid shapes"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes:
+        name: appended to the name of the effect; "" for an effect with one parameter.
+        unit: with {f}, {y}, {v}, {u} for the units of y^(r), the output, its rate, the input.
+        lower, upper: where it is physical.
+    """
+
+    name: str
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+class At(NamedTuple):
+    """One instant, as an effect on one channel sees it.
+
+    Attributes:
+        t: time [s].
+        y: the output; `v` its first derivative (0 where the model has none).
+        v: rate of the output.
+        u: the input (of the channel, or the first one).
+        z: own states of the effect, shape (states,).
+    """
+
+    t: Any
+    y: Any
+    v: Any
+    u: Any
+    z: Any
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the records show of one channel: where grids of shape parameters come from.
+
+    Attributes:
+        y, v, u: samples of all records (those that count).
+        duration: of the longest record [s].
+        sample_period: h [s].
+        band: frequency that holds most of y^(r) [rad/s].
+        peaks: frequencies at which the residual stands out [rad/s].
+    """
+
+    y: Float[np.ndarray, " samples"]
+    v: Float[np.ndarray, " samples"]
+    u: Float[np.ndarray, " samples"]
+    duration: float
+    sample_period: float
+    band: float
+    peaks: Float[np.ndarray, " peaks"]
+
+
+class AbstractEffect(ABC):
+    """One thing that a model may lack.
+
+    Attributes:
+        name: canonical.
+        sentence: completes "the model lacks …".
+        gains: parameters that enter linearly.
+        shapes: parameters that do not.
+        states: number of own internal states; they start at zero.
+        depends_on: the variable that it is drawn against: "y", "v", "u" or "t".
+        contains: names of simpler effects that it can imitate exactly.
+        form: the term as text and LaTeX; {0}, {1}, … its parameters, {y}, {v}, {u} variables.
+    """
+
+    name: ClassVar[str]
+    sentence: ClassVar[str]
+    gains: ClassVar[tuple[Parameter, ...]] = ()
+    shapes: ClassVar[tuple[Parameter, ...]] = ()
+    states: ClassVar[int] = 0
+    depends_on: ClassVar[str] = "t"
+    contains: ClassVar[tuple[str, ...]] = ()
+    form: ClassVar[tuple[str, str]]
+
+    def __eq__(self, other: object) -> bool:
+        # By value: a model with the same effects is then compiled once.
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), tuple(sorted(vars(self).items()))))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Gains, then shapes."""
+        return self.gains + self.shapes
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """Whether it makes sense at this output of this plant."""
+        del plant, output
+        return True
+
+    def grid(self, seen: Seen) -> Grid:
+        """Shape parameters to start from, one row each; refined locally later."""
+        del seen
+        return np.zeros((1, 0))
+
+    def rate(self, at: At, shape: Any) -> Any:
+        """dz/dt of the own states, shape (states,)."""
+        del shape
+        return at.z
+
+    def text(self, parameters: Sequence[str], y: str, v: str, u: str) -> str:
+        """The term as plain text."""
+        return self.form[0].format(*parameters, y=y, v=v, u=u)
+
+    def latex(self, parameters: Sequence[str], y: str, v: str, u: str) -> str:
+        """The term in LaTeX."""
+        return self.form[1].format(*parameters, y=y, v=v, u=u)
+
+
+class AbstractTerm(AbstractEffect):
+    """An effect that adds a term to y^(r) of one output."""
+
+    @abstractmethod
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        """What it adds to y^(r) [its unit], linear in `gain`."""
+
+
+class AbstractInputEffect(AbstractEffect):
+    """An effect that changes one input on its way into the model."""
+
+    @abstractmethod
+    def changed(self, at: At, shape: Any) -> Any:
+        """The input that the model gets instead of `at.u`."""
+
+
+def mechanical(plant: Plant, output: int) -> bool:
+    """Whether the output is a position: its velocity is a state."""
+    return plant.degrees[output] >= 2
+
+
+def quantiles(values: Float[np.ndarray, " samples"], shares: Sequence[float]) -> Grid:
+    """Values below which these shares of the samples lie, as a grid of one shape parameter."""
+    return np.unique(np.quantile(values, shares))[:, None]

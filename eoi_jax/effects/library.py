@@ -1,0 +1,67 @@
+"""The standard library of effects."""
+
+from eoi_jax.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturbance
+from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.effects.friction import (
+    AsymmetricFriction,
+    AsymmetricViscousFriction,
+    CoulombFriction,
+    CubicDamping,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
+from eoi_jax.effects.inputs import (
+    ActuatorLag,
+    InputDeadZone,
+    InputDelay,
+    InputQuadratic,
+    InputSaturation,
+)
+from eoi_jax.effects.memory import Hysteresis
+from eoi_jax.effects.outflow import Leak, Overflow
+from eoi_jax.effects.stiffness import (
+    CubicStiffness,
+    EndStop,
+    FreePlay,
+    Gravity,
+    LinearStiffness,
+    PositionRipple,
+    QuadraticStiffness,
+)
+
+
+def standard() -> tuple[AbstractEffect, ...]:
+    """Every canonical effect; `discover` tries those that fit the plant.
+
+    Two names have two forms each: `end_stop` (above, below) and `input_quadratic` (odd, even).
+    """
+    return (
+        ViscousFriction(),
+        CoulombFriction(),
+        AsymmetricFriction(),
+        AsymmetricViscousFriction(),
+        StribeckFriction(),
+        QuadraticDrag(),
+        CubicDamping(),
+        LinearStiffness(),
+        QuadraticStiffness(),
+        CubicStiffness(),
+        Gravity(),
+        PositionRipple(),
+        EndStop(+1),
+        EndStop(-1),
+        FreePlay(),
+        ConstantOffset(),
+        Drift(),
+        SinusoidalDisturbance(),
+        InputDeadZone(),
+        InputSaturation(),
+        InputDelay(),
+        InputQuadratic(odd=True),
+        InputQuadratic(odd=False),
+        ActuatorLag(),
+        Hysteresis(),
+        Leak(),
+        Overflow(),
+    )

@@ -1,0 +1,159 @@
+"""Forces that depend on the position of an output."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, mechanical, quantiles
+from eoi_jax.plants.plant import Plant
+
+
+class LinearStiffness(AbstractTerm):
+    """-k y: a spring."""
+
+    name = "linear_stiffness"
+    sentence = "a linear spring"
+    gains = (Parameter("", "{f}/{y}"),)
+    depends_on = "y"
+    form = ("- {0}·{y}", r"- {0}\,{y}")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y
+
+
+class QuadraticStiffness(AbstractTerm):
+    """-k y²: a spring that differs between pull and push."""
+
+    name = "quadratic_stiffness"
+    sentence = "a spring force with the square of the displacement (pull and push differ)"
+    gains = (Parameter("", "{f}/({y})²"),)
+    depends_on = "y"
+    form = ("- {0}·{y}²", r"- {0}\,{y}^2")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y**2
+
+
+class CubicStiffness(AbstractTerm):
+    """-k y³: a hardening (k > 0) or softening spring."""
+
+    name = "cubic_stiffness"
+    sentence = "cubic stiffness: a spring that hardens or softens with displacement"
+    gains = (Parameter("", "{f}/({y})³"),)
+    depends_on = "y"
+    form = ("- {0}·{y}³", r"- {0}\,{y}^3")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y**3
+
+
+class Gravity(AbstractTerm):
+    """-g sin(y), y an angle in radians (in degrees where the unit says so)."""
+
+    name = "gravity"
+    sentence = "gravity: a force with the sine of the position"
+    gains = (Parameter("", "{f}"),)
+    depends_on = "y"
+    form = ("- {0}·sin({y})", r"- {0}\sin {y}")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.sin(at.y)
+
+
+class PositionRipple(AbstractTerm):
+    """a sin(κ y) + b cos(κ y): cogging, a force periodic in the position."""
+
+    name = "position_ripple"
+    sentence = "a ripple over the position (cogging)"
+    gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
+    shapes = (Parameter("wavenumber", "1/{y}", lower=0.0),)
+    depends_on = "y"
+    form = (
+        "+ {0}·sin({2}·{y}) + {1}·cos({2}·{y})",
+        r"+ {0}\sin({2}\,{y}) + {1}\cos({2}\,{y})",
+    )
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        # Two periods over the range at least: fewer look like a spring. A neighbour on the grid
+        # is off by less than a radian at the ends of the range.
+        reach = np.ptp(seen.y)
+        return (np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6) / reach)[:, None]
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        phase = shape[0] * at.y
+        return gain[0] * jnp.sin(phase) + gain[1] * jnp.cos(phase)
+
+
+@dataclass(frozen=True)
+class EndStop(AbstractTerm):
+    """-k (y - s) beyond s: contact on one side.
+
+    Attributes:
+        side: +1 for a stop above, -1 for one below.
+    """
+
+    name = "end_stop"
+    sentence = "an end stop: contact on one side"
+    gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
+    shapes = (Parameter("position", "{y}"),)
+    depends_on = "y"
+
+    side: int = 1
+
+    @property
+    def form(self) -> tuple[str, str]:
+        extreme = "min" if self.side < 0 else "max"
+        return (
+            f"- {{0}}·{extreme}({{y}} - {{1}}, 0)",
+            rf"- {{0}}\,\{extreme}({{y}} - {{1}}, 0)",
+        )
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        shares = np.array([0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995])
+        return quantiles(seen.y, shares if self.side > 0 else 1.0 - shares)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * self.side * jnp.maximum(self.side * (at.y - shape[0]), 0.0)
+
+
+class FreePlay(AbstractTerm):
+    """k clip(y, -g, g): the declared spring does not act inside a gap.
+
+    Beside a declared spring of stiffness k the total is -k times the dead zone of y.
+    """
+
+    name = "free_play"
+    sentence = "free play: a gap in which the spring does not act"
+    gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
+    shapes = (Parameter("gap", "{y}", lower=0.0),)
+    depends_on = "y"
+    form = ("+ {0}·clip({y}, -{1}, {1})", r"+ {0}\operatorname{{clip}}({y}, -{1}, {1})")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(0.03, 0.9, 12)[:, None] * np.max(np.abs(seen.y))
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * jnp.clip(at.y, -shape[0], shape[0])
