@@ -99,9 +99,8 @@ def _draw_injection(axes: Any, result: Identification, record: int, j: int) -> N
     unit = _injection_unit(result.plant.units.get(name), result.plant.degrees[j])
     axes.set_ylabel(f"injection of\n{name}" + (f" [{unit}]" if unit else ""))
     axes.grid(alpha=0.3)
-    if j == 0:  # above the panel: wherever it stood inside, it would hide data
-        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
-        axes.legend(fontsize=9, ncols=2, frameon=False, **place)
+    if j == 0:
+        _legend_above(axes)
     scored = np.flatnonzero(np.isfinite(np.asarray(result.injection[record])[:, j]))
     if np.any(np.diff(scored) > 1):  # the transient at the start is no gap
         axes.set_title("gaps: not scored", loc="left", fontsize=9)
@@ -111,3 +110,212 @@ def _injection_unit(unit: str | None, degree: int) -> str:
     """The unit of y^(r), e.g. m/s² for a position; empty if the output has none."""
     power = {1: "", 2: "²", 3: "³"}.get(degree, f"^{degree}")
     return f"{unit}/s{power}" if unit else ""
+
+
+# -- what a discovery found -------------------------------------------------------------------
+
+_BEFORE, _AFTER, _MEASURED = "#0072B2", "#D55E00", "#000000"
+_BINS = 40
+
+
+def discovery_figure(discovery: Any) -> Any:
+    """Residual over time, residual against what it depends on, free run: one figure.
+
+    Args:
+        discovery: of `discover`.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 10), dpi=100, layout="constrained")
+    grid = figure.add_gridspec(3, 1, height_ratios=[1, 1.2, 1.5])
+    for row, draw in enumerate((_draw_residuals, _draw_maps, _draw_free_run)):
+        draw(figure.add_subfigure(grid[row]), discovery)
+    figure.suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
+    return figure
+
+
+def discovery_figures(discovery: Any) -> dict[str, Any]:
+    """The three parts of `discovery_figure`, a figure each.
+
+    Args:
+        discovery: of `discover`.
+
+    Returns:
+        Figures by name: ``residual`` before and after over time; ``effect``, the residual before
+        against the variable that each effect depends on (against every variable where nothing was
+        found); ``free_run``, against the measurement, with its error.
+    """
+    from matplotlib.figure import Figure
+
+    draw = {"residual": _draw_residuals, "effect": _draw_maps, "free_run": _draw_free_run}
+    figures = {}
+    for name, part in draw.items():
+        figures[name] = Figure(figsize=(10, 5), dpi=100, layout="constrained")
+        part(figures[name], discovery)
+        figures[name].suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
+    return figures
+
+
+def _found(discovery: Any) -> str:
+    names = [name.replace("_", " ") for name in discovery.effects]
+    return " + ".join(names) or discovery.status.code.replace("_", " ")
+
+
+def _pair(discovery: Any, before: Any, after: Any) -> list[tuple[Any, str, str]]:
+    """What is drawn with its colour and label; one curve where nothing was added."""
+    if not discovery.added:
+        return [(before, _BEFORE, "declared model")]
+    return [(before, _BEFORE, "before"), (after, _AFTER, "after")]
+
+
+def _draw_residuals(figure: Any, discovery: Any, record: int = 0) -> None:
+    """The residual before and after over time, a panel for each output."""
+    before = discovery.declared
+    curves = _pair(discovery, before, discovery.found)
+    outputs = before.plant.outputs
+    panels = figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0]
+    for j, axes in enumerate(panels):
+        for result, colour, label in curves:
+            time = np.asarray(result.records[record].time)
+            values = np.asarray(result.residual[record])[:, j]
+            shown = decimate(time[: len(values)], values)
+            axes.plot(*shown, color=colour, linewidth=0.8, label=label)
+        axes.set_ylabel(_residual_label(before, j))
+        axes.grid(alpha=0.3)
+    _legend_above(panels[0])
+    panels[-1].set_xlabel("time [s]")
+
+
+def _draw_maps(figure: Any, discovery: Any) -> None:
+    """The residual before against variables; what the added effects took away through it."""
+    maps = [
+        (
+            one.output if one.output in discovery.plant.outputs else discovery.plant.outputs[0],
+            _variable(discovery, one),
+        )
+        for one in discovery.added
+    ]
+    if not maps:
+        output = discovery.plant.outputs[0]
+        maps = [(output, name) for name in ("y", "v", "t", *discovery.plant.inputs)]
+    maps = list(dict.fromkeys(maps))
+    panels = figure.subplots(1, len(maps), squeeze=False)[0]
+    for axes, (output, name) in zip(panels, maps, strict=True):
+        _draw_map(axes, discovery, discovery.plant.outputs.index(output), name)
+    _legend_above(panels[-1])
+
+
+def _variable(discovery: Any, added: Any) -> str:
+    """What an effect is drawn against: y, v, t, or the name of an input."""
+    if added.effect.depends_on != "u":
+        return added.effect.depends_on
+    inputs = discovery.plant.inputs
+    return added.output if added.output in inputs else inputs[0]
+
+
+def _draw_map(axes: Any, discovery: Any, j: int, name: str) -> None:
+    before = discovery.declared
+    variable = _values(before, j, name)
+    residual = np.concatenate([part[:, j] for part in before.residual])
+    taken = residual - np.concatenate([part[:, j] for part in discovery.found.residual])
+    # Where the plant sticks only the model without friction is scored: what both score is shown.
+    good = np.isfinite(variable) & np.isfinite(taken)
+    order = np.argsort(variable[good])
+    bins = np.array_split(np.flatnonzero(good)[order], _BINS)
+    centre = np.array([np.mean(variable[one]) for one in bins])
+    # Every sample is too many points, and hides where most of them are.
+    low, high = np.array([np.quantile(residual[one], (0.1, 0.9)) for one in bins]).T
+    means = [np.mean(residual[one]) for one in bins]
+    axes.fill_between(centre, low, high, color=_BEFORE, alpha=0.15, linewidth=0)
+    axes.plot(
+        centre,
+        means,
+        "o",
+        color=_BEFORE,
+        markersize=4,
+        label="residual of the declared model: mean, band of 80 %",
+    )
+    if discovery.added:
+        fitted = [np.mean(taken[one]) for one in bins]
+        axes.plot(centre, fitted, color=_AFTER, label="taken away by the effects")
+    axes.axhline(0.0, color=_MEASURED, linewidth=0.6)
+    axes.set_xlabel(_variable_label(before, j, name))
+    if axes.get_subplotspec().is_first_col():
+        axes.set_ylabel(_residual_label(before, j))
+    axes.grid(alpha=0.3)
+
+
+def _values(result: Any, j: int, name: str) -> np.ndarray:
+    """A variable along all records, as late as the filter makes the residual."""
+    late = 1.0 / (result.lowpass.cutoff * np.sin(0.5 * np.pi / result.lowpass.order))
+    parts = []
+    for record in result.records:
+        if name == "t":
+            parts.append(np.asarray(record.time))
+            continue
+        if name in result.plant.inputs:
+            values = record.inputs[:, result.plant.inputs.index(name)]
+        else:
+            values = record.outputs[:, j]
+        if name == "v":
+            values = np.gradient(values, record.sample_period)
+        parts.append(np.interp(record.time - late, record.time, values))
+    return np.concatenate(parts)
+
+
+def _draw_free_run(figure: Any, discovery: Any, record: int = 0) -> None:
+    """Free runs before and after on a record against its measurement, and their errors."""
+    outputs = discovery.plant.outputs
+    measured = discovery.held_out[record]
+    panels = figure.subplots(2, len(outputs), sharex=True, squeeze=False, height_ratios=[1.6, 1])
+    runs = _pair(discovery, discovery.before, discovery.after)
+    time = np.asarray(measured.time)
+    for j, (upper, lower) in enumerate(panels.T):
+        y = np.where(measured.valid, measured.outputs[:, j], np.nan)
+        upper.plot(*decimate(time, y), color=_MEASURED, linewidth=1.6, label="measured")
+        for validation, colour, label in runs:
+            y_hat = validation.predictions[record].outputs[:, j]
+            upper.plot(*decimate(time, y_hat), color=colour, linewidth=0.9, label=label)
+            lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
+        middle, reach = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
+        _limit(upper, middle - 3 * reach, middle + 3 * reach)  # a run that diverges hides the rest
+        _limit(lower, -3 * reach, 3 * reach)
+        unit = discovery.plant.units.get(outputs[j], "")
+        upper.set_ylabel(outputs[j] + (f" [{unit}]" if unit else ""))
+        lower.set_ylabel("error" + (f" [{unit}]" if unit else ""))
+        lower.set_xlabel("time [s]")
+        for axes in (upper, lower):
+            axes.grid(alpha=0.3)
+    what = "in-sample" if discovery.in_sample else "held-out"
+    panels[0, 0].set_title(f"free run, {what} record {measured.name}", loc="left", fontsize=9)
+    _legend_above(panels[0, 0])
+
+
+def _limit(axes: Any, low: float, high: float) -> None:
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, low), min(top, high))
+
+
+def _residual_label(result: Any, j: int) -> str:
+    name = result.plant.outputs[j]
+    unit = _injection_unit(result.plant.units.get(name), result.plant.degrees[j])
+    return f"residual of\n{name}" + (f" [{unit}]" if unit else "")
+
+
+def _variable_label(result: Any, j: int, name: str) -> str:
+    if name == "t":
+        return "time [s]"
+    own = name if name in result.plant.inputs else result.plant.outputs[j]
+    unit = result.plant.units.get(own, "")
+    label = f"rate of {own}" if name == "v" else own
+    unit = f"{unit}/s" if unit and name == "v" else unit
+    return label + (f" [{unit}]" if unit else "")
+
+
+def _legend_above(axes: Any) -> None:
+    """Above the panel: wherever it stood inside, it would hide data."""
+    place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
+    axes.legend(fontsize=9, ncols=3, frameon=False, **place)

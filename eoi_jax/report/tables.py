@@ -45,7 +45,7 @@ def parameter_table(result: Identification) -> str:
                 units.get(name, ""),
             )
         )
-    return _columns(rows, "<>>>><")
+    return columns(rows, "<>>>><")
 
 
 def index_table(result: Identification) -> str:
@@ -65,7 +65,7 @@ def index_table(result: Identification) -> str:
                 *(f"{value:.4g}" if np.isfinite(value) else "-" for value in increments),
             )
         )
-    return "\n\n".join(_columns(part, ">" * len(part[0])) for part in _narrow(rows, len(outputs)))
+    return "\n\n".join(columns(part, ">" * len(part[0])) for part in _narrow(rows, len(outputs)))
 
 
 def health_table(result: Identification) -> str:
@@ -75,7 +75,7 @@ def health_table(result: Identification) -> str:
         result.plant.outputs, result.sliding_fraction, result.unexplained, strict=True
     ):
         rows.append((name, f"{100 * sliding:.4g} %", f"{100 * left:.2g} %"))
-    return _columns(rows, "<>>")
+    return columns(rows, "<>>")
 
 
 def _gains(module: Any) -> str:
@@ -105,8 +105,13 @@ def _narrow(rows: list[tuple[str, ...]], outputs: int) -> list[list[tuple[str, .
     return parts
 
 
-def _columns(rows: Sequence[Sequence[str]], sides: str) -> str:
-    """Rows padded to common widths; `sides` holds < or > for each column."""
+def columns(rows: Sequence[Sequence[str]], sides: str) -> str:
+    """Rows padded to common widths.
+
+    Args:
+        rows: cells, the header first.
+        sides: < or > for each column, where its cells stand.
+    """
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     lines = [
         "  ".join(
@@ -115,3 +120,39 @@ def _columns(rows: Sequence[Sequence[str]], sides: str) -> str:
         for row in rows
     ]
     return "\n".join(lines)
+
+
+# Units that take a prefix, and the prefixes.
+_PREFIXED = ("m", "s", "V", "A", "N", "rad", "N m", "N·m", "Pa", "W")
+_PREFIXES = ((1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
+
+
+def quantity(value: float, unit: str) -> str:
+    """A value with its unit, to three digits, with a prefix: 0.0064 m as ``6.4 mm``.
+
+    Args:
+        value: finite.
+        unit: only a plain SI unit takes a prefix; "" for none.
+    """
+    value = float(value)
+    if unit not in _PREFIXED or value == 0.0:
+        return f"{value:.3g} {unit}".rstrip()
+    fitting = [one for one in _PREFIXES if abs(value) >= 0.9995 * one[0]]
+    factor, prefix = fitting[-1] if fitting else _PREFIXES[0]
+    return f"{value / factor:.3g} {prefix}{unit}"
+
+
+def with_error(value: float, error: float) -> str:
+    """``20.42 ± 0.08``: as many digits as the error leaves, five at most.
+
+    Args:
+        value: the estimate.
+        error: its standard error; NaN or 0 where it is not known, and then is not shown.
+    """
+    if not (np.isfinite(error) and error > 0 and np.isfinite(value)):
+        return f"{value:.5g}"
+    size = np.floor(np.log10(max(abs(value), error)))
+    digits = int(min(4 - size, 1 - np.floor(np.log10(error))))
+    if digits < 0 or digits > 8:
+        return f"{value:.4g} ± {error:.2g}"
+    return f"{value:.{digits}f} ± {error:.2g}"
