@@ -192,11 +192,10 @@ def force_error(plant: eoi.Plant, record: eoi.Record) -> float:
     differences; τ̂ is the force with which the model gives the measured acceleration; both
     decimated by ten. States of the plant's own run along the measured motion, from rest.
     """
-    from scipy.signal import butter, decimate, filtfilt
+    from scipy.signal import butter, decimate, sosfiltfilt
 
     h = record.sample_period
-    b, a = butter(4, 2.0 * 100.0 * h)
-    y = filtfilt(b, a, record.outputs[:, 0])
+    y = sosfiltfilt(butter(4, 2.0 * 100.0 * h, output="sos"), record.outputs[:, 0])
     rate = np.gradient(y, h)
     acceleration = np.gradient(rate, h)
     f, slope = _along(plant, record, np.stack([y, rate], axis=1)[:, :, None])
