@@ -10,6 +10,8 @@ import msgspec
 import numpy as np
 
 from eoi_jax import observers, plants
+from eoi_jax.augment import Placed, augmented
+from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
 from eoi_jax.config import (
     ChirpTable,
@@ -29,6 +31,7 @@ from eoi_jax.config import (
 from eoi_jax.data import excitation
 from eoi_jax.data.readers import read_record
 from eoi_jax.data.record import Record
+from eoi_jax.effects import AbstractEffect, standard
 from eoi_jax.lowpass import LowPass
 from eoi_jax.plants.plant import Plant
 from eoi_jax.simulate import simulate
@@ -133,6 +136,18 @@ def lowpass(config: Config) -> LowPass | None:
     return None if table is None else LowPass(table.cutoff, order=table.order)
 
 
+def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
+    """The effects of the [discover] table, in every form they have; None: all that fit.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    names = config.discover.effects
+    if names is None:
+        return None
+    return tuple(one for name in names for one in _forms("discover.effects", name))
+
+
 def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
     """The records to identify from, simulated or read.
 
@@ -223,7 +238,7 @@ def _simulated(config: Config, model: Plant) -> Record:
     )
     signals = [_signal(table.input[name], time, name) for name in model.inputs]
     record = simulate(
-        model.with_parameters(_truth(table, model)),
+        _with_hidden(table, model.with_parameters(_truth(table, model))),
         time,
         np.stack(signals, axis=1),
         initial=_initial(table, model),
@@ -242,17 +257,44 @@ def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
 
 
 def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
+    # With effects the declared parameters may be right: something is hidden all the same.
+    neither = not table.effects and not table.truth and not table.increments
     check(
-        bool(table.truth) != bool(table.increments),
+        not neither and not (table.truth and table.increments),
         "simulate",
         "must have one of the tables `truth` and `increments`",
-        "both" if table.truth else "neither",
+        "neither" if neither else "both",
     )
     for field in ("truth", "increments"):
         for key in getattr(table, field):
             check_choice(f"simulate.{field}", key, model.names)
     nominal = model.parameters
     return table.truth or {key: nominal[key] + add for key, add in table.increments.items()}
+
+
+def _with_hidden(table: SimulateTable, model: Plant) -> Plant:
+    """The plant with what [simulate] `effects` adds to it."""
+    placed: list[Placed] = []
+    values: dict[str, float] = {}
+    for name, given in table.effects.items():
+        forms = _forms("simulate.effects", name)
+        fitting = candidates(model, forms)
+        field = f"simulate.effects.{name}"
+        check(len(fitting) > 0, field, "must be an effect that fits the plant", model.name)
+        parts = given if isinstance(given, dict) else {"": given}
+        own = [parameter.name for parameter in fitting[0].effect.parameters]
+        rule = "must be a number" if own == [""] else f"must be a table of {', '.join(own)}"
+        check(set(parts) == set(own), field, rule, given)
+        placed.append(fitting[0])
+        values |= {key: parts[part] for key, part in zip(fitting[0].names, own, strict=True)}
+    return augmented(model, placed, values)
+
+
+def _forms(field: str, name: str) -> list[AbstractEffect]:
+    """All effects of one canonical name."""
+    known = standard()
+    check_choice(field, name, dict.fromkeys(one.name for one in known))
+    return [one for one in known if one.name == name]
 
 
 def _initial(table: SimulateTable, model: Plant) -> np.ndarray:

@@ -1,14 +1,10 @@
-"""The command ``eoi``: a config in, a table, a figure and a JSON file out.
+"""The command ``eoi``: a config in; a table, figures and a JSON file out.
 
 Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data, 130 interrupted.
 """
 
 import json
-import platform
-import shutil
 import sys
-import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version as version_of
@@ -16,23 +12,24 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import equinox as eqx
-import jax
 import msgspec
 import numpy as np
 import typer
 
-from eoi_jax import backend, build
+from eoi_jax import backend, build, runs
 from eoi_jax import config as configs
-from eoi_jax.checks import RecordWarning, check
-from eoi_jax.data.record import Record
+from eoi_jax.checks import check
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
+from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.tables import identification_text
 from eoi_jax.validate import Validation, validate
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 
 _NO_ANSWER, _WRONG, _INTERRUPTED = 1, 2, 130
+# Ends of a discovery that are worth a folder.
+_ANSWERS = ("explained", "nothing_missing", "unexplained")
 
 
 def main() -> None:
@@ -53,58 +50,94 @@ def options(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Identify the parameters of a plant from the equivalent output injection."""
+    """Identify a plant, and find what its model lacks, from the equivalent output injection."""
     del version
+
+
+Source = Annotated[Path | None, typer.Argument(help="TOML file; left out: the built-in pendulum.")]
+Data = Annotated[
+    Path | None,
+    typer.Option(help="Folder of measured files; else $EOI_DATA, else the config's folder."),
+]
+Output = Annotated[Path, typer.Option(help="Folder that the run's folder goes into.")]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print only the run's folder.")]
+_RUNS = Path("runs")
 
 
 @app.command()
 def identify(
-    config: Annotated[
-        Path | None, typer.Argument(help="TOML file; left out: the built-in pendulum.")
-    ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder of measured files; else $EOI_DATA, else the config's folder."),
-    ] = None,
-    output: Annotated[Path, typer.Option(help="Folder that the run's folder goes into.")] = Path(
-        "runs"
-    ),
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print only the run's folder.")] = False,
+    config: Source = None,
+    data: Data = None,
+    output: Output = _RUNS,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
     passes: Annotated[int | None, typer.Option(min=1, help="Instead of the config's.")] = None,
 ) -> None:
     """Identify a plant's parameters from simulated or measured records."""
     with _failures(as_json):
         backend.configure()
-        source = config or _default_config()
-        check(not output.exists() or output.is_dir(), "--output", "must be a folder", output)
-        settings = _settings(source, passes)
-        with _progress(not quiet) as callback:
-            result, validation, summary = _answer(settings, source, data, callback)
+        source = config or _default_config("pendulum")
+        _check_output(output)
+        given = runs.job(_settings(source, passes), source.parent, data)
+        with _progress(not quiet) as callback, runs.quiet_records():
+            result, validation = _identified(given, callback)
+        summary = runs.identification_summary(given, result, validation)
         if not result.status.ok:
             _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
-        folder = output / settings.name
-        _publish(folder, lambda draft: _write(draft, result, summary, source, passes))
-    if as_json:
-        typer.echo(json.dumps(summary, allow_nan=False))
-    elif quiet:
-        typer.echo(folder)
-    else:
-        lines = [identification_text(result), "" if validation is None else str(validation)]
-        typer.echo("\n\n".join(filter(None, lines)))
-        typer.echo(f"\n{folder}/: result.json, figure.png, config.toml")
+        folder = output / given.settings.name
+        option = "" if passes is None else f" --passes {passes}"
+        text = _with_command(f"eoi identify {source}{option}", source)
+        runs.publish(folder, lambda draft: runs.write_identification(draft, result, summary, text))
+    lines = [identification_text(result), "" if validation is None else str(validation)]
+    _show(folder, "\n\n".join(filter(None, lines)), summary, as_json, quiet)
+
+
+@app.command()
+def discover(
+    config: Annotated[
+        Path | None, typer.Argument(help="TOML file; left out: the built-in example.")
+    ] = None,
+    data: Data = None,
+    output: Output = _RUNS,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find what a plant's model lacks: name the effect, add it, compare before and after."""
+    with _failures(as_json):
+        backend.configure()
+        source = config or _default_config("hidden_friction")
+        _check_output(output)
+        given = runs.job(configs.load(source), source.parent, data)
+        with runs.quiet_records():
+            result = _discovered(given)
+        summary = runs.discovery_summary(given, result)
+        if not (result.status.ok or result.status.code in _ANSWERS):
+            _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
+        folder = output / given.settings.name
+        text = _with_command(f"eoi discover {source}", source)
+        runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
+    _show(folder, discovery_text(result), summary, as_json, quiet)
+    if result.status.code == "unexplained":
+        # The maps of the residual are written all the same: they are what is known.
+        typer.echo(f"eoi: {answer(result)}", err=True)
+        raise typer.Exit(_NO_ANSWER)
 
 
 # -- the run ----------------------------------------------------------------------------------
 
 
-def _default_config() -> Path:
-    """The pendulum's config: inside an installed package, beside it in a source tree."""
+def _default_config(name: str) -> Path:
+    """A shipped config: inside an installed package, beside it in a source tree."""
     package = Path(__file__).parent
     candidates = [package / "configs", package.parent / "configs"]
-    return next((one for one in candidates if one.is_dir()), candidates[0]) / "pendulum.toml"
+    return next((one for one in candidates if one.is_dir()), candidates[0]) / f"{name}.toml"
+
+
+def _check_output(output: Path) -> None:
+    check(not output.exists() or output.is_dir(), "--output", "must be a folder", output)
 
 
 def _settings(source: Path, passes: int | None) -> configs.Config:
@@ -115,109 +148,40 @@ def _settings(source: Path, passes: int | None) -> configs.Config:
     return msgspec.structs.replace(settings, identify=table)
 
 
-def _answer(
-    settings: configs.Config,
-    source: Path,
-    data: Path | None,
-    callback: Callable[[int, int, Any], None] | None,
-) -> tuple[Identification, Validation | None, dict[str, Any]]:
-    """Records, passes, held-out error; and everything as one JSON object."""
-    with warnings.catch_warnings():
-        # What was done to a record is in its notes, and the notes are in the result.
-        warnings.simplefilter("ignore", RecordWarning)
-        model = build.plant(settings, source.parent)
-        records = build.records(settings, model, source.parent, data)
-        held_out = build.validation_records(settings, model, source.parent, data)
-        table = settings.identify
-        result = run_passes(
-            model,
-            records,
-            build.observer(settings),
-            build.lowpass(settings),
-            table.passes,
-            transient=table.transient,
-            substeps=table.substeps,
-            smoothing=table.smoothing,
-            callback=callback,
-        )
-        known = result.status.ok and held_out
-        validation = validate(result.plant, held_out) if known else None
-    return result, validation, _summary(settings, result, records, held_out, validation)
+def _identified(
+    given: runs.Job, callback: Callable[[int, int, Any], None] | None
+) -> tuple[Identification, Validation | None]:
+    """The passes, and the held-out error of what they end with."""
+    table = given.settings.identify
+    result = run_passes(
+        given.model,
+        given.records,
+        build.observer(given.settings),
+        build.lowpass(given.settings),
+        table.passes,
+        transient=table.transient,
+        substeps=table.substeps,
+        smoothing=table.smoothing,
+        callback=callback,
+    )
+    known = result.status.ok and given.held_out
+    return result, validate(result.plant, given.held_out) if known else None
 
 
-def _summary(
-    settings: configs.Config,
-    result: Identification,
-    records: list[Record],
-    held_out: list[Record],
-    validation: Validation | None,
-) -> dict[str, Any]:
-    summary = {
-        "name": settings.name,
-        "status": {"code": result.status.code, "message": result.status.message},
-        "parameters": result.parameters,
-        "standard_errors": result.standard_errors,
-        "nominal": result.nominal.parameters,
-        "units": result.plant.units,
-        "outputs": result.plant.outputs,
-        "index": result.index,
-        "increments": result.increments,
-        "best_pass": result.best_pass + 1,
-        "sliding_fraction": result.sliding_fraction,
-        "observer": result.observer,
-        "lowpass": result.lowpass,
-        "reasons": result.reasons,
-        "notes": result.notes,
-        "records": [_described(record) for record in records],
-        "held_out_records": [_described(record) for record in held_out],
-        "validation": None if validation is None else _errors(validation),
-        "config": msgspec.to_builtins(settings),
-        "versions": _versions(),
-    }
-    return _plain(summary)
+def _discovered(given: runs.Job) -> Any:
+    """Fit, search, add, fit again."""
+    from eoi_jax.discover import discover as run_discovery
 
-
-def _errors(validation: Validation) -> dict[str, Any]:
-    """Free-run errors by output."""
-    by_output = {
-        error: dict(zip(validation.outputs, getattr(validation, error), strict=True))
-        for error in ("rmse", "nrmse", "fit")
-    }
-    return {**by_output, "scored": validation.scored, "notes": validation.notes}
-
-
-def _described(record: Record) -> dict[str, Any]:
-    return {
-        "name": record.name,
-        "samples": len(record.time),
-        "sample_period": record.sample_period,
-        "hash": record.data_hash,
-        "notes": record.notes,
-    }
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "eoi_jax": version_of("eoi_jax"),
-        "jax": jax.__version__,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
-
-
-def _plain(value: Any) -> Any:
-    """JSON's own types; a number that JSON does not have (NaN, infinity) becomes null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, eqx.Module):
-        return {"kind": type(value).__name__, **_plain(vars(value))}
-    if isinstance(value, np.ndarray | np.generic | jax.Array):
-        return _plain(np.asarray(value).tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    table = given.settings.discover
+    return run_discovery(
+        given.model,
+        given.records,
+        validation=given.held_out or None,
+        effects=build.effects(given.settings),
+        alpha=table.alpha,
+        most=table.most,
+        window=table.window,
+    )
 
 
 # -- what the user sees -----------------------------------------------------------------------
@@ -268,36 +232,18 @@ def _stop(
     raise typer.Exit(code)
 
 
-# -- what is written --------------------------------------------------------------------------
+def _show(folder: Path, text: str, summary: dict[str, Any], as_json: bool, quiet: bool) -> None:
+    """The answer on stdout, as a reader or as a program wants it."""
+    if as_json:
+        typer.echo(json.dumps(summary, allow_nan=False))
+    elif quiet:
+        typer.echo(folder)
+    else:
+        files = ", ".join(sorted(path.name for path in folder.iterdir()))
+        typer.echo(f"{text}\n\n{folder}/: {files}")
 
 
-def _write(
-    folder: Path, result: Identification, summary: dict[str, Any], source: Path, passes: int | None
-) -> None:
-    from eoi_jax.report.figures import identification_figure
-
-    text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
-    identification_figure(result).savefig(folder / "figure.png")
-    option = "" if passes is None else f" --passes {passes}"
+def _with_command(command: str, source: Path) -> str:
+    """The config's text under the command that it was run by."""
     config = source.read_text(encoding="utf-8")
-    (folder / "config.toml").write_text(
-        f"# eoi identify {source}{option}\n{config}", encoding="utf-8"
-    )
-
-
-def _publish(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Make `folder` by `fill`, all or nothing; one that is there is replaced at the very end."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    new, old = draft / "new", draft / "old"
-    try:
-        new.mkdir()
-        fill(new)
-        if folder.exists():
-            folder.rename(old)
-        new.rename(folder)
-    finally:
-        if old.exists() and not folder.exists():
-            old.rename(folder)
-        shutil.rmtree(draft, ignore_errors=True)
+    return f"# {command}\n{config}"

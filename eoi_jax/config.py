@@ -102,6 +102,22 @@ class IdentifyTable(msgspec.Struct, frozen=True):
         check(self.smoothing is not True, "identify.smoothing", rule, "true")
 
 
+class DiscoverTable(msgspec.Struct, frozen=True):
+    """[discover]: what is tried, and when it is believed.
+
+    Attributes:
+        effects: canonical names; absent: all that fit the plant.
+        alpha: level of false alarms, over all candidates together.
+        most: the most effects to add.
+        window: length of the re-initialised free runs [s]; absent: chosen from the records.
+    """
+
+    effects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] | None = None
+    alpha: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.01
+    most: Count = 3
+    window: Positive | None = None
+
+
 class SquareTable(msgspec.Struct, frozen=True, tag_field="kind", tag="square"):
     """A square wave offset ± amplitude; frequency [Hz]."""
 
@@ -166,6 +182,8 @@ class SimulateTable(msgspec.Struct, frozen=True):
         input: one signal for each input of the plant.
         truth: parameter values that make the record; the others keep the nominal value.
         increments: the same, as what is added to the nominal values (Δθ of the paper).
+        effects: what the record has and the model lacks, by canonical name: the value of its
+            parameter, or a table where it has several; at the first channel that it fits.
         initial: for each output its value, or [value, rate, …], at the start; absent: zero.
         noise: standard deviation of white noise for each output [its unit].
         quantisation: step of each output's sensor [its unit].
@@ -177,6 +195,7 @@ class SimulateTable(msgspec.Struct, frozen=True):
     input: dict[str, SignalTable]
     truth: dict[str, float] = {}
     increments: dict[str, float] = {}
+    effects: dict[str, float | dict[str, float]] = {}
     initial: dict[str, float | tuple[float, ...]] = {}
     noise: dict[str, NotNegative] = {}
     quantisation: dict[str, NotNegative] = {}
@@ -217,6 +236,7 @@ class Config(msgspec.Struct, frozen=True):
         plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
             the object is a `Plant` or a function that returns one.
         observer, lowpass: absent: chosen from the records.
+        identify, discover: how the verbs of these names run.
         simulate, data: where the records come from; exactly one of the two.
         validation: held-out files; what the table leaves out is as in [data].
     """
@@ -227,6 +247,7 @@ class Config(msgspec.Struct, frozen=True):
     observer: ObserverTable | None = None
     lowpass: LowPassTable | None = None
     identify: IdentifyTable = IdentifyTable()
+    discover: DiscoverTable = DiscoverTable()
     simulate: SimulateTable | None = None
     data: DataTable | None = None
     validation: DataTable | None = None
@@ -310,6 +331,7 @@ _WORDS = {
     "`int`": "a whole number",
     "`array`": "a list",
     "`float | array`": "a number or a list of numbers",
+    "`float | object`": "a number or a table of numbers",
     "`str | null`": "a text",
     "`int | null`": "a whole number",
     "`float | null`": "a number",

@@ -1,8 +1,8 @@
 """Any result to one file and back, without pickle.
 
-A file is an `.npz`: its arrays, and one JSON text that says how they make up the result. Only
-classes of this package are rebuilt, and no code is run on reading; a model that is a function of
-the user's own cannot be stored, so it is given again to `load`.
+A file is an `.npz`: its arrays, each once, and one JSON text that says how they make up the result.
+Only classes of this package are rebuilt, and no code is run on reading; a model that is a function
+of the user's own, or an effect, cannot be stored, so it is given again to `load`.
 """
 
 import dataclasses
@@ -10,7 +10,7 @@ import importlib
 import json
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from eoi_jax.checks import check
+from eoi_jax.effects import AbstractEffect
 from eoi_jax.plants.plant import Plant
 
 _FORMAT = 1
@@ -45,6 +46,25 @@ class MissingModel:
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class MissingEffect:
+    """Stands for an effect of the user's own; it has a name, and using it says what to do."""
+
+    name: str
+    kind: str
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith("__"):
+            raise AttributeError(attribute)
+        check(
+            False,
+            "effects",
+            "must be given to `load` where they are not of this package",
+            f"only the name {self.name} ({self.kind})",
+            "Call `eoi_jax.load(path, effects=(your_effect,))`.",
+        )
+
+
 def save(result: Any, path: str | Path) -> None:
     """Write a result to `path`, whole or not at all.
 
@@ -56,7 +76,7 @@ def save(result: Any, path: str | Path) -> None:
         ValueError: the folder cannot be written.
     """
     path = Path(path)
-    arrays: dict[str, np.ndarray] = {}
+    arrays = _Arrays()
     tree = {
         "format": _FORMAT,
         "version": version("eoi_jax"),
@@ -66,7 +86,7 @@ def save(result: Any, path: str | Path) -> None:
     try:
         with draft.open("wb") as file:
             header = {_HEADER: np.asarray(json.dumps(tree))}
-            np.savez_compressed(file, allow_pickle=False, **header, **arrays)
+            np.savez_compressed(file, allow_pickle=False, **header, **arrays.by_key)
         draft.replace(path)
     except OSError as error:
         check(False, "path", f"must be writable ({error.strerror})", path)
@@ -74,13 +94,16 @@ def save(result: Any, path: str | Path) -> None:
         draft.unlink(missing_ok=True)
 
 
-def load(path: str | Path, plant: Plant | None = None) -> Any:
+def load(
+    path: str | Path, plant: Plant | None = None, effects: Sequence[AbstractEffect] = ()
+) -> Any:
     """Read a result that `.save(path)` wrote.
 
     Args:
         path: of the file.
         plant: the plant of the result, if its model is not one of `eoi_jax.plants`; only its
             functions are taken, parameters come from the file.
+        effects: of the user's own that the result holds.
 
     Returns:
         The result, of the class that was saved.
@@ -106,31 +129,48 @@ def load(path: str | Path, plant: Plant | None = None) -> Any:
     )
     functions = [plant.dynamics, plant.internal, plant.internal_initial] if plant else []
     known = {_name(one): one for one in functions if callable(one)}
+    known |= {_name(type(one)): type(one) for one in effects}
     return _decode(tree["result"], arrays, known)
 
 
-def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+class _Arrays:
+    """Arrays by key; one that several parts of a result share is kept once."""
+
+    def __init__(self):
+        self.by_key: dict[str, np.ndarray] = {}
+        # Beside its key the array itself: while it is held no other one can have its id.
+        self._seen: dict[int, tuple[str, Any]] = {}
+
+    def key(self, array: Any) -> str:
+        if id(array) not in self._seen:
+            key = f"a{len(self.by_key)}"
+            self.by_key[key] = np.asarray(array)
+            self._seen[id(array)] = (key, array)
+        return self._seen[id(array)][0]
+
+
+def _encode(value: Any, arrays: _Arrays) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.ndarray | np.generic | jax.Array):
-        key = f"a{len(arrays)}"
-        arrays[key] = np.asarray(value)
-        return {"array": key}
+        return {"array": arrays.key(value)}
     if isinstance(value, dict):
         return {"dict": {key: _encode(one, arrays) for key, one in value.items()}}
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
         return {kind: [_encode(one, arrays) for one in value]}
+    fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+    content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
+    if isinstance(value, MissingEffect):
+        return {"effect": value.kind, "name": value.name, "fields": {}}
+    if isinstance(value, AbstractEffect):
+        return {"effect": _name(type(value)), "name": value.name, "fields": content}
     if dataclasses.is_dataclass(value):
-        content = {
-            field.name: _encode(getattr(value, field.name), arrays)
-            for field in dataclasses.fields(value)
-        }
         return {"class": _name(type(value)), "fields": content}
     return {"function": _name(value)}
 
 
-def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Callable]) -> Any:
+def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Any]) -> Any:
     if not isinstance(tree, dict):
         return tree
     if "array" in tree:
@@ -143,13 +183,14 @@ def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Callable]
         return tuple(_decode(one, arrays, known) for one in tree["tuple"])
     if "function" in tree:
         return _function(tree["function"], known)
-    kind = _resolve(tree["class"])
-    check(
-        isinstance(kind, type) and dataclasses.is_dataclass(kind),
-        "path",
-        "must hold results of eoi_jax only",
-        tree["class"],
-    )
+    if "effect" in tree:
+        kind = known.get(tree["effect"], _resolve(tree["effect"]))
+        if not (isinstance(kind, type) and issubclass(kind, AbstractEffect)):
+            return MissingEffect(tree["name"], tree["effect"])
+    else:
+        kind = _resolve(tree["class"])
+        good = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+        check(good, "path", "must hold results of eoi_jax only", tree["class"])
     # Past __init__: what was checked once is not worked out anew.
     new = object.__new__(kind)
     for name, one in tree["fields"].items():
@@ -157,7 +198,7 @@ def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Callable]
     return new
 
 
-def _function(name: str, known: dict[str, Callable]) -> Callable:
+def _function(name: str, known: dict[str, Any]) -> Callable:
     if name in known:
         return known[name]
     found = _resolve(name) if name.startswith(f"{_PACKAGE}plants.") else None

@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_jax import backend, build, cli
+from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
 from eoi_jax.data.record import Record
 
@@ -148,9 +148,9 @@ def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
     folder.mkdir(parents=True)
     (folder / "old").write_text("old")
     with pytest.raises(KeyboardInterrupt):
-        cli._publish(folder, fail)
+        runs.publish(folder, fail)
     assert [path.name for path in folder.iterdir()] == ["old"]
-    cli._publish(folder, fill)
+    runs.publish(folder, fill)
     assert [path.name for path in folder.iterdir()] == ["new"]
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
 
@@ -170,7 +170,7 @@ def test_an_old_run_returns_if_the_exchange_itself_fails(
 
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(OSError, match="disk full"):
-        cli._publish(folder, lambda draft: None)
+        runs.publish(folder, lambda draft: None)
     assert [path.name for path in folder.iterdir()] == ["old"]
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
 

@@ -32,6 +32,7 @@ LAYERS = (
     ("store",),
     ("report",),
     ("config", "build"),
+    ("runs",),
     ("cli",),
 )
 RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}

@@ -205,7 +205,8 @@ def _draw_maps(figure: Any, discovery: Any) -> None:
     panels = figure.subplots(1, len(maps), squeeze=False)[0]
     for axes, (output, name) in zip(panels, maps, strict=True):
         _draw_map(axes, discovery, discovery.plant.outputs.index(output), name)
-    _legend_above(panels[-1])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", fontsize=9, ncols=2, frameon=False)
 
 
 def _variable(discovery: Any, added: Any) -> str:

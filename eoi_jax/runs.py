@@ -1,0 +1,287 @@
+"""A run of the command: what it takes from a config, what it says as JSON, what it writes."""
+
+import json
+import platform
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import msgspec
+import numpy as np
+
+from eoi_jax import build
+from eoi_jax import config as configs
+from eoi_jax.checks import RecordWarning
+from eoi_jax.data.record import Record
+from eoi_jax.identify import Identification
+from eoi_jax.plants.plant import Plant
+from eoi_jax.report.discovery import discovery_text
+from eoi_jax.report.equation import equation_latex, equation_text
+from eoi_jax.validate import Validation
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a config stands for.
+
+    Attributes:
+        settings: its tables.
+        model: the plant with its nominal parameters.
+        records: to identify from.
+        held_out: not used by the fit; may be empty.
+    """
+
+    settings: configs.Config
+    model: Plant
+    records: list[Record]
+    held_out: list[Record]
+
+
+@contextmanager
+def quiet_records() -> Iterator[None]:
+    """No warnings about records: what was done to one is in its notes, and those in the result."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordWarning)
+        yield
+
+
+def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
+    """The plant and the records of a config.
+
+    Args:
+        settings: what was loaded.
+        folder: of the config.
+        data: folder of measured files; None: $EOI_DATA, else `folder`.
+
+    Raises:
+        ValueError: what the config names does not exist or does not fit.
+    """
+    with quiet_records():
+        model = build.plant(settings, folder)
+        return Job(
+            settings,
+            model,
+            build.records(settings, model, folder, data),
+            build.validation_records(settings, model, folder, data),
+        )
+
+
+# -- as JSON ----------------------------------------------------------------------------------
+
+
+def identification_summary(
+    given: Job, result: Identification, validation: Validation | None
+) -> dict[str, Any]:
+    """An identification as one JSON object.
+
+    Args:
+        given: what was asked.
+        result: of `identify`.
+        validation: on the held-out records, if there are any.
+    """
+    summary = {
+        "name": given.settings.name,
+        "status": _status(result),
+        **_fit(result),
+        "nominal": result.nominal.parameters,
+        "units": result.plant.units,
+        "outputs": result.plant.outputs,
+        "increments": result.increments,
+        "observer": result.observer,
+        "lowpass": result.lowpass,
+        "reasons": result.reasons,
+        "notes": result.notes,
+        "validation": None if validation is None else _errors(validation),
+    }
+    return _plain({**summary, **_provenance(given)})
+
+
+def discovery_summary(given: Job, result: Any) -> dict[str, Any]:
+    """A discovery as one JSON object.
+
+    Args:
+        given: what was asked.
+        result: of `discover`.
+    """
+    declared, added = result.declared.nominal, result.added
+    fitted = declared.with_parameters(
+        {name: result.plant.parameters[name] for name in declared.names}
+    )
+    summary = {
+        "name": given.settings.name,
+        "status": _status(result),
+        "effects": result.effects,
+        "added": [{**_fields(one), "effect": one.effect.name} for one in added],
+        "ranking": [_fields(one) for one in result.ranking],
+        "ambiguous_with": result.ambiguous_with,
+        "advice": result.advice,
+        "explained": result.explained,
+        "in_sample": result.in_sample,
+        "before": _errors(result.before),
+        "after": _errors(result.after),
+        "windows_before": result.windows_before and _errors(result.windows_before),
+        "windows_after": result.windows_after and _errors(result.windows_after),
+        "parameters": result.plant.parameters,
+        "standard_errors": result.found.standard_errors,
+        "nominal": declared.parameters,
+        "units": result.plant.units,
+        "outputs": declared.outputs,
+        "declared": _fit(result.declared),
+        "found": _fit(result.found),
+        "observer": result.found.observer,
+        "lowpass": result.found.lowpass,
+        "equation": {
+            "text": equation_text(fitted, added),
+            "values": equation_text(fitted, added, numeric=True),
+            "latex": equation_latex(fitted, added),
+        },
+        "notes": result.notes,
+    }
+    return _plain({**summary, **_provenance(given)})
+
+
+def _status(result: Any) -> dict[str, str]:
+    return {"code": result.status.code, "message": result.status.message}
+
+
+def _fields(row: Any) -> dict[str, Any]:
+    return dict(vars(row))
+
+
+def _fit(result: Identification) -> dict[str, Any]:
+    return {
+        "parameters": result.parameters,
+        "standard_errors": result.standard_errors,
+        "index": result.index,
+        "best_pass": result.best_pass + 1,
+        "sliding_fraction": result.sliding_fraction,
+    }
+
+
+def _errors(validation: Validation) -> dict[str, Any]:
+    """Free-run errors by output."""
+    by_output = {
+        error: dict(zip(validation.outputs, getattr(validation, error), strict=True))
+        for error in ("rmse", "nrmse", "fit")
+    }
+    return {**by_output, "scored": validation.scored, "notes": validation.notes}
+
+
+def _provenance(given: Job) -> dict[str, Any]:
+    """From which data, by which versions, asked how."""
+    return {
+        "records": [_described(record) for record in given.records],
+        "held_out_records": [_described(record) for record in given.held_out],
+        "config": msgspec.to_builtins(given.settings),
+        "versions": {
+            "eoi_jax": version_of("eoi_jax"),
+            "jax": jax.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def _described(record: Record) -> dict[str, Any]:
+    return {
+        "name": record.name,
+        "samples": len(record.time),
+        "sample_period": record.sample_period,
+        "hash": record.data_hash,
+        "notes": record.notes,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; a number that JSON does not have (NaN, infinity) becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, eqx.Module):
+        return {"kind": type(value).__name__, **_plain(vars(value))}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+# -- as files ---------------------------------------------------------------------------------
+
+
+def write_identification(
+    folder: Path, result: Identification, summary: dict[str, Any], config: str
+) -> None:
+    """`result.json`, `figure.png` and `config.toml`.
+
+    Args:
+        folder: an empty one.
+        result: of `identify`.
+        summary: of `identification_summary`.
+        config: text of the config, with the command that was given above it.
+    """
+    from eoi_jax.report.figures import identification_figure
+
+    _write_json(folder / "result.json", summary)
+    identification_figure(result).savefig(folder / "figure.png")
+    (folder / "config.toml").write_text(config, encoding="utf-8")
+
+
+def write_discovery(folder: Path, result: Any, summary: dict[str, Any], config: str) -> None:
+    """`discovery.json`, `report.txt`, `equation.tex`, three figures, `result.npz`, `config.toml`.
+
+    Args:
+        folder: an empty one.
+        result: of `discover`.
+        summary: of `discovery_summary`.
+        config: text of the config, with the command that was given above it.
+    """
+    from eoi_jax.report.figures import discovery_figures
+
+    _write_json(folder / "discovery.json", summary)
+    (folder / "report.txt").write_text(discovery_text(result) + "\n", encoding="utf-8")
+    model = result.declared.nominal
+    model = model.with_parameters({name: result.plant.parameters[name] for name in model.names})
+    forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
+    tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
+    (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
+    for name, figure in discovery_figures(result).items():
+        figure.savefig(folder / f"{name}.png")
+    result.save(folder / "result.npz")
+    (folder / "config.toml").write_text(config, encoding="utf-8")
+
+
+def _write_json(path: Path, summary: dict[str, Any]) -> None:
+    text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def publish(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Make a folder, all or nothing; one that is there is replaced at the very end.
+
+    Args:
+        folder: the run's.
+        fill: writes into the empty folder that it is given.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    new, old = draft / "new", draft / "old"
+    try:
+        new.mkdir()
+        fill(new)
+        if folder.exists():
+            folder.rename(old)
+        new.rename(folder)
+    finally:
+        if old.exists() and not folder.exists():
+            old.rename(folder)
+        shutil.rmtree(draft, ignore_errors=True)
