@@ -162,13 +162,18 @@ def records(config: Config, model: Plant, folder: Path, data: Path | None = None
     """
     if config.data is not None:
         return _read(config.data, "data", model, folder, data)
-    return [_simulated(config, model)]
+    assert config.simulate is not None
+    return [_simulated(config.name, config.simulate, model, "input")]
 
 
 def validation_records(
     config: Config, model: Plant, folder: Path, data: Path | None = None
 ) -> list[Record]:
     """The held-out records; none if the config names none. Arguments as in `records`."""
+    table = config.simulate
+    if table is not None and table.held_out:
+        other = msgspec.structs.replace(table, seed=table.seed + 1)  # noise of its own
+        return [_simulated(f"{config.name}, held out", other, model, "held_out")]
     if config.validation is None:
         return []
     return _read(config.validation, "validation", model, folder, data)
@@ -218,9 +223,9 @@ _SIGNALS: dict[type, Callable[..., Any]] = {
 }
 
 
-def _simulated(config: Config, model: Plant) -> Record:
-    table = config.simulate
-    assert table is not None
+def _simulated(name: str, table: SimulateTable, model: Plant, field: str) -> Record:
+    """The record that the signals of one field of [simulate] make."""
+    drive = getattr(table, field)
     count = table.duration / table.sample_period
     check(
         count < 1e8,
@@ -231,18 +236,18 @@ def _simulated(config: Config, model: Plant) -> Record:
     )
     time = np.arange(round(count) + 1) * table.sample_period
     check(
-        set(table.input) == set(model.inputs),
-        "simulate.input",
+        set(drive) == set(model.inputs),
+        f"simulate.{field}",
         f"must have one table for each of the inputs {', '.join(model.inputs)}",
-        ", ".join(table.input) or "none",
+        ", ".join(drive) or "none",
     )
-    signals = [_signal(table.input[name], time, name) for name in model.inputs]
+    signals = [_signal(drive[key], time, f"{field}.{key}") for key in model.inputs]
     record = simulate(
         _with_hidden(table, model.with_parameters(_truth(table, model))),
         time,
         np.stack(signals, axis=1),
         initial=_initial(table, model),
-        name=config.name,
+        name=name,
     )
     return _measured(record, table, model)
 
@@ -253,7 +258,7 @@ def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
     try:
         return offset + _SIGNALS[type(table)](time, **arguments)
     except ValueError as error:
-        raise ValueError(f"[simulate.input.{name}] {error}") from None
+        raise ValueError(f"[simulate.{name}] {error}") from None
 
 
 def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:

@@ -19,6 +19,7 @@ import typer
 from eoi_jax import backend, build, runs
 from eoi_jax import config as configs
 from eoi_jax.checks import check
+from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
 from eoi_jax.report.discovery import answer, discovery_text
@@ -118,7 +119,9 @@ def discover(
             _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
         folder = output / given.settings.name
         text = _with_command(f"eoi discover {source}", source)
-        runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
+        runs.publish(
+            folder, lambda draft: runs.write_discovery(draft, given, result, summary, text)
+        )
     _show(folder, discovery_text(result), summary, as_json, quiet)
     if result.status.code == "unexplained":
         # The maps of the residual are written all the same: they are what is known.
@@ -168,7 +171,7 @@ def _identified(
     return result, validate(result.plant, given.held_out) if known else None
 
 
-def _discovered(given: runs.Job) -> Any:
+def _discovered(given: runs.Job) -> Discovery:
     """Fit, search, add, fit again."""
     from eoi_jax.discover import discover as run_discovery
 
@@ -178,6 +181,7 @@ def _discovered(given: runs.Job) -> Any:
         given.records,
         validation=given.held_out or None,
         effects=build.effects(given.settings),
+        lowpass=build.lowpass(given.settings),
         alpha=table.alpha,
         most=table.most,
         window=table.window,

@@ -180,6 +180,7 @@ class SimulateTable(msgspec.Struct, frozen=True):
     Attributes:
         sample_period, duration: [s].
         input: one signal for each input of the plant.
+        held_out: the same for a second record, which the fit does not see.
         truth: parameter values that make the record; the others keep the nominal value.
         increments: the same, as what is added to the nominal values (Δθ of the paper).
         effects: what the record has and the model lacks, by canonical name: the value of its
@@ -193,6 +194,7 @@ class SimulateTable(msgspec.Struct, frozen=True):
     sample_period: Positive
     duration: Positive
     input: dict[str, SignalTable]
+    held_out: dict[str, SignalTable] = {}
     truth: dict[str, float] = {}
     increments: dict[str, float] = {}
     effects: dict[str, float | dict[str, float]] = {}

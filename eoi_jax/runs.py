@@ -21,6 +21,7 @@ from eoi_jax import build
 from eoi_jax import config as configs
 from eoi_jax.checks import RecordWarning
 from eoi_jax.data.record import Record
+from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
 from eoi_jax.report.discovery import discovery_text
@@ -104,17 +105,14 @@ def identification_summary(
     return _plain({**summary, **_provenance(given)})
 
 
-def discovery_summary(given: Job, result: Any) -> dict[str, Any]:
+def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
     """A discovery as one JSON object.
 
     Args:
         given: what was asked.
         result: of `discover`.
     """
-    declared, added = result.declared.nominal, result.added
-    fitted = declared.with_parameters(
-        {name: result.plant.parameters[name] for name in declared.names}
-    )
+    declared, added, fitted = result.declared.nominal, result.added, _declared(result)
     summary = {
         "name": given.settings.name,
         "status": _status(result),
@@ -125,10 +123,10 @@ def discovery_summary(given: Job, result: Any) -> dict[str, Any]:
         "advice": result.advice,
         "explained": result.explained,
         "in_sample": result.in_sample,
-        "before": _errors(result.before),
-        "after": _errors(result.after),
-        "windows_before": result.windows_before and _errors(result.windows_before),
-        "windows_after": result.windows_after and _errors(result.windows_after),
+        **{
+            name: None if getattr(result, name) is None else _errors(getattr(result, name))
+            for name in ("before", "after", "windows_before", "windows_after")
+        },
         "parameters": result.plant.parameters,
         "standard_errors": result.found.standard_errors,
         "nominal": declared.parameters,
@@ -146,6 +144,12 @@ def discovery_summary(given: Job, result: Any) -> dict[str, Any]:
         "notes": result.notes,
     }
     return _plain({**summary, **_provenance(given)})
+
+
+def _declared(result: Discovery) -> Plant:
+    """The declared model with its parameters as they are beside the effects."""
+    model = result.declared.nominal
+    return model.with_parameters({name: result.plant.parameters[name] for name in model.names})
 
 
 def _status(result: Any) -> dict[str, str]:
@@ -236,11 +240,14 @@ def write_identification(
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
-def write_discovery(folder: Path, result: Any, summary: dict[str, Any], config: str) -> None:
+def write_discovery(
+    folder: Path, given: Job, result: Discovery, summary: dict[str, Any], config: str
+) -> None:
     """`discovery.json`, `report.txt`, `equation.tex`, three figures, `result.npz`, `config.toml`.
 
     Args:
         folder: an empty one.
+        given: what was asked.
         result: of `discover`.
         summary: of `discovery_summary`.
         config: text of the config, with the command that was given above it.
@@ -249,12 +256,12 @@ def write_discovery(folder: Path, result: Any, summary: dict[str, Any], config: 
 
     _write_json(folder / "discovery.json", summary)
     (folder / "report.txt").write_text(discovery_text(result) + "\n", encoding="utf-8")
-    model = result.declared.nominal
-    model = model.with_parameters({name: result.plant.parameters[name] for name in model.names})
+    model = _declared(result)
     forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
     (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
-    for name, figure in discovery_figures(result).items():
+    measured = given.records if result.in_sample else given.held_out
+    for name, figure in discovery_figures(result, measured).items():
         figure.savefig(folder / f"{name}.png")
     result.save(folder / "result.npz")
     (folder / "config.toml").write_text(config, encoding="utf-8")

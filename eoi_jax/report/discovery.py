@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from eoi_jax.discovery import Added, Discovery
 from eoi_jax.effects import AbstractInputEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
@@ -16,7 +17,7 @@ from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 _NEXT = 5
 
 
-def discovery_text(discovery: Any) -> str:
+def discovery_text(discovery: Discovery) -> str:
     """The whole answer.
 
     Args:
@@ -39,7 +40,7 @@ def discovery_text(discovery: Any) -> str:
     return "\n\n".join(block for block in blocks if block)
 
 
-def answer(discovery: Any) -> str:
+def answer(discovery: Discovery) -> str:
     """What the model lacks, and the free-run error before and after, in one sentence."""
     lacking = _listed([phrase(discovery, one) for one in discovery.added])
     code = discovery.status.code
@@ -56,7 +57,7 @@ def answer(discovery: Any) -> str:
     return f"{start}: {_free_run_errors(discovery)}."
 
 
-def phrase(discovery: Any, added: Any) -> str:
+def phrase(discovery: Discovery, added: Added) -> str:
     """One effect with its parameters: ``Coulomb (dry) friction of 20.42 ± 0.08 N``."""
     what, _, _ = added.effect.sentence.partition(":")
     channels = discovery.plant.inputs if _on_input(added) else discovery.plant.outputs
@@ -75,7 +76,7 @@ def phrase(discovery: Any, added: Any) -> str:
     return f"{what}{where} ({', '.join(f'{name} {text}' for name, text in shown)})"
 
 
-def change_table(discovery: Any) -> str:
+def change_table(discovery: Discovery) -> str:
     """Parameters with standard errors before and after the effects were added."""
     before, after = discovery.declared, discovery.found
     rows = [("parameter", "nominal", "before", "± std. error", "after", "± std. error", "unit")]
@@ -96,14 +97,17 @@ def change_table(discovery: Any) -> str:
     return columns(rows, "<>>>>><")
 
 
-def error_table(discovery: Any) -> str:
+def error_table(discovery: Discovery) -> str:
     """Free-run errors and the index, before and after."""
     data = "in-sample" if discovery.in_sample else "held-out"
     rows: list[tuple[str, ...]] = [("", "before", "after", "after/before", "unit")]
-    runs = [("", discovery.before, discovery.after)]
-    if discovery.windows_before is not None and discovery.windows_after is not None:
-        runs.append((" in windows", discovery.windows_before, discovery.windows_after))
+    runs = (
+        ("", discovery.before, discovery.after),
+        (" in windows", discovery.windows_before, discovery.windows_after),
+    )
     for how, before, after in runs:
+        if before is None or after is None:
+            continue
         for j, output in enumerate(before.outputs):
             key, unit = f"{output}{how}", before.units[j]
             rows.append(_row(f"{data} RMSE of {key}", before.rmse[j], after.rmse[j], unit))
@@ -119,7 +123,7 @@ def error_table(discovery: Any) -> str:
     return columns(rows, "<>>><")
 
 
-def candidate_table(discovery: Any) -> str:
+def candidate_table(discovery: Discovery) -> str:
     """The best candidates that were not added, with the reason; empty if there are none."""
     added = {(one.effect.name, one.output) for one in discovery.added}
     others = [one for one in discovery.ranking if (one.effect, one.output) not in added]
@@ -132,7 +136,7 @@ def candidate_table(discovery: Any) -> str:
     return columns(rows, "<<>><")
 
 
-def _explained(discovery: Any) -> str:
+def _explained(discovery: Discovery) -> str:
     lines = []
     if discovery.added:
         share = f"{100 * discovery.explained:.3g} %"
@@ -143,7 +147,7 @@ def _explained(discovery: Any) -> str:
     return "\n".join(filter(None, [*lines, discovery.advice]))
 
 
-def _equation(discovery: Any) -> str:
+def _equation(discovery: Discovery) -> str:
     model = discovery.found.plant.with_parameters(discovery.found.parameters)
     declared = discovery.declared.nominal.with_parameters(
         {name: model.parameters[name] for name in discovery.declared.nominal.names}
@@ -155,7 +159,7 @@ def _equation(discovery: Any) -> str:
 # -- pieces -----------------------------------------------------------------------------------
 
 
-def _on_input(added: Any) -> bool:
+def _on_input(added: Added) -> bool:
     return isinstance(added.effect, AbstractInputEffect)
 
 
@@ -177,9 +181,11 @@ def _row(name: str, before: float, after: float, unit: str) -> tuple[str, ...]:
     return (name, *shown, ratio, unit)
 
 
-def _free_run_errors(discovery: Any) -> str:
+def _free_run_errors(discovery: Discovery) -> str:
     """``free-run error on held-out data 95.9 mm before, 6.4 mm after``."""
     before, after = discovery.before, discovery.after
+    if before is None or after is None:
+        return "no free run was possible"
     data = "the same data (none was held out)" if discovery.in_sample else "held-out data"
     parts = []
     for j, output in enumerate(before.outputs):
@@ -193,7 +199,7 @@ def _free_run_errors(discovery: Any) -> str:
 
 
 def _as_input(
-    discovery: Any, output: str, value: float, error: float, unit: str
+    discovery: Discovery, output: str, value: float, error: float, unit: str
 ) -> tuple[float, float, str]:
     """An acceleration as the force that makes it, where the model says how: f = … + u/m."""
     plant: Plant = discovery.declared.nominal

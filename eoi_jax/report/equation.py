@@ -167,8 +167,9 @@ class _UnreadableError(Exception):
 def _read(function: Any, plant: Plant, count: int) -> tuple[Expression, ...] | None:
     """What `function` returns, flattened; None where it cannot be read."""
     try:
-        body, arguments = _source(function)
-        value = _Reader(plant, function, arguments).run(body)
+        inner = inspect.unwrap(function)  # a decorator may have its own globals
+        body, arguments = _source(inner)
+        value = _Reader(plant, inner, arguments).run(body)
         flat = tuple(_flat(value))
         right = len(flat) == count and _agrees(flat, function, plant)
     except (_UnreadableError, OSError, TypeError, SyntaxError, IndexError, ValueError, KeyError):

@@ -1,10 +1,13 @@
 """Figures of results. No numerical work here beyond picking the points that are drawn."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.record import Record
+from eoi_jax.discovery import Added, Discovery
 from eoi_jax.identify import Identification
 
 # Okabe and Ito's palette, told apart by colour-blind readers; black and vermilion for the
@@ -118,11 +121,12 @@ _BEFORE, _AFTER, _MEASURED = "#0072B2", "#D55E00", "#000000"
 _BINS = 40
 
 
-def discovery_figure(discovery: Any) -> Any:
+def discovery_figure(discovery: Discovery, measured: Sequence[Record] = ()) -> Any:
     """Residual over time, residual against what it depends on, free run: one figure.
 
     Args:
         discovery: of `discover`.
+        measured: the records of the free runs, where the discovery does not hold them.
 
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
@@ -131,17 +135,19 @@ def discovery_figure(discovery: Any) -> Any:
 
     figure = Figure(figsize=(11, 10), dpi=100, layout="constrained")
     grid = figure.add_gridspec(3, 1, height_ratios=[1, 1.2, 1.5])
-    for row, draw in enumerate((_draw_residuals, _draw_maps, _draw_free_run)):
-        draw(figure.add_subfigure(grid[row]), discovery)
+    _draw_residuals(figure.add_subfigure(grid[0]), discovery)
+    _draw_maps(figure.add_subfigure(grid[1]), discovery)
+    _draw_free_run(figure.add_subfigure(grid[2]), discovery, measured)
     figure.suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
     return figure
 
 
-def discovery_figures(discovery: Any) -> dict[str, Any]:
-    """The three parts of `discovery_figure`, a figure each.
+def discovery_figures(discovery: Discovery, measured: Sequence[Record] = ()) -> dict[str, Any]:
+    """The three parts of `discovery_figure`, a figure each; arguments as there.
 
     Args:
         discovery: of `discover`.
+        measured: the records of the free runs, where the discovery does not hold them.
 
     Returns:
         Figures by name: ``residual`` before and after over time; ``effect``, the residual before
@@ -150,28 +156,31 @@ def discovery_figures(discovery: Any) -> dict[str, Any]:
     """
     from matplotlib.figure import Figure
 
-    draw = {"residual": _draw_residuals, "effect": _draw_maps, "free_run": _draw_free_run}
-    figures = {}
-    for name, part in draw.items():
-        figures[name] = Figure(figsize=(10, 5), dpi=100, layout="constrained")
-        part(figures[name], discovery)
-        figures[name].suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
+    def new() -> Any:
+        figure = Figure(figsize=(10, 5), dpi=100, layout="constrained")
+        figure.suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
+        return figure
+
+    figures = {"residual": new(), "effect": new(), "free_run": new()}
+    _draw_residuals(figures["residual"], discovery)
+    _draw_maps(figures["effect"], discovery)
+    _draw_free_run(figures["free_run"], discovery, measured)
     return figures
 
 
-def _found(discovery: Any) -> str:
+def _found(discovery: Discovery) -> str:
     names = [name.replace("_", " ") for name in discovery.effects]
     return " + ".join(names) or discovery.status.code.replace("_", " ")
 
 
-def _pair(discovery: Any, before: Any, after: Any) -> list[tuple[Any, str, str]]:
+def _pair(discovery: Discovery, before: Any, after: Any) -> list[tuple[Any, str, str]]:
     """What is drawn with its colour and label; one curve where nothing was added."""
     if not discovery.added:
         return [(before, _BEFORE, "declared model")]
     return [(before, _BEFORE, "before"), (after, _AFTER, "after")]
 
 
-def _draw_residuals(figure: Any, discovery: Any, record: int = 0) -> None:
+def _draw_residuals(figure: Any, discovery: Discovery, record: int = 0) -> None:
     """The residual before and after over time, a panel for each output."""
     before = discovery.declared
     curves = _pair(discovery, before, discovery.found)
@@ -189,7 +198,7 @@ def _draw_residuals(figure: Any, discovery: Any, record: int = 0) -> None:
     panels[-1].set_xlabel("time [s]")
 
 
-def _draw_maps(figure: Any, discovery: Any) -> None:
+def _draw_maps(figure: Any, discovery: Discovery) -> None:
     """The residual before against variables; what the added effects took away through it."""
     maps = [
         (
@@ -209,7 +218,7 @@ def _draw_maps(figure: Any, discovery: Any) -> None:
     figure.legend(handles, labels, loc="outside upper right", fontsize=9, ncols=2, frameon=False)
 
 
-def _variable(discovery: Any, added: Any) -> str:
+def _variable(discovery: Discovery, added: Added) -> str:
     """What an effect is drawn against: y, v, t, or the name of an input."""
     if added.effect.depends_on != "u":
         return added.effect.depends_on
@@ -217,7 +226,7 @@ def _variable(discovery: Any, added: Any) -> str:
     return added.output if added.output in inputs else inputs[0]
 
 
-def _draw_map(axes: Any, discovery: Any, j: int, name: str) -> None:
+def _draw_map(axes: Any, discovery: Discovery, j: int, name: str) -> None:
     before = discovery.declared
     variable = _values(before, j, name)
     residual = np.concatenate([part[:, j] for part in before.residual])
@@ -267,32 +276,45 @@ def _values(result: Any, j: int, name: str) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _draw_free_run(figure: Any, discovery: Any, record: int = 0) -> None:
+def _draw_free_run(
+    figure: Any, discovery: Discovery, measured: Sequence[Record], record: int = 0
+) -> None:
     """Free runs before and after on a record against its measurement, and their errors."""
     outputs = discovery.plant.outputs
-    measured = discovery.held_out[record]
     panels = figure.subplots(2, len(outputs), sharex=True, squeeze=False, height_ratios=[1.6, 1])
     runs = _pair(discovery, discovery.before, discovery.after)
-    time = np.asarray(measured.time)
+    given = measured or getattr(discovery, "held_out", ())
     for j, (upper, lower) in enumerate(panels.T):
-        y = np.where(measured.valid, measured.outputs[:, j], np.nan)
-        upper.plot(*decimate(time, y), color=_MEASURED, linewidth=1.6, label="measured")
-        for validation, colour, label in runs:
-            y_hat = validation.predictions[record].outputs[:, j]
-            upper.plot(*decimate(time, y_hat), color=colour, linewidth=0.9, label=label)
-            lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
-        middle, reach = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
-        _limit(upper, middle - 3 * reach, middle + 3 * reach)  # a run that diverges hides the rest
-        _limit(lower, -3 * reach, 3 * reach)
         unit = discovery.plant.units.get(outputs[j], "")
         upper.set_ylabel(outputs[j] + (f" [{unit}]" if unit else ""))
         lower.set_ylabel("error" + (f" [{unit}]" if unit else ""))
         lower.set_xlabel("time [s]")
-        for axes in (upper, lower):
-            axes.grid(alpha=0.3)
-    what = "in-sample" if discovery.in_sample else "held-out"
-    panels[0, 0].set_title(f"free run, {what} record {measured.name}", loc="left", fontsize=9)
-    _legend_above(panels[0, 0])
+        upper.grid(alpha=0.3)
+        lower.grid(alpha=0.3)
+        if discovery.before is None or not given:
+            upper.set_title("no free run to show", loc="left", fontsize=9)
+            continue
+        _draw_runs(upper, lower, given[record], [(one.predictions[record], colour, label)
+                                                 for one, colour, label in runs], j)  # fmt: skip
+        what = "in-sample" if discovery.in_sample else "held-out"
+        title = f"free run, {what} record {given[record].name}"
+        upper.set_title(title, loc="left", fontsize=9)
+        if j == len(outputs) - 1:
+            _legend_above(upper)
+
+
+def _draw_runs(upper: Any, lower: Any, measured: Record, runs: Sequence[Any], j: int) -> None:
+    time = np.asarray(measured.time)
+    y = np.where(measured.valid, measured.outputs[:, j], np.nan)
+    upper.plot(*decimate(time, y), color=_MEASURED, linewidth=1.6, label="measured")
+    for prediction, colour, label in runs:
+        y_hat = prediction.outputs[:, j]
+        upper.plot(*decimate(time, y_hat), color=colour, linewidth=0.9, label=label)
+        lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
+    # A run that diverges would hide the rest.
+    middle, reach = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
+    _limit(upper, middle - 3 * reach, middle + 3 * reach)
+    _limit(lower, -3 * reach, 3 * reach)
 
 
 def _limit(axes: Any, low: float, high: float) -> None:
