@@ -1,0 +1,290 @@
+"""A diagnosis in sentences, as a table and as a figure: no numerical work."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from eoi_jax.diagnose import Cross, Diagnosis, Map
+from eoi_jax.report.figures import _injection_unit
+from eoi_jax.report.tables import columns
+from eoi_jax.results import Status
+
+_LINE, _BAND, _STRONG = "#0072B2", "#56B4E9", "#D55E00"
+_BELOW_NOISE = 0.5  # of the noise is quantisation: the noise is called that
+
+
+def findings(diagnosis: Diagnosis, status: Status) -> tuple[str, ...]:
+    """What the numbers of a diagnosis say, the most important first.
+
+    Args:
+        diagnosis: its own `findings` are not read.
+        status: how the estimate ended.
+
+    Returns:
+        Sentences; one alone if nothing was found.
+    """
+    if not np.any(np.isfinite(diagnosis.residual_rms)):
+        return (f"Nothing was scored, so there is nothing to diagnose. {status.message}.",)
+    found = [] if status.ok else [f"The estimate is not one: {status.message}."]
+    for part in (
+        _saturation,
+        _sliding,
+        _residual,
+        _delays,
+        _feedback,
+        _confounding,
+        _windows,
+        _quantisation,
+        _colour,
+    ):
+        found += part(diagnosis)
+    return tuple(found) or (
+        "Nothing found: the residual is what the noise of the records and discretisation leave.",
+    )
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> str:
+    """Findings, a table of the outputs and one of the maps.
+
+    Args:
+        diagnosis: of `diagnose`.
+
+    Returns:
+        Several lines of at most about 100 characters.
+    """
+    rows = [("output", "residual", "noise floor", "more than noise", "whiteness p", "unit")]
+    for j, name in enumerate(diagnosis.outputs):
+        rows.append(
+            (
+                name,
+                f"{diagnosis.residual_rms[j]:.3g}",
+                f"{diagnosis.noise_floor[j]:.3g}",
+                "yes" if diagnosis.more_than_noise[j] else "no",
+                _probability(diagnosis.whiteness[j]),
+                _unit(diagnosis, j),
+            )
+        )
+    maps = [("residual of", "against", "explained", "statistic", "p", "")]
+    for one in diagnosis.maps:
+        shown = (f"{100 * one.explained:.2g} %", f"{one.statistic:.3g}", _probability(one.p_value))
+        strong = "strongest" if _is_strongest(diagnosis, one) else ""
+        maps.append((one.output, one.variable, *shown, strong))
+    blocks = [
+        "\n".join(f"- {line}" for line in diagnosis.findings),
+        columns(rows, "<>><><"),
+        columns(maps, "<<>>><") if diagnosis.maps else "",
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def diagnosis_figure(diagnosis: Diagnosis) -> Any:
+    """Maps of each residual, its correlations with the inputs, and the excitation of each window.
+
+    Args:
+        diagnosis: of `diagnose`.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
+
+    rows = [
+        ([one for one in diagnosis.maps if one.output == name],
+         [one for one in diagnosis.cross if one.output == name])
+        for name in diagnosis.outputs
+    ]  # fmt: skip
+    width = max(max(len(maps), len(cross) + 1) for maps, cross in rows)
+    figure = Figure(
+        figsize=(2.6 * width + 0.8, 4.4 * len(rows) + 1.8), dpi=100, layout="constrained"
+    )
+    grid = figure.add_gridspec(2 * len(rows) + 1, width)
+    for j, (maps, cross) in enumerate(rows):
+        shared = None
+        for i, one in enumerate(maps):
+            axes = figure.add_subplot(grid[2 * j, i], sharey=shared)
+            shared = shared or axes
+            _draw_map(axes, diagnosis, one, first=i == 0)
+        _draw_autocorrelation(figure.add_subplot(grid[2 * j + 1, 0]), diagnosis, j)
+        for i, one in enumerate(cross):
+            _draw_cross(figure.add_subplot(grid[2 * j + 1, i + 1]), one)
+    _draw_windows(figure.add_subplot(grid[-1, :]), diagnosis)
+    return figure
+
+
+# -- sentences -------------------------------------------------------------------------------
+
+
+def _residual(diagnosis: Diagnosis) -> Iterator[str]:
+    for j, name in enumerate(diagnosis.outputs):
+        rms, floor = diagnosis.residual_rms[j], diagnosis.noise_floor[j]
+        unit = _spaced(_unit(diagnosis, j))
+        strongest = diagnosis.strongest[j]
+        where = "its maps show no dependence on what was measured"
+        if strongest is not None:
+            where = (
+                f"it depends most on {strongest.variable}, whose bins explain "
+                f"{100 * strongest.explained:.2g} % of its power (p {_probability(strongest.p_value)})"
+            )
+        mean, error = diagnosis.offset[j], diagnosis.offset_error[j]
+        if diagnosis.more_than_noise[j]:
+            yield (
+                f"The residual of {name} is more than noise: {rms:.3g}{unit} rms, of which the "
+                f"noise explains {floor:.3g}; {where}."
+            )
+        elif strongest is not None:
+            size = f"within the noise in size ({rms:.3g}{unit})"
+            yield f"The residual of {name} is {size}, but {where}."
+        if abs(mean) > max(4.0 * error, diagnosis.method_floor[j]):
+            yield f"The residual of {name} has a mean of {mean:.3g} ± {error:.2g}{unit}."
+
+
+def _delays(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.cross:
+        if np.isfinite(one.delay):
+            yield (
+                f"{one.input} seems to act on {one.output} late, by about {one.delay:.3g} s: the "
+                "residual is what such a delay (or a lag of the actuator) leaves."
+            )
+
+
+def _feedback(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.cross:
+        if one.feedback:
+            yield (
+                f"{one.input} seems to be computed from {one.output}: inputs still to come are "
+                f"correlated with the residual (p {_probability(one.future_p_value)}). Under "
+                "feedback, noise biases the estimate."
+            )
+
+
+def _saturation(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.saturation:
+        unit = _spaced(diagnosis.units.get(one.channel, ""))
+        yield (
+            f"{one.channel} of {one.record} stops at {one.level:.6g}{unit}, where {one.share:.2g} "
+            "of its samples lie: it saturates. Mask those samples, or model the limit."
+        )
+
+
+def _sliding(diagnosis: Diagnosis) -> Iterator[str]:
+    for name, share in zip(diagnosis.outputs, diagnosis.sliding_fraction, strict=True):
+        if share < 0.9:
+            yield (
+                f"The observer of {name} slides in only {share:.0%} of the scored steps: its "
+                "injection is not the model's error elsewhere. Raise its relay."
+            )
+
+
+def _confounding(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.confounded:
+        yield (
+            f"{one.first} and {one.second} are confounded: their estimates are correlated by "
+            f"{one.correlation:.4f}. Fix one, or excite the plant so that they differ."
+        )
+    if diagnosis.worst_combination:
+        yield f"The data say least about {diagnosis.worst_combination}."
+
+
+def _windows(diagnosis: Diagnosis) -> Iterator[str]:
+    poor = [one for one in diagnosis.windows if one.poor]
+    if poor:
+        shown = ", ".join(f"{one.record} {one.start:.4g}–{one.stop:.4g} s" for one in poor[:4])
+        more = f" and {len(poor) - 4} more" if len(poor) > 4 else ""
+        share = f"{len(poor)} of {len(diagnosis.windows)} windows"
+        yield (
+            f"Without excitation in {share} ({shown}{more}): they say nothing about some "
+            "parameters."
+        )
+
+
+def _quantisation(diagnosis: Diagnosis) -> Iterator[str]:
+    for name, noise, step in zip(
+        diagnosis.outputs, diagnosis.noise, diagnosis.quantum, strict=True
+    ):
+        if step / np.sqrt(12.0) > _BELOW_NOISE * noise > 0:
+            unit = _spaced(diagnosis.units.get(name, ""))
+            yield (
+                f"{name} is quantised in steps of {step:.4g}{unit}, which make most of its noise "
+                f"({noise:.3g}): that is not white while the signal moves slowly."
+            )
+
+
+def _colour(diagnosis: Diagnosis) -> Iterator[str]:
+    for j, name in enumerate(diagnosis.outputs):
+        if not diagnosis.white[j] and not diagnosis.more_than_noise[j]:
+            yield (
+                f"The residual of {name} is within the noise in size, but not as white noise would "
+                f"leave it (p {_probability(diagnosis.whiteness[j])}): the noise is coloured, or "
+                "something small is missing."
+            )
+
+
+def _is_strongest(diagnosis: Diagnosis, one: Map) -> bool:
+    return any(
+        best is not None and (best.output, best.variable) == (one.output, one.variable)
+        for best in diagnosis.strongest
+    )
+
+
+def _unit(diagnosis: Diagnosis, j: int) -> str:
+    return _injection_unit(diagnosis.units.get(diagnosis.outputs[j]), diagnosis.degrees[j])
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _probability(value: float) -> str:
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.2g}" if value >= 1e-4 else "< 1e-4"
+
+
+# -- panels ----------------------------------------------------------------------------------
+
+
+def _draw_map(axes: Any, diagnosis: Diagnosis, one: Map, first: bool) -> None:
+    colour = _STRONG if _is_strongest(diagnosis, one) else _LINE
+    axes.fill_between(
+        one.centre, one.mean - one.band, one.mean + one.band, color=colour, alpha=0.25, lw=0
+    )
+    axes.plot(one.centre, one.mean, ".-", color=colour, linewidth=1)
+    axes.axhline(0.0, color="black", linewidth=0.6)
+    unit = diagnosis.units.get(one.variable, "s" if one.variable == "time" else "")
+    axes.set_xlabel(one.variable + (f" [{unit}]" if unit else ""))
+    axes.set_title(f"explains {100 * one.explained:.2g} %", fontsize=9)
+    axes.grid(alpha=0.3)
+    if first:
+        unit = _unit(diagnosis, diagnosis.outputs.index(one.output))
+        axes.set_ylabel(f"residual of\n{one.output}" + (f" [{unit}]" if unit else ""))
+    else:
+        axes.tick_params(labelleft=False)
+
+
+def _draw_autocorrelation(axes: Any, diagnosis: Diagnosis, j: int) -> None:
+    values = diagnosis.autocorrelation[j]
+    axes.stem(np.arange(1, len(values) + 1), values, basefmt="k-", markerfmt=".")
+    axes.set_xlabel("lag [thinned samples]")
+    axes.set_ylabel("autocorrelation,\nwhitened")
+    axes.set_title(f"whiteness p {_probability(diagnosis.whiteness[j])}", fontsize=9)
+    axes.grid(alpha=0.3)
+
+
+def _draw_cross(axes: Any, one: Cross) -> None:
+    axes.stem(one.lags, one.correlation, basefmt="k-", markerfmt=".")
+    axes.axvline(0.0, color="black", linewidth=0.6)
+    axes.set_xlabel(f"residual after {one.input} [s]")
+    axes.set_title(f"cross-correlation p {_probability(one.p_value)}", fontsize=9)
+    axes.grid(alpha=0.3)
+
+
+def _draw_windows(axes: Any, diagnosis: Diagnosis) -> None:
+    number = np.arange(1, len(diagnosis.windows) + 1)
+    values = [one.excitation for one in diagnosis.windows]
+    colours = [_STRONG if one.poor else _LINE for one in diagnosis.windows]
+    axes.bar(number, values, color=colours)
+    axes.axhline(diagnosis.excitation, color="black", linewidth=0.8, linestyle="--")
+    axes.set_xlabel("window (dashed: all together)")
+    axes.set_ylabel("excitation")
+    axes.grid(alpha=0.3)
