@@ -145,7 +145,8 @@ def _smooth(y: np.ndarray) -> tuple[np.ndarray, float]:
     width = 31
     local = np.convolve(power, np.full(width, 1.0 / width), mode="same")
     weight = np.clip(1.0 - floor / np.maximum(local, 1e-300), 0.0, 1.0)
-    weight[np.flatnonzero(local > 3.0 * floor)[-1] + 1 :] = 0.0
+    last = np.flatnonzero(local > 3.0 * floor)[-1:]
+    weight[int(last[0]) + 1 if len(last) else 1 :] = 0.0
     return line + fft.idst(weight * series, type=1, norm="ortho"), floor**0.5
 
 
@@ -275,9 +276,11 @@ def library(declared: str, s: Signals) -> list[Term]:
     largest = float(np.max(np.abs(s.u)))
     terms += [Term("input_clip", (largest * share,)) for share in CLIPS]
     unit = n / 30_000
-    delays = {max(1, round(unit * d)) for d in (3, 6, 11, 17, 25, 34, 45, 60, 90)}
+    delays = {
+        max(1, round(unit * d)) for d in (2, 3, 4, 5, 7, 9, 12, 15, 19, 24, 30, 37, 45, 55, 70)
+    }
     terms += [Term("input_delay", (float(d),), 1) for d in sorted(delays)]
-    lags = (3, 6, 12, 24, 48, 96, 190)
+    lags = (3, 5, 7, 10, 14, 20, 28, 40, 56, 80, 110, 160)
     terms += [Term("actuator_lag", (unit * lag,), 1) for lag in lags]
     levels = np.quantile(s.y, np.array(STOPS))
     if declared == "tank":
@@ -306,15 +309,15 @@ def _mechanical(s: Signals, levels: np.ndarray) -> list[Term]:
     return terms + [Term("position_ripple", wave) for wave in waves]
 
 
-def sinusoids(residual: np.ndarray, declared: np.ndarray, s: Signals, rows: Rows) -> list[Term]:
-    """Sine and cosine at the frequencies of a grid where the residual's spectrum peaks."""
+def sinusoids(left: np.ndarray, known: np.ndarray, s: Signals, rows: Rows) -> list[Term]:
+    """Sine and cosine at the frequencies of a grid where what `known` leaves of `left` peaks."""
     span = float(s.time[-1] - s.time[0])
     centre = (rows.held @ (s.time + 0.5 * s.h)) / (rows.held @ np.ones(len(s.time)))
     spacing = float(np.median(np.diff(centre)))
     grid = np.arange(1.3, 0.5 * span / spacing, 0.3) * 2.0 * np.pi / span
     wave = np.exp(1j * np.outer(centre, grid))
-    wave = wave - declared @ np.linalg.lstsq(declared, wave, rcond=None)[0]
-    power = abs(residual @ wave) ** 2 / np.sum(abs(wave) ** 2, axis=0)
-    chosen = sorted(np.argsort(power)[-8:])
-    phases = (0.0, 0.5 * np.pi)
+    basis = np.linalg.qr(known / np.linalg.norm(known, axis=0))[0]
+    wave -= basis @ (basis.T @ wave)
+    power = abs((left - basis @ (basis.T @ left)) @ wave) ** 2 / np.sum(abs(wave) ** 2, axis=0)
+    chosen, phases = sorted(np.argsort(power)[-6:]), (0.0, 0.5 * np.pi)
     return [Term("sinusoidal_disturbance", (float(grid[i]), p)) for i in chosen for p in phases]

@@ -136,8 +136,8 @@ def _stlsq(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
     import pysindy
 
     supports: list[list[int]] = [[]]
-    for threshold in np.geomspace(1.0, 0.02, 16):
-        optimiser = pysindy.STLSQ(threshold=threshold, alpha=1e-3)
+    for threshold in np.geomspace(1.0, 0.03, 8):
+        optimiser = pysindy.STLSQ(threshold=threshold, alpha=1e-3, max_iter=10)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "eliminated all coefficients", "did not converge"
             optimiser.fit(X, b / np.linalg.norm(b))
@@ -228,6 +228,21 @@ def _moving(s: lib.Signals, rows: lib.Rows) -> np.ndarray:
     return np.flatnonzero(share <= limit)
 
 
+def _problem(declared: str, s: lib.Signals, rows: lib.Rows, D: np.ndarray) -> Problem:
+    """The library in rows; frequencies are those that stand out with, and without, another term."""
+    train = np.arange(len(rows.left)) < (1.0 - HELD_OUT) * len(rows.left)
+    terms = lib.library(declared, s)
+    problem = Problem(terms, D, lib.columns(terms, s, rows), rows.left, train)
+    X, b, kept = _projected(problem)
+    first = int(kept[np.argmax(abs(b @ X))])
+    part, left = rows.take(np.flatnonzero(train)), rows.left[train]
+    both = np.hstack([D, problem.X[:, [first]]])
+    waves = [lib.sinusoids(left, known[train], s, part) for known in (D, both)]
+    waves = list(dict.fromkeys(waves[0] + waves[1]))
+    X = np.hstack([problem.X, lib.columns(waves, s, rows)])
+    return Problem(terms + waves, D, X, rows.left, train)
+
+
 def discover(
     case: CaseLike,
     optimiser: Optimiser = "frols",
@@ -248,17 +263,12 @@ def discover(
     s = lib.signals(case.time, case.inputs, case.outputs)
     declared = lib.declared_terms(case.declared)
     rows, D = _rows(s, declared, order, form)
-    train = np.arange(len(rows.left)) < (1.0 - HELD_OUT) * len(rows.left)
-    left = rows.left
-    terms = lib.library(case.declared, s)
-    fit = _solve(D[train], left[train])
-    terms += lib.sinusoids((left - D @ fit)[train], D[train], s, rows.take(np.flatnonzero(train)))
-    problem = Problem(terms, D, lib.columns(terms, s, rows), left, train)
+    problem = _problem(case.declared, s, rows, D)
     gain = next(float(np.sign(case.start[name])) for name in GAIN if name in case.start)
     chosen = _select(problem, _frols if optimiser == "frols" else _stlsq, gain)
     return Found(
         effects=_names(problem, chosen, gain),
-        terms=declared + tuple(terms[j] for j in chosen),
+        terms=declared + tuple(problem.terms[j] for j in chosen),
         coefficients=problem.coefficients(chosen),
         order=order,
         held_out=(problem.error([]), problem.error(chosen)),
