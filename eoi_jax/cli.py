@@ -19,6 +19,7 @@ import typer
 from eoi_jax import backend, build, runs
 from eoi_jax import config as configs
 from eoi_jax.checks import check
+from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
@@ -173,8 +174,6 @@ def _identified(
 
 def _discovered(given: runs.Job) -> Discovery:
     """Fit, search, add, fit again."""
-    from eoi_jax.discover import discover as run_discovery
-
     table = given.settings.discover
     return run_discovery(
         given.model,

@@ -52,6 +52,7 @@ class MissingEffect:
 
     name: str
     kind: str
+    fields: dict[str, Any]
 
     def __getattr__(self, attribute: str) -> Any:
         if attribute.startswith("__"):
@@ -162,7 +163,8 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
     if isinstance(value, MissingEffect):
-        return {"effect": value.kind, "name": value.name, "fields": {}}
+        content = {key: _encode(one, arrays) for key, one in value.fields.items()}
+        return {"effect": value.kind, "name": value.name, "fields": content}
     if isinstance(value, AbstractEffect):
         return {"effect": _name(type(value)), "name": value.name, "fields": content}
     if dataclasses.is_dataclass(value):
@@ -186,7 +188,8 @@ def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Any]) -> 
     if "effect" in tree:
         kind = known.get(tree["effect"], _resolve(tree["effect"]))
         if not (isinstance(kind, type) and issubclass(kind, AbstractEffect)):
-            return MissingEffect(tree["name"], tree["effect"])
+            content = {key: _decode(one, arrays, known) for key, one in tree["fields"].items()}
+            return MissingEffect(tree["name"], tree["effect"], content)
     else:
         kind = _resolve(tree["class"])
         good = isinstance(kind, type) and dataclasses.is_dataclass(kind)

@@ -14,6 +14,7 @@ from eoi_jax.report import figures, tables
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.equation import equation_latex, equation_text
 from eoi_jax.report.expression import name_latex
+from eoi_jax.store import save
 
 
 @pytest.fixture(scope="module")
@@ -369,3 +370,58 @@ def test_a_run_that_diverges_does_not_hide_the_measurement(found):
 def test_the_single_figure_holds_all_three(found):
     axes = figures.discovery_figure(found, [HELD_OUT]).axes
     assert len(axes) == 1 + 2 + 2
+
+
+# -- on file ----------------------------------------------------------------------------------
+
+
+def test_a_loaded_discovery_has_the_same_numbers_and_can_be_used_on(found, tmp_path):
+    found.save(tmp_path / "found.npz")
+    back = eoi.load(tmp_path / "found.npz", plant=DECLARED)
+    assert str(back) == str(found)
+    assert type(back.added[0].effect) is effects.CoulombFriction
+    assert back.plant.parameters == found.plant.parameters
+    again = eoi.validate(back.plant, HELD_OUT)
+    assert again.rmse[0] == pytest.approx(found.after.rmse[0], rel=1e-9)
+
+
+def test_an_array_that_several_parts_share_is_written_once(found, tmp_path):
+    found.save(tmp_path / "found.npz")
+    twice = dataclasses.replace(found, found=found.declared)
+    twice.save(tmp_path / "twice.npz")
+    with np.load(tmp_path / "found.npz") as one, np.load(tmp_path / "twice.npz") as other:
+        assert len(other.files) < len(one.files)
+    back = eoi.load(tmp_path / "twice.npz", plant=DECLARED)
+    np.testing.assert_array_equal(back.found.residual[0], found.declared.residual[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Jerk(effects.AbstractTerm):
+    """An effect of the user's own."""
+
+    name = "jerk"
+    sentence = "a jerk"
+    gains = (effects.Parameter("", "{f}"),)
+    form = ("+ {0}", "+ {0}")
+    power: int = 3
+
+    def term(self, at, gain, shape):
+        return gain[0] * at.t**self.power
+
+
+def test_an_effect_of_the_users_own_is_given_again_on_loading(found, tmp_path):
+    own = Added(Jerk(5), "position", {"jerk": 1.0}, {"jerk": 0.1}, "a jerk")
+    dataclasses.replace(found, added=(own,)).save(tmp_path / "own.npz")
+    back = eoi.load(tmp_path / "own.npz", plant=DECLARED)
+    assert back.added[0].effect.name == "jerk"
+    with pytest.raises(ValueError, match=r"`effects` must be given to `load`.*jerk"):
+        str(back)
+    back.save(tmp_path / "again.npz")
+    whole = eoi.load(tmp_path / "again.npz", plant=DECLARED, effects=(Jerk(),))
+    assert whole.added[0].effect == Jerk(5)
+    assert "a jerk of 2." in str(whole)
+
+
+def test_a_ranking_is_a_result_like_any_other(found, tmp_path):
+    save(found.ranking[2], tmp_path / "one.npz")
+    assert eoi.load(tmp_path / "one.npz") == found.ranking[2]
