@@ -215,7 +215,7 @@ def _draw_maps(figure: Any, discovery: Discovery) -> None:
     for axes, (output, name) in zip(panels, maps, strict=True):
         _draw_map(axes, discovery, discovery.plant.outputs.index(output), name)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", fontsize=9, ncols=2, frameon=False)
+    figure.legend(handles, labels, loc="outside lower right", fontsize=9, ncols=2, frameon=False)
 
 
 def _variable(discovery: Discovery, added: Added) -> str:
