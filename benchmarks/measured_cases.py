@@ -32,7 +32,7 @@ class Case:
         window: length of the short free runs [s].
         scale, unit: of the errors in the tables.
         untouched: further held-out records by name, which discovery never sees.
-        lowpass, passes: options of the fit; `why` where they are not the defaults.
+        lowpass: of the fit; `why` where it is not the default.
     """
 
     plant: eoi.Plant
@@ -45,7 +45,6 @@ class Case:
     unit: str
     untouched: Mapping[str, eoi.Record] = field(default_factory=dict)
     lowpass: eoi.LowPass | None = None
-    passes: int = 10
     why: str = "all by default"
 
 
@@ -202,9 +201,8 @@ def cascaded_tanks(folder: Path) -> Case:
         ("overflow",),
         600.0, 1.0, "V",
         lowpass=eoi.LowPass(0.05, 2),
-        passes=30,
-        why="cut-off 0.05 rad/s inside the pump's band (it ends at 0.09) and 30 passes, as in the "
-        "set's config: at the default cut-off the declared model's fit stalls",
+        why="cut-off 0.05 rad/s inside the pump's band (it ends at 0.09), as in the set's config: "
+        "at the default cut-off the declared model's fit stalls",
     )  # fmt: skip
 
 

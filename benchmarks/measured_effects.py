@@ -63,30 +63,24 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """A discovery with what the tables show of it; windows are those of the case."""
+    """A discovery and how long it took."""
 
     case: Case
     discovery: "eoi.Discovery"
-    windows: tuple[Validation, Validation]  # before, after
     seconds: float
 
 
 def discovered(case: Case) -> Result:
-    """Discover once, and judge on windows of the case's length."""
+    """Discover once, with windows of the case's length."""
     started = time.perf_counter()
     found = eoi.discover(
         case.plant,
         case.records,
         validation=case.held_out,
         lowpass=case.lowpass,
-        passes=case.passes,
+        window=case.window,
     )
-    seconds = time.perf_counter() - started
-    before, after = (
-        validate(plant, case.held_out, window=case.window)
-        for plant in (found.declared.plant, found.plant)
-    )
-    return Result(case, found, (before, after), seconds)
+    return Result(case, found, time.perf_counter() - started)
 
 
 def _shortened(case: Case) -> Case:
@@ -126,8 +120,10 @@ def against_source(undeclared: tuple[str, ...], effects: tuple[str, ...]) -> str
     return "; ".join(parts) + "."
 
 
-def errors(case: Case, result: Validation, unit: bool = True) -> str:
+def errors(case: Case, result: Validation | None, unit: bool = True) -> str:
     """Free-run rms in the case's unit; a run off by a hundred times the signal has diverged."""
+    if result is None:
+        return "none"
     shown = [
         f"{case.scale * rmse:.3g}" if nrmse < 100.0 else "diverges"
         for rmse, nrmse in zip(result.rmse, result.nrmse, strict=True)
@@ -141,7 +137,7 @@ def _section(result: Result) -> list[str]:
         [f"held out, {what}", errors(case, before), errors(case, after)]
         for what, before, after in (
             ("whole", found.before, found.after),
-            (f"windows of {case.window:g} s", *result.windows),
+            (f"windows of {case.window:g} s", found.windows_before, found.windows_after),
         )
     ]
     plants = (found.declared.plant, found.plant)
@@ -166,10 +162,12 @@ def _summary(results: list[tuple[str, Result]]) -> str:
     rows = []
     for name, one in results:
         found = one.discovery
-        pairs = ((found.before, found.after), one.windows)
         arrows = [
             f"{errors(one.case, before, unit=False)} → {errors(one.case, after)}"
-            for before, after in pairs
+            for before, after in (
+                (found.before, found.after),
+                (found.windows_before, found.windows_after),
+            )
         ]
         rows.append(
             [
