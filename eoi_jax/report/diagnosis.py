@@ -124,7 +124,8 @@ def _residual(diagnosis: Diagnosis) -> Iterator[str]:
         if strongest is not None:
             where = (
                 f"it depends most on {strongest.variable}, whose bins explain "
-                f"{100 * strongest.explained:.2g} % of its power (p {_probability(strongest.p_value)})"
+                f"{100 * strongest.explained:.2g} % of its power "
+                f"(p {_probability(strongest.p_value)})"
             )
         mean, error = diagnosis.offset[j], diagnosis.offset_error[j]
         if diagnosis.more_than_noise[j]:
