@@ -9,6 +9,7 @@ from found import DECLARED, HELD_OUT, HIDDEN, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects, plants
+from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added
 from eoi_jax.report import figures, tables
 from eoi_jax.report.discovery import answer, discovery_text
@@ -425,3 +426,9 @@ def test_an_effect_of_the_users_own_is_given_again_on_loading(found, tmp_path):
 def test_a_ranking_is_a_result_like_any_other(found, tmp_path):
     save(found.ranking[2], tmp_path / "one.npz")
     assert eoi.load(tmp_path / "one.npz") == found.ranking[2]
+
+
+def test_a_diagnosis_survives_a_file(found, tmp_path):
+    diagnosis = diagnose(found.declared)
+    diagnosis.save(tmp_path / "diagnosis.npz")
+    assert str(eoi.load(tmp_path / "diagnosis.npz", plant=DECLARED)) == str(diagnosis)
