@@ -8,23 +8,22 @@ simulated beside it. Nothing here is shared with the library; the simulator is `
     python benchmarks/effect_cases.py        # simulates a few and prints strengths and time
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from time import perf_counter
 from zlib import crc32
 
 import numpy as np
+from effect_excitation import KINDS, excitation, low_pass
 from effect_simulator import History, Lanes, simulate
 from effect_strength import Seen, design, strength
-from scipy.signal import lfilter
 
 SAMPLES = 30_000
 PERIOD = {"mass": 1e-3, "pendulum": 1e-3, "tank": 0.2}  # [s]
 STRIDE = 4  # samples between kept states
 COARSE = 8  # samples to a step of the runs in which amplitudes and strengths are found
-ROUNDS = 6  # of them, and twice as many where these do not settle
+ROUNDS = 6  # of them, and up to three times as many for cases that do not settle
 LANES = 400  # simulated together; bounds the memory
-KINDS = ("multisine", "steps", "chirp", "square")
 
 # Declared parameters by name in `Case` -> name in the simulator, and the paper's value.
 _MASS = {"k": ("stiffness", 140.9), "c": ("damping", 10.0), "b": ("gain", 2.25)}
@@ -237,14 +236,10 @@ class _Draft:
         self.targets = np.exp(rng.uniform(np.log(0.05), np.log(0.2), len(truth)))
         self.draws = rng.uniform(size=(len(truth), 6))
         self._levels(rng)
-        # A gap of a tenth of the swing is weak only where the spring is not most of it all.
-        fast = 1.7 if "free_play" in truth else 1.0
-        self.kinds = tuple(rng.permutation(KINDS)[:2])
-        self.drives = [
-            excitation(kind, rng, n, self.period, fast * self.pace) for kind in self.kinds
-        ]
+        self.kinds = tuple(str(kind) for kind in rng.permutation(KINDS)[:2])
+        self.drives = [self._excite(kind, rng) for kind in self.kinds]
         self.signals = [self._disturbance(rng) for _ in range(2)]
-        self.key, self.settled = key, False
+        self.key, self.settled, self.turns = key, False, 0
         self.effects: dict[str, dict[str, float]] = {}
         self.control = self._control(rng)
         self.scale = np.full(2, self._first_scale())
@@ -267,6 +262,18 @@ class _Draft:
             self.swing = rng.uniform(2.0, 2.6)
         elif self.plant == "mass":
             self.swing = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))
+
+    def _excite(self, kind: str, rng: np.random.Generator) -> np.ndarray:
+        """Input of size one, in a band where the effect can be told from the plant."""
+        fast = 1.5 if self.tank else 1.0
+        if "free_play" in self.truth:
+            fast = 2.2  # a gap of a tenth of the swing is weak only if the spring does not rule
+        if self.tank and "input_dead_zone" in self.truth:
+            fast = 4.0  # the pump must stop now and then: else a dead zone is an offset
+        shape = excitation(kind, rng, self.n, self.period, fast * self.pace)
+        if self.loop == "open" and self.declared in ("mass_no_spring", "pendulum_no_gravity"):
+            shape -= low_pass(shape, 0.5 * self.pace, self.period)  # nothing brings it back
+        return shape / np.max(np.abs(shape))
 
     def _control(self, rng: np.random.Generator) -> dict[str, float]:
         """PD on mechanics, PI on the tank; in units of the plant's own pace."""
@@ -291,7 +298,7 @@ class _Draft:
         """What the outside signals push with, rms 1; zeros where there is none."""
         out = np.zeros(self.n)
         if "outside:coloured_disturbance" in self.truth:
-            out = _low_pass(
+            out = low_pass(
                 rng.standard_normal(self.n), rng.uniform(0.3, 1.5) * self.pace, self.period
             )
         if "outside:random_shocks" in self.truth:
@@ -325,40 +332,56 @@ class _Draft:
 
     def adapt(self, history: History, place: int) -> None:
         """Bring amplitudes, noise and strengths closer to what they should be."""
-        self.settled = True
+        self.settled, lost = True, False
+        self.turns += 1  # smaller and smaller changes, or amplitude and effect chase each other
         for lane in range(2):
             y = history.y[:, 2 * place + lane]
             reached = float(np.max(np.abs(y - self.middle)))
             ratio = self.swing / reached if np.isfinite(reached) and reached > 0 else 0.0
-            self.settled &= 0.8 < ratio < 1.25
-            self.scale[lane] *= np.clip(ratio, 0.4, 2.0) ** 0.8
+            if not 0.75 < ratio < 1.3:  # near enough: let the effects settle
+                self.scale[lane] *= np.clip(ratio, 0.4, 2.0) ** (0.8 / (1 + self.turns / 4))
+                self.settled &= 0.6 < ratio < 1.7
             self.sigma[lane] = self.noise * np.std(y) if ratio > 0 else 0.0
-            if not 0.4 < ratio < 2.5:  # not yet the plant's range: an effect means nothing here
-                self.effects = {}
-                return
-        seen = self.seen(history, place, COARSE * self.period)
+            lost |= lane == 0 and not 0.4 < ratio < 2.5
+        if lost:  # not yet the plant's range: an effect means nothing here
+            self.effects = {}
+            return
+        seen = replace(
+            self.seen(history, place, COARSE * self.period),
+            u=self._fine_input(history.u[:, 2 * place]),
+            period=self.period,
+        )
         for name, draws, target in zip(self.truth, self.draws, self.targets, strict=True):
             before = self.effects.get(name)
             self.effects[name] = design(name, draws, target, seen, before)
-            self.settled &= before is not None
+            self.settled &= before is not None and _close(self.effects[name], before)
+
+    def _fine_input(self, coarse: np.ndarray) -> np.ndarray:
+        """Estimation input at the final period; a controller's lies between its coarse samples."""
+        if self.loop == "open":
+            return self.drive(0)
+        return np.interp(np.arange(self.n) / COARSE, np.arange(len(coarse)), coarse)
 
     def calm(self) -> None:
         """Begin again with less amplitude, and nothing that softens."""
         self.swing *= 0.85
+        self.turns = 0
         self.scale *= 0.7
         self.draws[:, 5] = 0.9
         self.effects = {}
 
     def tame(self, history: History, place: int) -> bool:
-        """Whether both records are finite and where they should be."""
+        """Whether both records are finite and where they should be, the effect as strong."""
+        return self.settled and not self.lost(history, place)
+
+    def lost(self, history: History, place: int) -> bool:
+        """Whether a record left the range of the plant."""
         y = history.y[:, 2 * place : 2 * place + 2]
-        if not np.all(np.isfinite(y)):
-            return False
+        if not np.all(np.isfinite(y)) or any(name not in self.effects for name in self.truth):
+            return True
         if self.tank:
-            return bool(np.min(y) > 0.05 * self.middle and np.max(y) < 4 * self.middle)
-        if not all(name in self.effects for name in self.truth):
-            return False
-        return bool(np.max(np.abs(y)) < (2.6 if self.plant == "pendulum" else 2 * self.swing))
+            return bool(np.min(y) < 0.05 * self.middle or np.max(y) > 4 * self.middle)
+        return bool(np.max(np.abs(y)) > (2.6 if self.plant == "pendulum" else 2 * self.swing))
 
     def case(self, history: History, place: int, level: float) -> Case:
         """The finished case at one level of noise."""
@@ -366,9 +389,9 @@ class _Draft:
         seen = [y + self.noise_of(lane, level, y) for lane, y in enumerate(clean)]
         inputs = [history.u[:, 2 * place + lane].copy() for lane in range(2)]
         trajectory = self.seen(history, place, self.period)
-        reached = (strength(name, self.effects[name], trajectory) for name in self.truth)
+        reached = (float(strength(name, self.effects[name], trajectory)) for name in self.truth)
         return Case(
-            self.declared, self.truth, self._equivalent(), self.loop, level, self.seed,
+            self.declared, self.truth, self._equivalent(inputs), self.loop, level, self.seed,
             tuple(reached), np.arange(self.n) * self.period, inputs[0], seen[0], clean[0],
             inputs[1], seen[1], clean[1], self.start, self.parameters,
             {f"{name}.{key}": v for name, own in self.effects.items() for key, v in own.items()},
@@ -379,7 +402,7 @@ class _Draft:
         size = level * np.std(y) if self.loop == "open" and y is not None else self.sigma[lane]
         return size * self.unit_noise(lane, level)
 
-    def _equivalent(self) -> tuple[str, ...]:
+    def _equivalent(self, inputs: Sequence[np.ndarray]) -> tuple[str, ...]:
         """Dry friction with an offset is asymmetric friction, exactly."""
         if self.truth == ("asymmetric_friction",):
             return ("coulomb_friction", "constant_offset")
@@ -389,7 +412,15 @@ class _Draft:
             return ("asymmetric_friction",) if smaller else ()
         if self.truth == ("constant_offset",) and self.base.get("dry"):
             return ("asymmetric_friction",)  # with the declared friction taken as its mean
+        lowest = min(float(np.min(u)) for u in inputs)
+        if self.truth == ("input_dead_zone",) and lowest > self.effects["input_dead_zone"]["g"]:
+            return ("constant_offset",)
         return ()
+
+
+def _close(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Whether two sets of parameters differ by less than a quarter."""
+    return all(abs(one[key] - other[key]) <= 0.25 * abs(one[key]) for key in one)
 
 
 # -- from drafts to trajectories --------------------------------------------------------------
@@ -400,7 +431,7 @@ def _simulate(drafts: Sequence[_Draft], attempts: int = 5) -> History:
 
     A case that leaves its range in the real run begins again with less amplitude.
     """
-    for turn in range(2 * ROUNDS):
+    for turn in range(3 * ROUNDS):
         moving = [d for d in drafts if turn < ROUNDS or not d.settled]
         if not moving:
             break
@@ -416,7 +447,7 @@ def _simulate(drafts: Sequence[_Draft], attempts: int = 5) -> History:
         lanes = [2 * place + lane for place in wild for lane in range(2)]
         for old, new in zip(_arrays(history), _arrays(again), strict=True):
             old[..., lanes] = new
-    elif wild:
+    elif any(drafts[place].lost(history, place) for place in wild):
         names = {(drafts[place].declared, drafts[place].truth) for place in wild}
         raise RuntimeError(f"cases that cannot be kept in range: {sorted(names)}")
     return history
@@ -449,56 +480,6 @@ def _lanes(drafts: Sequence[_Draft]) -> Lanes:
         0.0 if drafts[0].tank else -np.inf,
         drafts[0].period,
     )
-
-
-# -- excitation -------------------------------------------------------------------------------
-
-
-def excitation(
-    kind: str, rng: np.random.Generator, n: int, period: float, pace: float
-) -> np.ndarray:
-    """Input of largest value 1 around the plant's `pace` [rad/s], loud and quiet by turns, (n,)."""
-    time = np.arange(n) * period
-    if kind == "square":
-        edges = np.cumsum(rng.uniform(0.8, 6.0, n) / pace)
-        which = np.searchsorted(edges, time)
-        shape = rng.uniform(0.1, 1.0, n)[which] * (1 - 2 * (which % 2))
-        return shape / np.max(np.abs(shape))
-    if kind == "steps":
-        edges = np.cumsum(rng.uniform(0.5, 4.0, n) / pace)
-        held = rng.uniform(-1.0, 1.0, n)[np.searchsorted(edges, time)]
-        shape = _low_pass(held, rng.uniform(2.0, 5.0) * pace, period)
-    elif kind == "multisine":
-        shape = _multisine(rng, time, pace, 24)
-    else:
-        shape = _chirp(rng, time, pace) + 0.4 * _multisine(rng, time, pace, 12)
-    knots = rng.uniform(0.15, 1.0, 12)
-    shape *= np.interp(time, np.linspace(0.0, time[-1], len(knots)), knots)
-    return shape / np.max(np.abs(shape))
-
-
-def _multisine(rng: np.random.Generator, time: np.ndarray, pace: float, lines: int) -> np.ndarray:
-    w = pace * np.exp(rng.uniform(np.log(0.15), np.log(3.5), lines))
-    phase = rng.uniform(0.0, 2 * np.pi, lines)
-    out = np.zeros_like(time)
-    for one, start in zip(w, phase, strict=True):
-        out += np.sin(one * time + start)
-    return out / np.sqrt(lines / 2)
-
-
-def _chirp(rng: np.random.Generator, time: np.ndarray, pace: float) -> np.ndarray:
-    """Up and down between 0.15 and 3 times the pace, a few times."""
-    sweeps = rng.uniform(2.0, 4.0)
-    place = 0.5 - 0.5 * np.cos(2 * np.pi * sweeps * time / time[-1])
-    w = pace * 0.15 * 20.0**place
-    return np.sin(np.cumsum(w) * (time[1] - time[0]) + rng.uniform(0.0, 2 * np.pi))
-
-
-def _low_pass(x: np.ndarray, corner: float, period: float) -> np.ndarray:
-    """Two equal first-order lags at `corner` [rad/s]."""
-    keep = np.exp(-corner * period)
-    once = [(1.0 - keep) ** 2]
-    return np.asarray(lfilter(once, [1.0, -2 * keep, keep**2], x))
 
 
 def main() -> None:

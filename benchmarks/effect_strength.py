@@ -139,7 +139,10 @@ def design(
     if memory and before is not None:
         unit["k"] = before["k"]
     reached = strength(name, unit, seen)
-    factor = min(target / reached if reached > 0 else 0.0, _limit(name, seen))
+    ratio = target / reached if reached > 0 else 0.0
+    if memory:
+        ratio **= 0.6  # its state follows the trajectory that it changes
+    factor = min(ratio, _limit(name, seen))
     sign = -1.0 if name in SIGNED and draws[5] < 0.5 else 1.0
     if name == "cubic_stiffness" and factor > _limit("quadratic_stiffness", seen, power=3):
         sign = 1.0  # as a softening one it would let the plant go
@@ -192,8 +195,8 @@ _KNOB: dict[str, Callable[[Seen, float], Values]] = {
     },
     "input_dead_zone": lambda s, x: {"g": _between(0.005, 0.6, x) * float(np.max(np.abs(s.u)))},
     "input_saturation": _loud,
-    "input_delay": lambda s, x: {"tau": _between(5.0, 50.0, x) * s.sample},
-    "actuator_lag": lambda s, x: {"time": _between(5.0, 80.0, x) * s.sample},
+    "input_delay": lambda s, x: {"tau": _between(1.5, 50.0, x) * s.sample},
+    "actuator_lag": lambda s, x: {"time": _between(2.0, 80.0, x) * s.sample},
 }  # fmt: skip
 
 
