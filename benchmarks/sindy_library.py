@@ -139,7 +139,7 @@ def _smooth(y: np.ndarray) -> tuple[np.ndarray, float]:
     """
     ends = min(20, len(y) // 10)
     line = np.linspace(np.mean(y[:ends]), np.mean(y[-ends:]), len(y))
-    series = fft.dst(y - line, type=1, norm="ortho")
+    series = np.asarray(fft.dst(y - line, type=1, norm="ortho"))
     power = series**2
     floor = float(np.median(power[len(power) // 2 :])) / 0.455  # median of χ² with one degree
     width = 31
@@ -147,7 +147,7 @@ def _smooth(y: np.ndarray) -> tuple[np.ndarray, float]:
     weight = np.clip(1.0 - floor / np.maximum(local, 1e-300), 0.0, 1.0)
     last = np.flatnonzero(local > 3.0 * floor)[-1:]
     weight[int(last[0]) + 1 if len(last) else 1 :] = 0.0
-    return line + fft.idst(weight * series, type=1, norm="ortho"), floor**0.5
+    return line + np.asarray(fft.idst(weight * series, type=1, norm="ortho")), floor**0.5
 
 
 # -- rows: the equation against bumps -------------------------------------------------------------
@@ -182,25 +182,27 @@ def weak_rows(s: Signals, order: int, half: int) -> Rows:
     centres = np.arange(half, n - half - 1, thin * max(1, half // (2 * thin)))
     width = half * s.h
 
-    def weights(derivative: int, every: int, shift: float) -> sparse.csr_array:
+    def shape(derivative: int, every: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
         offset = np.arange(-half, half + 1, every)
         bump = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** 6
         position = (offset + shift) / half
         value = np.where(abs(position) < 1.0, bump.deriv(derivative)(position), 0.0)
-        value = value * (every * s.h / width ** (derivative + 1))
+        return offset, value * (every * s.h / width ** (derivative + 1))
+
+    def weights(derivative: int, every: int, shift: float) -> sparse.csr_array:
+        offset, value = shape(derivative, every, shift)
         columns = (centres[:, None] + offset) // every
         start = np.arange(0, columns.size + 1, len(offset))
         data = np.tile(value, len(centres)), columns.ravel(), start
         return sparse.csr_array(data, shape=(len(centres), -(-n // every)))
 
-    highest = (-1.0) ** order * weights(order, 1, 0.0)
     return Rows(
-        left=highest @ s.raw,
+        left=np.asarray(weights(order, 1, 0.0) @ s.raw) * (-1.0) ** order,
         level=weights(0, 1, 0.0) @ s.raw,
         slope=-(weights(1, 1, 0.0) @ s.raw),
         held=weights(0, 1, 0.5),
         thinned=weights(0, thin, 0.0),
-        noise=s.sigma * float(np.linalg.norm(highest[[0]].data)),
+        noise=s.sigma * float(np.linalg.norm(shape(order, 1, 0.0)[1])),
     )
 
 
@@ -212,8 +214,9 @@ def derivative_rows(s: Signals, order: int, half: int) -> Rows:
     centres = np.arange(thin * (half // thin), n - half, thin * max(1, half // (4 * thin)))
     savitzky = {"window_length": 2 * (half // 2) + 1, "polyorder": 3}
     differentiate = pysindy.SmoothedFiniteDifference(smoother_kws=savitzky)
-    slope = differentiate(s.raw[:, None], s.h)
-    highest = slope if order == 1 else differentiate(slope, s.h)
+    step: Any = s.h  # a number is documented, its annotation is wrong
+    slope = differentiate(s.raw[:, None], step)
+    highest = slope if order == 1 else differentiate(slope, step)
     return Rows(
         left=np.asarray(highest)[centres, 0],
         level=s.y[centres],

@@ -22,7 +22,7 @@ of the cases.
 import time as clock
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -69,6 +69,12 @@ class Found:
     order: int
     held_out: tuple[float, float]
     seconds: float
+    declared: np.ndarray
+
+    def bare(self) -> "Found":
+        """The declared model alone, fitted the same way: what "before" means."""
+        terms = self.terms[: len(self.declared)]
+        return replace(self, effects=(), terms=terms, coefficients=self.declared)
 
 
 # -- selection -------------------------------------------------------------------------------------
@@ -127,8 +133,10 @@ def _frols(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
     import pysindy
 
     optimiser = pysindy.FROLS(max_iter=LONGEST, alpha=1e-9, unbias=False)
-    optimiser.fit(X, b / np.linalg.norm(b))
-    return [list(np.flatnonzero(coefficients[0])) for coefficients in optimiser.history_]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ill-conditioned coefficients: only the order is used
+        optimiser.fit(X, b / np.linalg.norm(b))
+    return [np.flatnonzero(coefficients[0]).tolist() for coefficients in optimiser.history_]
 
 
 def _stlsq(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
@@ -141,7 +149,7 @@ def _stlsq(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "eliminated all coefficients", "did not converge"
             optimiser.fit(X, b / np.linalg.norm(b))
-        support = list(np.flatnonzero(optimiser.coef_[0]))
+        support = np.flatnonzero(optimiser.coef_[0]).tolist()
         if len(support) <= 3 * LONGEST and support not in supports:
             supports.append(support)
     return supports
@@ -273,6 +281,7 @@ def discover(
         order=order,
         held_out=(problem.error([]), problem.error(chosen)),
         seconds=clock.perf_counter() - began,
+        declared=problem.coefficients([]),
     )
 
 
