@@ -53,7 +53,7 @@ _SHOWN = 0.01  # of the residual's power that a map must explain to be named
 _BINS = 20
 _WINDOWS = 20
 _ALIKE = 0.95  # correlation of two estimates from which they are called confounded
-_POOR = 0.01  # of the whole record's excitation, below which a window has none
+_POOR = 0.01  # of the regressors' mean power, below which a window has no excitation
 _UNEVEN = 100.0  # standard error of the worst combination over that of the best
 _SLIDING = 0.9
 
@@ -119,7 +119,8 @@ class Window:
         record: name. start, stop: [s].
         excitation: smallest eigenvalue of the information per sample, for parameters scaled so
             that each alone has one over all records; 0 without scored samples.
-        poor: whether it is below a hundredth of that of all records together.
+        poor: whether all regressors together have below a hundredth of their mean power. (One
+            frequency at a time, as in a chirp, is little excitation in each window, and is not.)
     """
 
     record: str
@@ -524,18 +525,16 @@ def _excitation(
     kept = free > 0
     scale = np.sqrt(np.maximum(np.diagonal(total)[kept], np.finfo(float).tiny) / count)
 
-    def smallest(information: np.ndarray, samples: int) -> float:
-        if not samples:
-            return 0.0
-        scaled = information[np.ix_(kept, kept)] / samples / np.outer(scale, scale)
-        return max(float(np.linalg.eigvalsh(scaled)[0]), 0.0)
+    def smallest_and_mean(information: np.ndarray, samples: int) -> tuple[float, float]:
+        scaled = information[np.ix_(kept, kept)] / max(samples, 1) / np.outer(scale, scale)
+        values = np.linalg.eigvalsh(scaled)
+        return max(float(values[0]), 0.0), float(np.mean(values))
 
-    whole = smallest(total, count)
     windows = []
     for name, start, stop, information, samples in stretches:
-        one = smallest(information, samples)
-        windows.append(Window(name, start, stop, one, samples == 0 or one < _POOR * whole))
-    return whole, tuple(windows), solution
+        smallest, mean = smallest_and_mean(information, samples)
+        windows.append(Window(name, start, stop, smallest, mean < _POOR))
+    return smallest_and_mean(total, count)[0], tuple(windows), solution
 
 
 def _stretches(

@@ -194,8 +194,8 @@ def _windows(diagnosis: Diagnosis) -> Iterator[str]:
         more = f" and {len(poor) - 4} more" if len(poor) > 4 else ""
         share = f"{len(poor)} of {len(diagnosis.windows)} windows"
         yield (
-            f"Without excitation in {share} ({shown}{more}): they say nothing about some "
-            "parameters."
+            f"Without excitation in {share} ({shown}{more}): the plant hardly moves, and "
+            "they say next to nothing."
         )
 
 
@@ -282,10 +282,12 @@ def _draw_cross(axes: Any, one: Cross) -> None:
 
 def _draw_windows(axes: Any, diagnosis: Diagnosis) -> None:
     number = np.arange(1, len(diagnosis.windows) + 1)
-    values = [one.excitation for one in diagnosis.windows]
-    colours = [_STRONG if one.poor else _LINE for one in diagnosis.windows]
-    axes.bar(number, values, color=colours)
-    axes.axhline(diagnosis.excitation, color="black", linewidth=0.8, linestyle="--")
-    axes.set_xlabel("window (dashed: all together)")
+    poor = np.asarray([one.poor for one in diagnosis.windows], dtype=bool)
+    # From one frequency at a time to a rich signal it spans decades; none at all has no logarithm.
+    values = np.asarray([max(one.excitation, 1e-9) for one in diagnosis.windows])
+    axes.semilogy(number[~poor], values[~poor], "o", color=_LINE)
+    axes.semilogy(number[poor], values[poor], "o", color=_STRONG)
+    axes.axhline(max(diagnosis.excitation, 1e-9), color="black", linewidth=0.8, linestyle="--")
+    axes.set_xlabel("window (dashed: all together; red: the plant hardly moves)")
     axes.set_ylabel("excitation")
     axes.grid(alpha=0.3)
