@@ -253,3 +253,16 @@ def test_with_an_effect_the_declared_parameters_may_be_right(config):
     config.write_text(HIDDEN.replace("increments = { alpha = -20.0, beta = -2.0, rho = -0.2 }", ""))
     settings = configs.load(config)
     assert len(build.records(settings, build.plant(settings, CONFIGS), CONFIGS)) == 1
+
+
+def test_the_command_names_what_a_config_hides(config, tmp_path):
+    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["effects"] == ["coulomb_friction"]
+    friction = result["added"][0]
+    error = friction["standard_errors"]["coulomb_friction"]
+    # 2 ms is short against the motion: what the step leaves is below a percent.
+    allowed = 5.0 * error + 0.003
+    assert friction["parameters"]["coulomb_friction"] == pytest.approx(0.3, abs=allowed)
+    assert result["after"]["rmse"]["position"] < 0.1 * result["before"]["rmse"]["position"]

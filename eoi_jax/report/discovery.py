@@ -27,9 +27,10 @@ def discovery_text(discovery: Discovery) -> str:
         A sentence, then tables: parameters and errors before and after, what explains how much,
         what it might be instead, the equation, the next-best candidates, notes.
     """
+    first = answer(discovery)
     blocks = [
-        answer(discovery),
-        discovery.status.message,
+        first,
+        "" if str(discovery.status) in first else str(discovery.status),
         change_table(discovery) if discovery.added else parameter_table(discovery.declared),
         error_table(discovery),
         _explained(discovery),
