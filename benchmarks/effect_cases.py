@@ -22,7 +22,7 @@ SAMPLES = 30_000
 PERIOD = {"mass": 1e-3, "pendulum": 1e-3, "tank": 0.2}  # [s]
 STRIDE = 4  # samples between kept states
 COARSE = 8  # samples to a step of the runs in which amplitudes and strengths are found
-ROUNDS = 6  # of them, and up to three times as many for cases that do not settle
+ROUNDS = 6  # of them, and up to six times as many for cases that do not settle
 LANES = 400  # simulated together; bounds the memory
 
 # Declared parameters by name in `Case` -> name in the simulator, and the paper's value.
@@ -370,10 +370,6 @@ class _Draft:
         self.draws[:, 5] = 0.9
         self.effects = {}
 
-    def tame(self, history: History, place: int) -> bool:
-        """Whether both records are finite and where they should be, the effect as strong."""
-        return self.settled and not self.lost(history, place)
-
     def lost(self, history: History, place: int) -> bool:
         """Whether a record left the range of the plant."""
         y = history.y[:, 2 * place : 2 * place + 2]
@@ -431,15 +427,18 @@ def _simulate(drafts: Sequence[_Draft], attempts: int = 5) -> History:
 
     A case that leaves its range in the real run begins again with less amplitude.
     """
-    for turn in range(3 * ROUNDS):
+    for turn in range(6 * ROUNDS):
         moving = [d for d in drafts if turn < ROUNDS or not d.settled]
         if not moving:
             break
+        if turn and turn % (3 * ROUNDS) == 0:
+            for draft in moving:
+                draft.calm()
         coarse = simulate(_lanes(moving).decimated(COARSE))
         for place, draft in enumerate(moving):
             draft.adapt(coarse, place)
     history = simulate(_lanes(drafts), stride=STRIDE)
-    wild = [place for place, draft in enumerate(drafts) if not draft.tame(history, place)]
+    wild = [place for place, draft in enumerate(drafts) if draft.lost(history, place)]
     if wild and attempts:
         for place in wild:
             drafts[place].calm()
@@ -447,7 +446,7 @@ def _simulate(drafts: Sequence[_Draft], attempts: int = 5) -> History:
         lanes = [2 * place + lane for place in wild for lane in range(2)]
         for old, new in zip(_arrays(history), _arrays(again), strict=True):
             old[..., lanes] = new
-    elif any(drafts[place].lost(history, place) for place in wild):
+    elif wild:
         names = {(drafts[place].declared, drafts[place].truth) for place in wild}
         raise RuntimeError(f"cases that cannot be kept in range: {sorted(names)}")
     return history
