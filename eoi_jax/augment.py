@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At
-from eoi_jax.plants.plant import Dynamics, Plant, State
+from eoi_jax.plants.plant import Dynamics, Plant, State, parameter_type
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float
     if not placed:
         return plant
     nz = len(np.asarray(plant.internal_start(jnp.asarray(plant.theta))))
+    own = plant.names
     several = tuple(placed)
     states = sum(one.effect.states for one in several)
     limits = {
@@ -82,13 +83,13 @@ def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float
     added = {name: float(values[name]) for one in several for name in one.names}
     moving = states + nz > 0
     return Plant(
-        _Dynamics(plant.dynamics, several, nz, plant.relative_degree),
+        _Dynamics(plant.dynamics, own, several, nz),
         {**plant.parameters, **added},
         relative_degree=plant.degrees,
         inputs=plant.inputs,
         outputs=plant.outputs,
-        internal=_Internal(plant.internal, several, nz, plant.relative_degree) if moving else None,
-        internal_initial=_Start(plant.internal_initial, states) if moving else None,
+        internal=_Internal(plant.internal, own, several, nz) if moving else None,
+        internal_initial=_Start(plant.internal_initial, own, states) if moving else None,
         bounds=limits,
         fixed=plant.fixed,
         units=units,
@@ -100,7 +101,8 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     """The unit of an effect's parameter at its channel; "" where the plant declares none."""
     j = placed.channel
     y = "" if placed.on_input else plant.units.get(plant.outputs[j], "")
-    u = plant.units.get(plant.inputs[j if placed.on_input else 0], "")
+    channel = j if placed.on_input else 0
+    u = plant.units.get(plant.inputs[channel], "") if plant.inputs else ""
     known = {"{y}": y, "{v}": y, "{f}": y, "{u}": u}
     if any(key in pattern and not value for key, value in known.items()):
         return ""
@@ -114,13 +116,13 @@ class _Dynamics:
     """f of the augmented plant; equal (and compiled once) for equal plants and effects."""
 
     base: Dynamics
+    names: tuple[str, ...]
     placed: tuple[Placed, ...]
     nz: int
-    r: int
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         changed = _inputs(self, t, x, u, p)
-        f = jnp.asarray(self.base(t, State(x.y, x.z[: self.nz]), changed, p))
+        f = jnp.asarray(self.base(t, State(x.y, x.z[: self.nz]), changed, _own(self.names, p)))
         f = jnp.reshape(f, (x.y.shape[1],))
         for one, z in _own_states(self.placed, x.z[self.nz :]):
             if isinstance(one.effect, AbstractTerm):
@@ -134,15 +136,15 @@ class _Internal:
     """g of the augmented plant."""
 
     base: Dynamics | None
+    names: tuple[str, ...]
     placed: tuple[Placed, ...]
     nz: int
-    r: int
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         rates = []
         if self.base is not None:
             changed = _inputs(self, t, x, u, p)
-            rate = self.base(t, State(x.y, x.z[: self.nz]), changed, p)
+            rate = self.base(t, State(x.y, x.z[: self.nz]), changed, _own(self.names, p))
             rates.append(jnp.reshape(jnp.asarray(rate), (self.nz,)))
         at_input = u
         for one, z in _own_states(self.placed, x.z[self.nz :]):
@@ -160,12 +162,18 @@ class _Start:
     """Internal states at the start: the plant's own, then zeros."""
 
     base: Any
+    names: tuple[str, ...]
     states: int
 
     def __call__(self, p: Any) -> Any:
-        own = self.base(p) if callable(self.base) else self.base
+        own = self.base(_own(self.names, p)) if callable(self.base) else self.base
         own = jnp.reshape(jnp.asarray(own, dtype=jnp.result_type(float)), (-1,))
         return jnp.concatenate([own, jnp.zeros(self.states, own.dtype)])
+
+
+def _own(names: tuple[str, ...], p: Any) -> Any:
+    """The declared model's parameters, as it knows them."""
+    return parameter_type(names)(*(getattr(p, name) for name in names))
 
 
 def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> Any:
@@ -193,4 +201,6 @@ def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
 def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
     y = x.y[:, 0 if one.on_input else one.channel]
     rate = y[1] if x.y.shape[0] > 1 else jnp.zeros_like(y[0])
-    return At(t, y[0], rate, u[one.channel if one.on_input else 0], z)
+    # A plant may have no input at all.
+    own = u[one.channel if one.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])
+    return At(t, y[0], rate, own, z)

@@ -124,7 +124,7 @@ def prepare(
         h = record.sample_period
         use, restart = _usable(record, taps, friction, noise * h)
         score = (use > 0).astype(float)
-        use = _tapered(use, taper / h)
+        use = tapered(use, taper / h)
         score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
         if explicit:
             score *= _settled(restart, round(transient / h))[:, None]
@@ -206,7 +206,7 @@ def constant(record: Record) -> Bool[np.ndarray, " ny"]:
     return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
 
 
-def _tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
+def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
     """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
 
     Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,

@@ -1,4 +1,4 @@
-"""What an effect is: one thing that a model may lack, with its term, parameters and grid.
+r"""What an effect is: one thing that a model may lack, with its term, parameters and grid.
 
 An effect adds a term to y^(r) that is linear in its *gains* and may depend nonlinearly on its
 *shapes*, or it changes an input on its way into the model. It may carry a state of its own.
@@ -9,7 +9,7 @@ A new one is a small class:
         sentence = "a spring whose stiffness grows with the square of the displacement"
         gains = (Parameter("", "{f}/{y}³"),)
         depends_on = "y"
-        form = ("-{0} {y}³", r"-{0}\\,{y}^3")
+        form = ("-{0} {y}³", r"-{0}\,{y}^3")
 
         def term(self, at, gain, shape):
             return -gain[0] * at.y**3
@@ -68,6 +68,7 @@ class Seen:
 
     Attributes:
         y, v, u: samples of all records (those that count).
+        noise: standard deviation of the noise left in `y`.
         duration: of the longest record [s].
         sample_period: h [s].
         band: frequency that holds most of y^(r) [rad/s].
@@ -77,6 +78,7 @@ class Seen:
     y: Float[np.ndarray, " samples"]
     v: Float[np.ndarray, " samples"]
     u: Float[np.ndarray, " samples"]
+    noise: float
     duration: float
     sample_period: float
     band: float
@@ -94,6 +96,7 @@ class AbstractEffect(ABC):
         states: number of own internal states; they start at zero.
         depends_on: the variable that it is drawn against: "y", "v", "u" or "t".
         contains: names of simpler effects that it can imitate exactly.
+        rarity: twice the log-odds by which a twin that is more common is preferred.
         form: the term as text and LaTeX; {0}, {1}, … its parameters, {y}, {v}, {u} variables.
     """
 
@@ -104,6 +107,7 @@ class AbstractEffect(ABC):
     states: ClassVar[int] = 0
     depends_on: ClassVar[str] = "t"
     contains: ClassVar[tuple[str, ...]] = ()
+    rarity: ClassVar[float] = 0.0
     form: ClassVar[tuple[str, str]]
 
     def __eq__(self, other: object) -> bool:
@@ -157,12 +161,16 @@ class AbstractInputEffect(AbstractEffect):
     def changed(self, at: At, shape: Any) -> Any:
         """The input that the model gets instead of `at.u`."""
 
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        """The same along a whole record, (S,), where that is exact without states; else None."""
+        del time, u, shape
+
 
 def mechanical(plant: Plant, output: int) -> bool:
     """Whether the output is a position: its velocity is a state."""
     return plant.degrees[output] >= 2
 
 
-def quantiles(values: Float[np.ndarray, " samples"], shares: Sequence[float]) -> Grid:
+def quantiles(values: Float[np.ndarray, " samples"], shares: Any) -> Grid:
     """Values below which these shares of the samples lie, as a grid of one shape parameter."""
     return np.unique(np.quantile(values, shares))[:, None]

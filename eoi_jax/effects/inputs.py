@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -93,6 +94,16 @@ class ActuatorLag(AbstractInputEffect):
     def changed(self, at: At, shape: Any) -> Any:
         return at.z[0]
 
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        # Exact for a staircase: z decays towards u in each step, and the mean over it is taken.
+        ratio = (time[1] - time[0]) / shape[0]
+        decay = jnp.exp(-ratio)
+
+        def step(z: Any, u: Any) -> tuple[Any, Any]:
+            return u + (z - u) * decay, u + (z - u) * (1.0 - decay) / ratio
+
+        return jax.lax.scan(step, jnp.zeros_like(u[0]), u)[1]
+
 
 # Padé approximant of order 4 of exp(-s τ), written as four states in real time scaled by τ:
 # the denominator is s⁴ + 20 s³ + 180 s² + 840 s + 1680, the numerator has alternating signs.
@@ -102,7 +113,11 @@ _SCALE = 1680.0**0.25  # balances the states
 
 
 class InputDelay(AbstractInputEffect):
-    """u(t - τ), as the Padé approximant of order 4 (so that τ is a parameter like any other)."""
+    """u(t - τ).
+
+    In a plant it is the Padé approximant of order 4, so that τ is a parameter like any other; along
+    a record it is exact.
+    """
 
     name = "input_delay"
     sentence = "a delay of the input"
@@ -126,9 +141,16 @@ class InputDelay(AbstractInputEffect):
         a = _A / _SCALE ** np.arange(1, 5)
         return at.u - 2.0 * (a[0] * at.z[3] + a[2] * at.z[1])
 
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        # Means over steps: of a shifted staircase they are interpolated linearly.
+        return jnp.interp(time - shape[0], time, u)
+
 
 def _times(seen: Seen) -> Grid:
-    """Times that shift the phase at the edge of the band by a hundredth to a few radians."""
-    least = 2.0 * seen.sample_period
-    times = np.geomspace(0.02, 4.0, 10) / seen.band
+    """Times that shift the phase at the edge of the band by a hundredth to a few radians.
+
+    Half a sample is a matter of how the record was read, not of the plant.
+    """
+    least = 0.5 * seen.sample_period
+    times = np.geomspace(0.01, 4.0, 11) / seen.band
     return np.unique(np.maximum(times, least))[:, None]

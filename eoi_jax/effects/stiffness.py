@@ -9,6 +9,8 @@ import numpy as np
 from eoi_jax.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, mechanical, quantiles
 from eoi_jax.plants.plant import Plant
 
+_SMALL_ANGLE = 0.8  # [rad]
+
 
 class LinearStiffness(AbstractTerm):
     """-k y: a spring."""
@@ -63,12 +65,17 @@ class Gravity(AbstractTerm):
 
     name = "gravity"
     sentence = "gravity: a force with the sine of the position"
+    rarity = 2.0  # at small angles it is a linear spring
     gains = (Parameter("", "{f}"),)
     depends_on = "y"
     form = ("- {0}·sin({y})", r"- {0}\sin {y}")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        # Below that, sin(y) is y - y³/6 to within its own size over a hundred: a spring.
+        return np.zeros((1 if np.max(np.abs(seen.y)) > _SMALL_ANGLE else 0, 0))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.sin(at.y)
@@ -93,8 +100,11 @@ class PositionRipple(AbstractTerm):
     def grid(self, seen: Seen) -> Grid:
         # Two periods over the range at least: fewer look like a spring. A neighbour on the grid
         # is off by less than a radian at the ends of the range.
-        reach = np.ptp(seen.y)
-        return (np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6) / reach)[:, None]
+        phases = np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6)
+        # A ripple as fine as the noise would be fitted to the noise.
+        resolved = phases * seen.noise < 0.3 * np.ptp(seen.y)
+        resolved[0] = True
+        return (phases[resolved] / np.ptp(seen.y))[:, None]
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.y

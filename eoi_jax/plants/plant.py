@@ -185,7 +185,7 @@ class Plant(eqx.Module):
 
     def named(self, theta: Float[Array | np.ndarray, " np"]) -> Any:
         """θ by name, the `p` of the model functions (``p.a``, ``p.b``)."""
-        return _parameter_type(self.names)(*theta)
+        return parameter_type(self.names)(*theta)
 
     def derivative(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Output:
         """f(t, x, u; θ): the highest derivative of each output [its unit / s^r]."""
@@ -296,7 +296,8 @@ class Plant(eqx.Module):
 _TYPES: dict[tuple[str, ...], Any] = {}
 
 
-def _parameter_type(names: tuple[str, ...]) -> Any:
+def parameter_type(names: tuple[str, ...]) -> Any:
+    """The type of `p` for these names: attributes in order."""
     # One class per set of names: jit compares pytree types by identity.
     if names not in _TYPES:
         _TYPES[names] = namedtuple("Parameters", names)

@@ -1,0 +1,201 @@
+"""Candidate effects as columns of a regression: each effect at each point of its shape grid.
+
+A term is linear in its gains: its columns are the term at unit gain, projected on the modes. An
+input effect replaces the declared part of the model: the columns of *all* parameters change, and
+what is fitted is the physical model itself, not a linearisation in the effect.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax.augment import Placed, place
+from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At, Grid, Seen
+from eoi_jax.modes import Stretch, averaged, integrated, model_rows, thinned
+from eoi_jax.plants.plant import Plant
+
+_OVERFLOW = 1e100
+
+
+@dataclass(frozen=True)
+class Atom:
+    """One effect at one value of its shape parameters, as columns.
+
+    Attributes:
+        placed: the effect and its channel.
+        shape: its shape parameters.
+        columns: of a term, one for each gain, shape (rows, gains); of an input effect those of the
+            declared parameters, shape (rows, np).
+        target: of an input effect, y^(r) - f with the changed input; None for a term.
+    """
+
+    placed: Placed
+    shape: tuple[float, ...]
+    columns: Float[np.ndarray, "rows columns"]
+    target: Float[np.ndarray, " rows"] | None
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Name and channel: two atoms of one key are never in one model, except opposite stops."""
+        return self.placed.effect.name, self.placed.channel
+
+
+def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
+    """Every effect at every channel that it fits."""
+    placed = []
+    for effect in effects:
+        if isinstance(effect, AbstractInputEffect):
+            placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
+        else:
+            fitting = [j for j in range(len(plant.outputs)) if effect.fits(plant, j)]
+            placed += [place(plant, effect, j) for j in fitting]
+    return placed
+
+
+def seen_at(
+    plant: Plant,
+    placed: Placed,
+    stretches: Sequence[Stretch],
+    band: float,
+    peaks: Float[np.ndarray, " peaks"],
+) -> Seen:
+    """What the records show at the channel of an effect."""
+    y = 0 if placed.on_input else placed.channel
+    u = placed.channel if placed.on_input else 0
+    rate = min(1, plant.relative_degree - 1)
+    return Seen(
+        np.concatenate([one.y[:, 0, y] for one in stretches]),
+        np.concatenate([one.y[:, rate, y] for one in stretches]),
+        np.concatenate([one.u[:, u] if plant.inputs else 0.0 * one.time for one in stretches]),
+        max(one.state_noise[y] for one in stretches),
+        max(one.duration for one in stretches),
+        max(one.original_period for one in stretches),
+        band,
+        peaks,
+    )
+
+
+def atoms(plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretch]) -> list[Atom]:
+    """An effect at several values of its shape parameters, shape (grid, shapes)."""
+    values = [tuple(float(value) for value in row) for row in shapes]
+    if not values:
+        return []
+    if placed.on_input:
+        inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
+        target, slopes = model_rows(plant, stretches, inputs)
+        made = [Atom(placed, value, slopes[i], target[i]) for i, value in enumerate(values)]
+    else:
+        columns = _term_rows(plant, placed, shapes, stretches)
+        made = [Atom(placed, value, columns[i], None) for i, value in enumerate(values)]
+    # A state that is faster than the steps does not stay finite: that shape cannot be tried.
+    return [one for one in made if _finite(one)]
+
+
+def _finite(one: Atom) -> bool:
+    target = one.columns if one.target is None else one.target
+    size = max(np.max(np.abs(one.columns), initial=0.0), np.max(np.abs(target), initial=0.0))
+    return bool(size < _OVERFLOW)  # not a number compares as False
+
+
+def _term_rows(
+    plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretch]
+) -> Float[np.ndarray, "grid rows gains"]:
+    effect, j = placed.effect, placed.channel
+    assert isinstance(effect, AbstractTerm)
+    parts = []
+    for one in stretches:
+        h = jnp.asarray(one.sample_period)
+        thin = (one.weight[j], one.kernel)
+        along = _term_along(
+            effect, plant.degrees[j], *_signals(one, j, 0), jnp.asarray(shapes), thin, h
+        )
+        own = one.rows(np.asarray(along))
+        for k in range(len(plant.outputs)):
+            parts.append(own if k == j else np.zeros_like(own))
+    return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)
+
+
+def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndarray, "grid S nu"]:
+    """The inputs as the model gets them."""
+    assert isinstance(placed.effect, AbstractInputEffect)
+    changed = _input_along(
+        placed.effect,
+        *_signals(one, 0, placed.channel),
+        jnp.asarray(shapes),
+        jnp.asarray(one.sample_period),
+    )
+    inputs = np.repeat(one.u[None], len(shapes), axis=0)
+    inputs[:, :, placed.channel] = changed
+    return inputs
+
+
+@eqx.filter_jit
+def _input_along(
+    effect: AbstractInputEffect, signals: tuple, bend: tuple, shapes: Array, h: Array
+) -> Float[Array, "grid S"]:
+    def one(shape: Array) -> Array:
+        exact = effect.along(signals[0], signals[3], shape)
+        if exact is not None:
+            return exact
+        z = _states_along(effect, shape, signals, bend, h)
+        return jax.vmap(lambda t, y, v, u, z: effect.changed(At(t, y, v, u, z), shape))(*signals, z)
+
+    return jax.vmap(one)(shapes)
+
+
+@eqx.filter_jit
+def _term_along(
+    effect: AbstractTerm,
+    degree: int,
+    signals: tuple,
+    bend: tuple,
+    shapes: Array,
+    thin: tuple,
+    h: Array,
+) -> Float[Array, "grid gains nodes"]:
+    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is."""
+    time, y, v, u = signals
+    unit = jnp.eye(len(effect.gains))
+
+    def one(shape: Array) -> Array:
+        z = _states_along(effect, shape, signals, bend, h)
+
+        def instant(t: Any, y: Any, v: Any, u: Any, z: Any) -> Array:
+            at = At(t, y, v, u, z)
+            return jnp.stack([effect.term(at, gain, shape) for gain in unit])
+
+        return thinned(averaged(degree, jax.vmap(instant)(time, y, v, u, z).T), *thin)
+
+    return jax.vmap(one)(shapes)
+
+
+def _signals(one: Stretch, output: int, channel: int) -> tuple[tuple, tuple]:
+    """Time, output, its rate and an input, in the middle of each step; and their change over it."""
+    rate = 1 if one.y.shape[1] > 1 else 0
+    time, y, u = one.bend
+
+    def chosen(t: Any, y: Any, u: Any) -> tuple:
+        v = y[:, rate, output] * float(rate)  # an output without a velocity has none
+        own = u[:, channel] if u.shape[1] else 0.0 * t
+        return t, y[:, 0, output], v, own
+
+    return chosen(one.time, one.y, one.u), chosen(time, y, u)
+
+
+def _states_along(
+    effect: AbstractEffect, shape: Array, signals: tuple, bend: tuple, h: Array
+) -> Array:
+    """Own states in the middle of each step, from zero."""
+    if not effect.states:
+        return jnp.zeros((signals[0].shape[0], 0))
+
+    def rate(z: Array, row: tuple) -> Array:
+        return effect.rate(At(*row, z), shape)
+
+    return integrated(rate, jnp.zeros(effect.states), signals, bend, h)

@@ -1,0 +1,125 @@
+"""What `discover` answers."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.identify import Identification
+from eoi_jax.plants.plant import Plant
+from eoi_jax.results import Status
+from eoi_jax.validate import Validation
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One candidate and what speaks for it.
+
+    Attributes:
+        effect: canonical name.
+        output: the output (or the input, for an input effect) that it acts on.
+        parameters: estimate of its own parameters, gains and shapes.
+        explained: share of the residual's power that it takes away when it alone is added.
+        score: twice the log-likelihood gained less the penalty; above zero it is evidence. Of an
+            effect that was added: beside the others; of another one: alone.
+        remark: why it is out, or "".
+    """
+
+    effect: str
+    output: str
+    parameters: dict[str, float]
+    explained: float
+    score: float
+    remark: str
+
+
+@dataclass(frozen=True)
+class Added:
+    """One effect that was added.
+
+    Attributes:
+        effect: what; it gives the equation's term.
+        output: the output, or the input, that it acts on.
+        parameters: estimates by name in `Discovery.plant`.
+        standard_errors: by name.
+        sentence: completes "the model lacks …".
+    """
+
+    effect: AbstractEffect
+    output: str
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What a model lacks, and what adding it is worth.
+
+    Attributes:
+        effects: canonical names of what was added, the strongest first; empty if nothing is
+            justified, or if nothing explains the residual.
+        added: the same with parameters.
+        ranking: every candidate with its evidence, best first.
+        ambiguous_with: names that the records support as well, instead of one of `effects`.
+        advice: which experiment would tell them apart.
+        explained: share of the residual's power above the noise that `effects` explain, 0 … 1.
+        before, after: free-run errors of the declared and of the augmented model, on records that
+            were not used for the fit (`in_sample` says where there were none).
+        windows_before, windows_after: the same on re-initialised windows; None where the records
+            are too short.
+        declared, found: the fits.
+        plant: the augmented model with its estimate.
+        status: ``"explained"``, ``"nothing_missing"``, ``"unexplained"``, or that of the declared
+            fit if it failed.
+        notes: what limits the answer.
+        in_sample: whether the free-run errors are on the records of the fit.
+    """
+
+    effects: tuple[str, ...]
+    added: tuple[Added, ...]
+    ranking: tuple[Evidence, ...]
+    ambiguous_with: tuple[str, ...]
+    advice: str
+    explained: float
+    before: Validation | None
+    after: Validation | None
+    windows_before: Validation | None
+    windows_after: Validation | None
+    declared: Identification
+    found: Identification
+    plant: Plant
+    status: Status
+    notes: tuple[str, ...]
+    in_sample: bool
+
+    def __str__(self) -> str:
+        from eoi_jax.report.discovery import discovery_text
+
+        return discovery_text(self)
+
+    @property
+    def equation(self) -> str:
+        """The augmented equation as text."""
+        from eoi_jax.report.equation import equation_text
+
+        return equation_text(self.declared.nominal, self.added)
+
+    @property
+    def latex(self) -> str:
+        """The augmented equation in LaTeX."""
+        from eoi_jax.report.equation import equation_latex
+
+        return equation_latex(self.declared.nominal, self.added)
+
+    def plot(self) -> Any:
+        """Residual before and after, the effect in it, the free run: a matplotlib figure."""
+        from eoi_jax.report.figures import discovery_figure
+
+        return discovery_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)

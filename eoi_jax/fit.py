@@ -1,0 +1,249 @@
+"""One set of effects fitted to the modes: least squares, and Gauss–Newton on the shapes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from eoi_jax.augment import Placed
+from eoi_jax.candidates import Atom
+
+_STEPS = 6  # of Gauss–Newton
+_STEP = 1e-3  # of the numerical derivative, in units of the distance on the grid
+_ENOUGH = 1e-3  # relative fall of the cost below which they end
+_POINTS = 3  # on each side, when neighbours on the grid are far apart
+
+Rows = Float[np.ndarray, " rows"]
+Make = Callable[[Placed, np.ndarray], list[Atom]]
+
+
+@dataclass(frozen=True)
+class Base:
+    """The declared model along the records, and what is known of the noise in each mode.
+
+    Attributes:
+        target: y^(r) - f at the declared parameters.
+        columns: ∂f/∂θ of the free parameters, shape (rows, free).
+        free: their indices among all parameters.
+        noise, local: of `noise_model`.
+        output: to which each row belongs.
+    """
+
+    target: Rows
+    columns: Float[np.ndarray, "rows free"]
+    free: Int[np.ndarray, " free"]
+    noise: Rows
+    local: Rows
+    output: Int[np.ndarray, " rows"]
+
+    def signal_power(self, residual: Rows) -> float:
+        """Σ |R|² over modes, each weighed by how far it stands above the noise (Wiener)."""
+        return float(np.sum(self._signal * residual**2))
+
+    @property
+    def noise_power(self) -> float:
+        """What measurement noise alone contributes to `signal_power`."""
+        return float(np.sum(self._signal * self.noise))
+
+    @property
+    def _signal(self) -> Rows:
+        local = np.maximum(self.local, 1e-300)
+        return np.clip(1.0 - self.noise / local, 0.0, 1.0) ** 2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A set of effects, fitted.
+
+    Attributes:
+        atoms: what was added, input effects first.
+        theta: increments of the free declared parameters, then gains.
+        residual: as modes.
+        cost: Σ |R|²/S.
+        physical: whether every gain is where it is physical.
+    """
+
+    atoms: tuple[Atom, ...]
+    theta: Float[np.ndarray, " columns"]
+    residual: Rows
+    cost: float
+    physical: bool
+
+    @property
+    def keys(self) -> frozenset:
+        """What the set consists of."""
+        return frozenset(one.placed for one in self.atoms)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters added."""
+        return sum(len(one.placed.effect.parameters) for one in self.atoms)
+
+    @property
+    def gains(self) -> tuple[Float[np.ndarray, " gains"], ...]:
+        """Of each atom."""
+        return _gains(self.atoms, self.theta)
+
+
+def fitted(base: Base, atoms: Sequence[Atom], power: Rows) -> Fit:
+    """Weighted least squares of the declared parameters and the gains.
+
+    Args:
+        base: the declared model.
+        atoms: the set; at most one input effect.
+        power: S of each mode.
+    """
+    ordered = tuple(sorted(atoms, key=lambda one: one.target is None))
+    target, matrix = system(base, ordered)
+    weight = 1.0 / np.sqrt(power)
+    if not np.all(np.isfinite(matrix)):  # a shape at which the term overflows is no answer
+        return Fit(ordered, np.zeros(matrix.shape[1]), target, np.inf, False)
+    theta = solve(matrix * weight[:, None], target * weight)
+    residual = target - matrix @ theta
+    cost = float(np.sum(residual**2 / power))
+    return Fit(ordered, theta, residual, cost, _physical(ordered, theta))
+
+
+def system(base: Base, atoms: Sequence[Atom]) -> tuple[Rows, Float[np.ndarray, "rows columns"]]:
+    """Target and columns of a set."""
+    target, columns = base.target, base.columns
+    if atoms and atoms[0].target is not None:
+        target, columns = atoms[0].target, atoms[0].columns[:, base.free]
+    terms = [one.columns for one in atoms if one.target is None]
+    return target, np.concatenate([columns, *terms], axis=1)
+
+
+@dataclass(frozen=True)
+class Span:
+    """What the grid of an effect says about its shapes, each of shape (shapes,).
+
+    Attributes:
+        step: distance between neighbours.
+        low, high: half a step beyond the ends of the grid; refinement stays inside.
+    """
+
+    step: Float[np.ndarray, " shapes"]
+    low: Float[np.ndarray, " shapes"]
+    high: Float[np.ndarray, " shapes"]
+
+
+Spans = dict[Placed, Span]
+
+
+def refined(base: Base, fit: Fit, power: Rows, spans: Spans, make: Make) -> Fit:
+    """The set with its shapes refined: a finer grid around each, then Gauss–Newton on all.
+
+    Args:
+        base: the declared model.
+        fit: to start from.
+        power: S of each mode.
+        spans: of the grid of each effect.
+        make: atoms of an effect at given shapes (grid, shapes).
+    """
+    moving = [one.placed for one in fit.atoms if one.shape]
+    for placed in moving:
+        for d in range(len(spans[placed].step)):
+            fit = _best_of_grid(base, fit, power, placed, d, spans[placed], make)
+    for _ in range(_STEPS if moving else 0):
+        new = _gauss_newton(base, fit, power, spans, make)
+        done = new.cost > (1.0 - _ENOUGH) * fit.cost
+        fit = new if new.cost < fit.cost and (new.physical or not fit.physical) else fit
+        if done:
+            break
+    return fit
+
+
+def _best_of_grid(
+    base: Base, fit: Fit, power: Rows, placed: Placed, d: int, span: Span, make: Make
+) -> Fit:
+    """Shape d of one effect moved between its neighbours on the grid; the others stay."""
+    one, others = _parted(fit, placed)
+    shapes = np.tile(np.asarray(one.shape), (2 * _POINTS + 1, 1))
+    shapes[:, d] += span.step[d] * np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    shapes = np.clip(shapes, span.low, span.high)
+    trials = [fitted(base, [*others, atom], power) for atom in make(placed, shapes)]
+    return min([fit, *trials], key=lambda trial: (not trial.physical, trial.cost))
+
+
+def _gauss_newton(base: Base, fit: Fit, power: Rows, spans: Spans, make: Make) -> Fit:
+    """One step of all shapes together; the gains follow by least squares."""
+    target, matrix = system(base, fit.atoms)
+    slopes = [
+        column
+        for one in fit.atoms
+        if one.shape
+        for column in _slopes(base, fit, one, _STEP * spans[one.placed].step, make)
+    ]
+    weight = (1.0 / np.sqrt(power))[:, None]
+    columns = np.concatenate([matrix, np.stack(slopes, axis=1)], axis=1)
+    if not np.all(np.isfinite(columns)):
+        return fit
+    step = solve(columns * weight, target * weight[:, 0])[matrix.shape[1] :]
+    moved, first = [], 0
+    for one in fit.atoms:
+        size = len(one.shape)
+        if size:
+            span = spans[one.placed]
+            move = np.clip(step[first : first + size], -span.step, span.step)
+            new = np.clip(np.asarray(one.shape) + move, span.low, span.high)
+            made = make(one.placed, new[None])
+            one, first = (made or [one])[0], first + size
+        moved.append(one)
+    return fitted(base, moved, power)
+
+
+def _slopes(
+    base: Base, fit: Fit, one: Atom, step: Float[np.ndarray, " shapes"], make: Make
+) -> list[Rows]:
+    """∂f/∂s of the set, for each shape s of one effect, gains and declared parameters fixed."""
+    near = np.asarray(one.shape) + np.diag(step)
+    made = make(one.placed, near)
+    own = _gains(fit.atoms, fit.theta)[fit.atoms.index(one)]
+    columns = []
+    for d in range(len(step)):
+        if d >= len(made):  # could not be evaluated: stays where it is
+            columns.append(np.zeros_like(base.target))
+        elif one.target is None:
+            columns.append((made[d].columns - one.columns) @ own / step[d])
+        else:
+            declared = fit.theta[: len(base.free)]
+            other = made[d]
+            assert other.target is not None
+            change = (other.columns - one.columns)[:, base.free] @ declared
+            columns.append((one.target - other.target + change) / step[d])
+    return columns
+
+
+def _parted(fit: Fit, placed: Placed) -> tuple[Atom, list[Atom]]:
+    one = next(atom for atom in fit.atoms if atom.placed == placed)
+    return one, [atom for atom in fit.atoms if atom.placed != placed]
+
+
+def _gains(atoms: Sequence[Atom], theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    widths = [0 if one.target is not None else one.columns.shape[1] for one in atoms]
+    first = len(theta) - sum(widths)
+    values = []
+    for width in widths:
+        values.append(theta[first : first + width])
+        first += width
+    return tuple(values)
+
+
+def _physical(atoms: Sequence[Atom], theta: np.ndarray) -> bool:
+    return all(
+        parameter.lower <= value <= parameter.upper
+        for one, gains in zip(atoms, _gains(atoms, theta), strict=True)
+        for parameter, value in zip(one.placed.effect.gains, gains, strict=True)
+    )
+
+
+def solve(matrix: Float[np.ndarray, "rows columns"], target: Rows) -> Float[np.ndarray, " columns"]:
+    """Least squares by normal equations of scaled columns; a direction without trace is left."""
+    gram, right = matrix.T @ matrix, matrix.T @ target
+    square = np.diagonal(gram)
+    scale = np.sqrt(np.where(square > 0, square, 1.0))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    good = values > 1e-12 * values[-1]
+    inverse = np.where(good, 1.0 / np.where(good, values, 1.0), 0.0)
+    return vectors @ (inverse * (vectors.T @ (right / scale))) / scale

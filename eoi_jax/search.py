@@ -1,0 +1,315 @@
+r"""Which effects does the residual justify: a search over sets of atoms.
+
+A set is fitted with all declared parameters free, by weighted least squares over the modes, and
+scored by twice the log-likelihood gained less a penalty,
+
+    score = Σ (|R_0|² - |R|²)/S - (p - m) log n - 2 m log(M/α) ,
+
+p parameters added (shapes count), n modes, m effects, M candidates, α the level of false alarms:
+one parameter must pass a test at a level that knows how many names were tried, each further one
+costs what BIC asks for. S(ω) is the power of what the best set leaves
+(`noise_model`), so the search is repeated until S and the set agree.
+
+Three things keep it honest: sets of two are searched exhaustively on the grid (an effect may gain
+nothing before another is in), shapes are refined locally before sets are compared (Gauss–Newton,
+all of them together), and every part of a set competes with it: an effect must be worth its penalty
+beside all others.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.augment import Placed
+from eoi_jax.candidates import Atom
+from eoi_jax.fit import Base, Fit, Make, Span, Spans, fitted, refined, system
+from eoi_jax.noise_model import fitted_power
+
+_RANK = 1e-7  # a column that keeps less of its power beside the declared ones is one of them
+_BEAM = 5  # sets of one size that are refined
+_TRIED = 8  # effects that are fitted exactly after the quick ranking
+_ROUNDS = 4  # of power and set
+_NESTED = 0.003  # the same, of an effect beside a simpler one that it contains
+_MATERIAL = 0.015  # share of the declared model's residual that an effect must take, power
+
+Rows = Float[np.ndarray, " rows"]
+
+
+@dataclass
+class Search:
+    """The search.
+
+    Attributes:
+        base: the declared model.
+        grid: all atoms to start from.
+        make: atoms of an effect at given shapes (grid, shapes), for local refinement.
+        alpha: level of false alarms.
+        most: effects in a set at most.
+        names: number of candidates, for the correction.
+    """
+
+    base: Base
+    grid: list[Atom]
+    make: Make
+    alpha: float
+    most: int
+    names: int
+    power: Rows = field(init=False)
+    _columns: "_Columns" = field(init=False)
+    _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
+    _spans: Spans = field(init=False, default_factory=dict)
+
+    def run(self) -> list[Fit]:
+        """The best set of each composition that was looked at, best first."""
+        self._spans = _spacings(self.grid)
+        self._terms = [one for one in self.grid if one.target is None]
+        self._inputs = [one for one in self.grid if one.target is not None]
+        self.power = np.ones_like(self.base.target)
+        self._weigh(fitted(self.base, [], self.power).residual)
+        chosen, shown = self.fit([]), []
+        for _ in range(_ROUNDS):
+            shown = self._once(chosen)
+            best = next(one for one in shown if self.material(one))
+            same, chosen = best.keys == chosen.keys, best
+            self._weigh(chosen.residual)
+            if same:
+                break
+        sets = [self.fit(one.atoms) for one in shown]
+        return sorted(sets, key=lambda one: (not self.material(one), self.value(one)))
+
+    # -- one set ------------------------------------------------------------------------------
+
+    def fit(self, atoms: Sequence[Atom]) -> Fit:
+        """A set at the present power."""
+        return fitted(self.base, atoms, self.power)
+
+    def penalty(self, atoms: Sequence[Atom]) -> float:
+        """What the parameters and the choice of a set cost."""
+        size = sum(len(one.placed.effect.parameters) for one in atoms)
+        tried = 2.0 * np.log(self.names / self.alpha)
+        prior = sum(one.placed.effect.rarity for one in atoms)
+        extra = (size - len(atoms)) * np.log(len(self.base.target))
+        return float(extra + len(atoms) * tried + prior)
+
+    def value(self, fit: Fit) -> float:
+        """Penalised cost: the smaller the better; infinite where a gain is not physical."""
+        return fit.cost + self.penalty(fit.atoms) if fit.physical else np.inf
+
+    def material(self, fit: Fit) -> bool:
+        """Whether each effect takes, beside the others, a share of the residual that matters.
+
+        No model of a rig is exact, and enough samples make any term significant. An effect that
+        contains a simpler one must be worth something beside that too.
+        """
+        base, own = self.base, self.base.signal_power(fit.residual)
+        declared = base.signal_power(self.fit([]).residual)
+        for one in fit.atoms:
+            others = [other for other in fit.atoms if other is not one]
+            if base.signal_power(self.fit(others).residual) - own < _MATERIAL * declared:
+                return False
+            present = {other.placed.effect.name for other in others}
+            for simple in self._contained(one):
+                if simple.placed.effect.name not in present:
+                    left = base.signal_power(self.fit([*others, simple]).residual)
+                    if left - own < _NESTED * declared:
+                        return False
+        return True
+
+    def _contained(self, one: Atom) -> list[Atom]:
+        """Simpler effects at the same channel that this one can imitate."""
+        names, channel = one.placed.effect.contains, one.placed.channel
+        return [
+            other
+            for other in self._terms
+            if other.placed.effect.name in names and other.placed.channel == channel
+        ]
+
+    def known(self, placed: Placed) -> bool:
+        """Whether an effect is in the span of the declared model already."""
+        own = [i for i, one in enumerate(self._terms) if one.placed == placed]
+        _, kept = self._columns.gains(self.base.columns, self.base.target)
+        return bool(own) and not any(kept[self._columns.part(i)].any() for i in own)
+
+    def _weigh(self, residual: Rows) -> None:
+        base = self.base
+        self.power = fitted_power(residual, base.noise, base.local, base.output)
+        self._columns = _Columns(self._terms, self.power)
+
+    # -- sets that are worth a look -------------------------------------------------------------
+
+    def _once(self, chosen: Fit) -> list[Fit]:
+        visited: dict[frozenset, Fit] = {frozenset(): self.fit([])}
+
+        def visit(fit: Fit) -> None:
+            if fit.keys not in visited and np.isfinite(fit.cost):
+                visited[fit.keys] = self._polished(fit, visited.values())
+
+        for fit in [chosen, *self.extended(visited[frozenset()])[:_BEAM], *self._pairs()]:
+            visit(fit)
+        for size in range(1, self.most):
+            front = [fit for fit in visited.values() if len(fit.atoms) == size and fit.physical]
+            for fit in sorted(front, key=self.value)[:2]:
+                for new in self.extended(fit)[:3]:
+                    visit(new)
+        for fit in list(visited.values()):
+            for count in range(1, len(fit.atoms)):
+                for part in itertools.combinations(fit.atoms, count):
+                    visit(self.fit(part))
+        return sorted(visited.values(), key=self.value)
+
+    def _polished(self, fit: Fit, others: Iterable[Fit]) -> Fit:
+        """Refined, where that may matter: not done before, or among the best."""
+        known = self._refined.get(fit.keys)
+        if known is not None:
+            fit = min(fit, self.fit(known), key=self.value)
+        better = sum(self.value(other) < self.value(fit) for other in others)
+        if better < (_BEAM if known is None else 2):
+            fit = refined(self.base, fit, self.power, self._spans, self.make)
+            self._refined[fit.keys] = fit.atoms
+        return fit
+
+    def extended(self, fit: Fit) -> list[Fit]:
+        """The set with one more effect, at its best point of the grid; best first."""
+        keys = {one.key for one in fit.atoms}
+        target, matrix = system(self.base, fit.atoms)
+        gain, _ = self._columns.gains(matrix, target)
+        by_atom = self._columns.by_atom(gain)
+        best: dict[Placed, Atom] = {}
+        for i in np.argsort(by_atom)[::-1]:
+            one = self._terms[i]
+            if one.key not in keys and by_atom[i] > 0:
+                best.setdefault(one.placed, one)
+        tried = list(best.values())[: _TRIED if keys else None]
+        if not any(one.target is not None for one in fit.atoms):
+            tried += [one for one in self._inputs if one.key not in keys]
+        fits: dict[Placed, Fit] = {}
+        for one in tried:
+            new = self.fit([*fit.atoms, one])
+            old = fits.get(one.placed)
+            if old is None or self.value(new) < self.value(old):
+                fits[one.placed] = new
+        return sorted(fits.values(), key=self.value)
+
+    def _pairs(self) -> list[Fit]:
+        """Sets of two that gain most on the grid, all of them tried."""
+        terms, owner, found = self._terms, self._columns.owner, []
+        for gain, i, k in self._columns.pairs(self.base.columns, self.base.target):
+            found.append((gain, (terms[owner[i]], terms[owner[k]])))
+        declared = float(self.fit([]).cost)
+        for one in self._inputs:
+            alone = self.fit([one])
+            gain, _ = self._columns.gains(one.columns[:, self.base.free], one.target)
+            by_atom = self._columns.by_atom(gain)
+            for i in np.argsort(by_atom)[::-1][:_TRIED]:
+                found.append((declared - alone.cost + by_atom[i], (one, terms[i])))
+        found.sort(key=lambda pair: -pair[0])
+        fits: dict[frozenset, Fit] = {}
+        for _, pair in found:
+            placed = frozenset(one.placed for one in pair)
+            if len({one.key for one in pair}) == 2 and placed not in fits:
+                fit = self.fit(pair)
+                if fit.physical:
+                    fits[placed] = fit
+            if len(fits) >= _BEAM:
+                break
+        return sorted(fits.values(), key=self.value)
+
+
+class _Columns:
+    """All columns of the terms, whitened, with their products: a quick look at many sets."""
+
+    def __init__(self, terms: Sequence[Atom], power: Rows):
+        self.weight = 1.0 / np.sqrt(power)
+        widths = [one.columns.shape[1] for one in terms]
+        self.owner = np.repeat(np.arange(len(terms)), widths)
+        self.first = np.concatenate([[0], np.cumsum(widths)])
+        stacked = np.concatenate([one.columns for one in terms], axis=1) if terms else None
+        rows = np.zeros((len(power), 0)) if stacked is None else stacked
+        self.white = rows * self.weight[:, None]
+        self.gram = self.white.T @ self.white
+
+    def part(self, atom: int) -> slice:
+        """Columns of one atom."""
+        return slice(self.first[atom], self.first[atom + 1])
+
+    def _left(self, columns: np.ndarray, target: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """After projecting `columns` out: their basis in our columns, ours on the rest, lengths."""
+        matrix = columns * self.weight[:, None]
+        length = np.linalg.norm(matrix, axis=0)
+        q, _ = np.linalg.qr(matrix / np.where(length > 0, length, 1.0))
+        white = target * self.weight
+        rest = white - q @ (q.T @ white)
+        inside = q.T @ self.white
+        square = np.diagonal(self.gram) - np.sum(inside**2, axis=0)
+        return inside, self.white.T @ rest, square
+
+    def gains(self, columns: np.ndarray, target: Rows) -> tuple[np.ndarray, np.ndarray]:
+        """ρ of each column (its square is what it takes away alone), and which columns count."""
+        inside, along, square = self._left(columns, target)
+        kept = square > _RANK * np.diagonal(self.gram)
+        rho = np.where(kept, along / np.sqrt(np.where(kept, square, 1.0)), 0.0)
+        self._inside, self._square = inside, np.where(kept, square, 1.0)
+        return rho, kept
+
+    def by_atom(self, rho: np.ndarray) -> np.ndarray:
+        """What each atom takes away: ρ² of one column, jointly of two."""
+        out = np.zeros(len(self.first) - 1)
+        for atom, first in enumerate(self.first[:-1]):
+            width = self.first[atom + 1] - first
+            if width == 1:
+                out[atom] = rho[first] ** 2
+            else:
+                i, k = first, first + 1
+                r = self._correlation(i, k)
+                out[atom] = _joint(rho[i], rho[k], r)
+        return out
+
+    def _correlation(self, i: int, k: int) -> float:
+        both = self.gram[i, k] - self._inside[:, i] @ self._inside[:, k]
+        return float(both / np.sqrt(self._square[i] * self._square[k]))
+
+    def pairs(self, columns: np.ndarray, target: Rows) -> list[tuple[float, int, int]]:
+        """Pairs of columns that take away most together, and how much."""
+        rho, kept = self.gains(columns, target)
+        scale = np.sqrt(self._square)
+        correlation = (self.gram - self._inside.T @ self._inside) / np.outer(scale, scale)
+        gain = _joint(rho[:, None], rho[None, :], correlation)
+        gain = np.where(np.outer(kept, kept) & np.triu(np.ones_like(gain), 1).astype(bool), gain, 0)
+        flat = np.argsort(gain, axis=None)[::-1][:400]
+        rows, others = np.unravel_index(flat, gain.shape)
+        return [
+            (float(gain[i, k]), int(i), int(k))
+            for i, k in zip(rows, others, strict=True)
+            if self.owner[i] != self.owner[k]
+        ]
+
+
+def _joint(a: np.ndarray, b: np.ndarray, correlation: np.ndarray | float) -> np.ndarray:
+    """ρ'R⁻¹ρ of two correlated columns; of twins what the better one takes."""
+    left = 1.0 - np.asarray(correlation) ** 2
+    joint = (a**2 + b**2 - 2.0 * a * b * correlation) / np.maximum(left, 1e-6)
+    return np.where(left > 1e-6, joint, np.maximum(a**2, b**2))
+
+
+def _spacings(grid: Sequence[Atom]) -> Spans:
+    """Steps and ends of each effect's grid."""
+    shapes: dict[Placed, list[tuple[float, ...]]] = {}
+    for one in grid:
+        shapes.setdefault(one.placed, []).append(one.shape)
+    return {placed: _span(placed, np.asarray(values)) for placed, values in shapes.items()}
+
+
+def _span(placed: Placed, table: Float[np.ndarray, "grid shapes"]) -> Span:
+    steps, low, high = [], [], []
+    for values, parameter in zip(table.T, placed.effect.shapes, strict=True):
+        levels = np.unique(values)
+        gaps = np.diff(levels) if len(levels) > 1 else 0.5 * np.abs(levels)
+        steps.append(float(np.median(gaps)))
+        low.append(max(levels[0] - 0.5 * gaps[0], parameter.lower))
+        high.append(min(levels[-1] + 0.5 * gaps[-1], parameter.upper))
+        if parameter.lower == 0.0:  # a scale: never down to nothing
+            low[-1] = max(low[-1], 0.2 * levels[0])
+    return Span(np.asarray(steps), np.asarray(low), np.asarray(high))
