@@ -103,7 +103,7 @@ class _Task:
         model, placed, rounds = self.declared.plant, [], []
         for _ in range(_ROUNDS):
             one = _Round(self, model, placed)
-            one.search()
+            one.search(rounds[0].lacking if rounds else one.lacking)
             rounds.append(one)
             if not one.chosen.atoms:
                 break
@@ -142,8 +142,18 @@ class _Round:
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
 
-    def search(self) -> None:
-        """Find the best set that the held-out records do not refuse."""
+    @property
+    def lacking(self) -> float:
+        """Power of what the model leaves."""
+        residual = fitted(self.base, [], np.ones_like(self.base.target)).residual
+        return self.base.signal_power(residual)
+
+    def search(self, lacking: float) -> None:
+        """Find the best set that the held-out records do not refuse.
+
+        Args:
+            lacking: power that the declared model left, the measure of what matters.
+        """
         task, model = self.task, self.model
         present = {(one.effect, one.channel) for one in self.placed}
         self.candidates = [
@@ -158,7 +168,9 @@ class _Round:
             seen = seen_at(model, one, self.stretches, cutoff, peaks)
             grid += atoms(model, one, one.effect.grid(seen), self.stretches)
         names = len({one.effect.name for one in self.candidates})
-        self.found = Search(self.base, grid, self._make, task.alpha, task.most, max(names, 1))
+        self.found = Search(
+            self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
+        )
         self.sets = self.found.run()
         self.chosen = self._first_accepted()
 
@@ -339,7 +351,7 @@ def _answer(
             notes.append(_REFUSED.format(" and ".join(_names(placed))))
             status, found, after = Status("unexplained", _WORSE), task.declared, before
     kept = placed if found is not task.declared else ()
-    others = _ambiguous(rounds[0]) if kept else ()
+    others = _ambiguous(rounds[0], _names(kept)) if kept else ()
     return Discovery(
         effects=_names(kept),
         added=tuple(_added(task.plant, found, one) for one in kept),
@@ -475,10 +487,9 @@ def _ranking(
     return tuple(rows[one] for one in order)
 
 
-def _ambiguous(first: _Round) -> tuple[str, ...]:
+def _ambiguous(first: _Round, kept: Sequence[str]) -> tuple[str, ...]:
     """Names in sets no larger than the chosen one that the records support nearly as well."""
-    search, chosen = first.found, first.chosen
-    own = {one.placed.effect.name for one in chosen.atoms}
+    search, chosen, own = first.found, first.chosen, set(kept)
     names: list[str] = []
     for fit in first.sets:
         theirs = {one.placed.effect.name for one in fit.atoms}
@@ -486,9 +497,12 @@ def _ambiguous(first: _Round) -> tuple[str, ...]:
             continue
         if search.value(fit) - search.value(chosen) < _AMBIGUOUS:
             names += [name for name in sorted(theirs - own) if name not in names]
-    if "asymmetric_friction" in own and "coulomb_friction" not in own:
-        names += ["coulomb_friction", "constant_offset"]
-    return tuple(dict.fromkeys(names))
+    level_and_offset = ["coulomb_friction", "constant_offset"]
+    if "asymmetric_friction" in own:
+        names += [name for name in level_and_offset if name not in own]
+    elif own.issuperset(level_and_offset):
+        names.append("asymmetric_friction")
+    return tuple(dict.fromkeys(name for name in names if name not in own))
 
 
 def _advice(first: _Round, others: Sequence[str]) -> str:

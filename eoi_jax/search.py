@@ -49,6 +49,7 @@ class Search:
         alpha: level of false alarms.
         most: effects in a set at most.
         names: number of candidates, for the correction.
+        lacking: power of the residual of the model that was declared, the measure of what matters.
     """
 
     base: Base
@@ -57,6 +58,7 @@ class Search:
     alpha: float
     most: int
     names: int
+    lacking: float
     power: Rows = field(init=False)
     _columns: "_Columns" = field(init=False)
     _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
@@ -105,16 +107,15 @@ class Search:
         contains a simpler one must be worth something beside that too.
         """
         base, own = self.base, self.base.signal_power(fit.residual)
-        declared = base.signal_power(self.fit([]).residual)
         for one in fit.atoms:
             others = [other for other in fit.atoms if other is not one]
-            if base.signal_power(self.fit(others).residual) - own < _MATERIAL * declared:
+            if base.signal_power(self.fit(others).residual) - own < _MATERIAL * self.lacking:
                 return False
             present = {other.placed.effect.name for other in others}
             for simple in self._contained(one):
                 if simple.placed.effect.name not in present:
                     left = base.signal_power(self.fit([*others, simple]).residual)
-                    if left - own < _NESTED * declared:
+                    if left - own < _NESTED * self.lacking:
                         return False
         return True
 

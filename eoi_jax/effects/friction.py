@@ -111,6 +111,7 @@ class CubicDamping(AbstractTerm):
 
     name = "cubic_damping"
     sentence = "damping that grows with the cube of the velocity"
+    rarity = 1.0
     gains = (Parameter("", "{f}/({v})³", lower=0.0),)
     depends_on = "v"
     form = ("- {0}·{v}³", r"- {0}\,{v}^3")

@@ -4,7 +4,6 @@ from eoi_jax.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturb
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.effects.friction import (
     AsymmetricFriction,
-    AsymmetricViscousFriction,
     CoulombFriction,
     CubicDamping,
     QuadraticDrag,
@@ -35,12 +34,13 @@ def standard() -> tuple[AbstractEffect, ...]:
     """Every canonical effect; `discover` tries those that fit the plant.
 
     Two names have two forms each: `end_stop` (above, below) and `input_quadratic` (odd, even).
+    `AsymmetricViscousFriction` is not among them: |v| and a constant offset are hard to tell apart,
+    and the offset is far more common. Name it in `effects` to have it tried.
     """
     return (
         ViscousFriction(),
         CoulombFriction(),
         AsymmetricFriction(),
-        AsymmetricViscousFriction(),
         StribeckFriction(),
         QuadraticDrag(),
         CubicDamping(),

@@ -33,6 +33,7 @@ class QuadraticStiffness(AbstractTerm):
 
     name = "quadratic_stiffness"
     sentence = "a spring force with the square of the displacement (pull and push differ)"
+    rarity = 1.0
     gains = (Parameter("", "{f}/({y})²"),)
     depends_on = "y"
     form = ("- {0}·{y}²", r"- {0}\,{y}^2")
@@ -49,6 +50,7 @@ class CubicStiffness(AbstractTerm):
 
     name = "cubic_stiffness"
     sentence = "cubic stiffness: a spring that hardens or softens with displacement"
+    rarity = 1.0
     gains = (Parameter("", "{f}/({y})³"),)
     depends_on = "y"
     form = ("- {0}·{y}³", r"- {0}\,{y}^3")
