@@ -42,7 +42,7 @@ def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
 
     Named as the effect and its part; with several channels also as the channel.
     """
-    channels = plant.inputs if isinstance(effect, AbstractInputEffect) else plant.outputs
+    channels = effect.channels(plant)
     suffix = f"_{channels[channel]}" if len(channels) > 1 else ""
     names = []
     for parameter in effect.parameters:

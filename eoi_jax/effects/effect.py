@@ -117,6 +117,10 @@ class AbstractEffect(ABC):
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
 
+    @abstractmethod
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        """Names of what it may act on: the outputs, or the inputs."""
+
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains, then shapes."""
@@ -149,6 +153,9 @@ class AbstractEffect(ABC):
 class AbstractTerm(AbstractEffect):
     """An effect that adds a term to y^(r) of one output."""
 
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return plant.outputs
+
     @abstractmethod
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         """What it adds to y^(r) [its unit], linear in `gain`."""
@@ -156,6 +163,9 @@ class AbstractTerm(AbstractEffect):
 
 class AbstractInputEffect(AbstractEffect):
     """An effect that changes one input on its way into the model."""
+
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return plant.inputs
 
     @abstractmethod
     def changed(self, at: At, shape: Any) -> Any:
