@@ -64,6 +64,7 @@ class InputQuadratic(AbstractInputEffect):
 
     @property
     def form(self) -> tuple[str, str]:
+        """The changed input as text and LaTeX."""
         text, latex = ("{u}·|{u}|", r"{u}\,|{u}|") if self.odd else ("{u}²", "{u}^2")
         return "{u} → {u} + {0}·" + text, r"{u} \to {u} + {0}\," + latex
 

@@ -36,6 +36,9 @@ def standard() -> tuple[AbstractEffect, ...]:
     Two names have two forms each: `end_stop` (above, below) and `input_quadratic` (odd, even).
     `AsymmetricViscousFriction` is not among them: |v| and a constant offset are hard to tell apart,
     and the offset is far more common. Name it in `effects` to have it tried.
+
+    Returns:
+        One object of each form.
     """
     return (
         ViscousFriction(),

@@ -131,6 +131,7 @@ class EndStop(AbstractTerm):
 
     @property
     def form(self) -> tuple[str, str]:
+        """The term as text and LaTeX."""
         extreme = "min" if self.side < 0 else "max"
         return (
             f"- {{0}}·{extreme}({{y}} - {{1}}, 0)",
