@@ -88,8 +88,8 @@ class Stretch:
         """Modes of signals that are weighted and thinned, in the unit of y^(r) times √s."""
         from scipy.fft import dct  # only discovery needs it
 
-        modes = dct(np.asarray(thin), norm="ortho", axis=-1)[..., self.kept]
-        return modes * np.sqrt(self.sample_period / len(self.kernel))
+        modes = np.asarray(dct(np.asarray(thin), norm="ortho", axis=-1))
+        return modes[..., self.kept] * np.sqrt(self.sample_period / len(self.kernel))
 
 
 def stretch(plant: Plant, record: Record, band: float) -> Stretch:
@@ -350,9 +350,9 @@ def averaged(degree: int, values: Array) -> Array:
 def model_along(
     plant: Plant,
     theta: Float[Array, " np"],
-    one: tuple[Array, Array],
-    inputs: Array,
-    bend: tuple[Array, Array, Array],
+    one: tuple,
+    inputs: Array | np.ndarray,
+    bend: tuple,
     thin: tuple,
     h: Float[Array, ""],
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
@@ -384,7 +384,7 @@ def model_along(
         jacobian, value = jax.jacfwd(twice, has_aux=True)(theta)
         return value, tuple(part.T for part in jacobian)
 
-    return jax.vmap(both)(inputs)
+    return jax.vmap(both)(jnp.asarray(inputs))
 
 
 def _internal(plant: Plant, theta: Array, rows: tuple, bend: tuple, h: Any) -> Array:
