@@ -144,7 +144,12 @@ def _input_along(
         if exact is not None:
             return exact
         z = _states_along(effect, shape, signals, bend, h)
-        return jax.vmap(lambda t, y, v, u, z: effect.changed(At(t, y, v, u, z), shape))(*signals, z)
+
+        def instant(t: Any, y: Any, v: Any, u: Any, z: Any) -> Any:
+            return effect.changed(At(t, y, v, u, z), shape)
+
+        time, y, v, u = signals
+        return jax.vmap(instant)(time, y, v, u, z)
 
     return jax.vmap(one)(shapes)
 
@@ -196,6 +201,7 @@ def _states_along(
         return jnp.zeros((signals[0].shape[0], 0))
 
     def rate(z: Array, row: tuple) -> Array:
-        return effect.rate(At(*row, z), shape)
+        t, y, v, u = row
+        return effect.rate(At(t, y, v, u, z), shape)
 
     return integrated(rate, jnp.zeros(effect.states), signals, bend, h)
