@@ -201,6 +201,7 @@ class Search:
             found.append((gain, (terms[owner[i]], terms[owner[k]])))
         declared = float(self.fit([]).cost)
         for one in self._inputs:
+            assert one.target is not None
             alone = self.fit([one])
             gain, _ = self._columns.gains(one.columns[:, self.base.free], one.target)
             by_atom = self._columns.by_atom(gain)
