@@ -19,6 +19,7 @@ beside all others.
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -269,7 +270,7 @@ class _Columns:
                 out[atom] = _joint(rho[i], rho[k], r)
         return out
 
-    def _correlation(self, i: int, k: int) -> float:
+    def _correlation(self, i: Any, k: Any) -> float:
         both = self.gram[i, k] - self._inside[:, i] @ self._inside[:, k]
         return float(both / np.sqrt(self._square[i] * self._square[k]))
 
@@ -289,7 +290,9 @@ class _Columns:
         ]
 
 
-def _joint(a: np.ndarray, b: np.ndarray, correlation: np.ndarray | float) -> np.ndarray:
+def _joint(
+    a: np.ndarray | float, b: np.ndarray | float, correlation: np.ndarray | float
+) -> np.ndarray:
     """ρ'R⁻¹ρ of two correlated columns; of twins what the better one takes."""
     left = 1.0 - np.asarray(correlation) ** 2
     joint = (a**2 + b**2 - 2.0 * a * b * correlation) / np.maximum(left, 1e-6)
