@@ -11,7 +11,7 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -117,19 +117,40 @@ class _Task:
         """Highest frequency of the modes [rad/s]."""
         return _BAND * self.declared.lowpass.cutoff
 
+    def refitted(self, model: Plant, notes: list[str]) -> Identification:
+        """Everything fitted again by the estimator, from where the search ended.
+
+        Its passes average over a step what the modes treat to fourth order, and smooth the inputs
+        with the outputs where noise asks for it, which an input effect does not commute with. So
+        the better of both in short free runs on the records of the fit is kept.
+        """
+        found = identify(model, self.records, lowpass=self.declared.lowpass)
+        window = self._window(self.records)
+        if window is None or np.any(model.theta < model.lower) or np.any(model.theta > model.upper):
+            return found
+        ours, theirs = (
+            float(np.sum(np.log(validate(one, self.records, window=window).rmse + 1e-300)))
+            for one in (model, found.plant)
+        )
+        if not ours < theirs:
+            return found
+        notes.append("parameters are those of the search: in free runs better than the refit's")
+        return replace(found, plant=model, parameters=model.parameters)
+
+    def _window(self, records: Sequence[Record]) -> float | None:
+        """Length of short free runs [s]; None where the records are too short."""
+        if self.window is not None:
+            return self.window
+        shortest = min(len(one) for one in records)
+        samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
+        return None if samples > shortest // 2 else samples * records[0].sample_period
+
     def free_runs(self, plant: Plant) -> tuple[Validation, Validation | None]:
         """On the held-out records, whole and in windows."""
         records = self.held or self.records
+        window = self._window(records)
         whole = validate(plant, records)
-        window = self.window
-        if window is None:
-            shortest = min(len(one) for one in records)
-            period = max(one.sample_period for one in records)
-            samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
-            if samples > shortest // 2:
-                return whole, None
-            window = samples * period
-        return whole, validate(plant, records, window=window)
+        return whole, None if window is None else validate(plant, records, window=window)
 
 
 class _Round:
@@ -343,7 +364,7 @@ def _answer(
     status = _judged(placed, share, left)
     found, after = task.declared, before
     if placed and status.code == "explained":
-        found = identify(model, task.records, lowpass=task.declared.lowpass)
+        found = task.refitted(model, notes)
         if not found.status.ok:
             notes.append(f"the refit of the augmented model ended as {found.status}")
         after = task.free_runs(found.plant)
@@ -493,7 +514,8 @@ def _ambiguous(first: _Round, kept: Sequence[str]) -> tuple[str, ...]:
     names: list[str] = []
     for fit in first.sets:
         theirs = {one.placed.effect.name for one in fit.atoms}
-        if not fit.physical or own <= theirs or len(fit.atoms) > len(chosen.atoms):
+        contained = {name for one in fit.atoms for name in one.placed.effect.contains}
+        if not fit.physical or own <= theirs | contained or len(fit.atoms) > len(chosen.atoms):
             continue
         if search.value(fit) - search.value(chosen) < _AMBIGUOUS:
             names += [name for name in sorted(theirs - own) if name not in names]

@@ -23,7 +23,7 @@ class InputDeadZone(AbstractInputEffect):
     )
 
     def grid(self, seen: Seen) -> Grid:
-        return np.geomspace(0.02, 0.8, 10)[:, None] * np.max(np.abs(seen.u))
+        return np.geomspace(0.005, 0.8, 12)[:, None] * np.max(np.abs(seen.u))
 
     def changed(self, at: At, shape: Any) -> Any:
         return at.u - jnp.clip(at.u, -shape[0], shape[0])
@@ -69,8 +69,8 @@ class InputQuadratic(AbstractInputEffect):
         return "{u} → {u} + {0}·" + text, r"{u} \to {u} + {0}\," + latex
 
     def grid(self, seen: Seen) -> Grid:
-        size = np.array([0.05, 0.15, 0.4, 1.0, 4.0]) / np.max(np.abs(seen.u))
-        return np.concatenate([-size[2::-1], size])[:, None]
+        size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0]) / np.max(np.abs(seen.u))
+        return np.concatenate([-size[4::-1], size])[:, None]
 
     def changed(self, at: At, shape: Any) -> Any:
         return at.u + shape[0] * at.u * (jnp.abs(at.u) if self.odd else at.u)
