@@ -104,9 +104,10 @@ class PositionRipple(AbstractTerm):
         # is off by less than a radian at the ends of the range.
         phases = np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6)
         # A ripple as fine as the noise would be fitted to the noise.
-        resolved = phases * seen.noise < 0.3 * np.ptp(seen.y)
+        reach = np.ptp(seen.y) or 1.0
+        resolved = phases * seen.noise < 0.3 * reach
         resolved[0] = True
-        return (phases[resolved] / np.ptp(seen.y))[:, None]
+        return (phases[resolved] / reach)[:, None]
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.y
