@@ -1,0 +1,407 @@
+"""What every effect must do, and what single ones promise."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import Placed, augmented, place, unit
+from eoi_jax.candidates import atoms
+from eoi_jax.discover import base_of
+from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At, Seen
+from eoi_jax.fit import fitted
+from eoi_jax.modes import stretch
+
+EFFECTS = (*effects.standard(), effects.AsymmetricViscousFriction())
+TERMS = [one for one in EFFECTS if isinstance(one, AbstractTerm)]
+INPUT_EFFECTS = [one for one in EFFECTS if isinstance(one, AbstractInputEffect)]
+
+
+def label(effect: AbstractEffect) -> str:
+    return "-".join([effect.name, *(str(value) for value in vars(effect).values())])
+
+
+def each(several: Any) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("effect", several, ids=label)
+
+
+def spring(t, x, u, p):
+    position, rate = x.y
+    return -p.k * position - p.c * rate + p.b * u
+
+
+def tank(t, x, u, p):
+    return -p.k * x.y[0] + p.b * u
+
+
+UNITS = {"voltage": "V", "position": "m"}
+MASS = eoi.Plant(
+    spring,
+    {"k": 20.0, "c": 0.8, "b": 2.0},
+    relative_degree=2,
+    inputs=("voltage",),
+    outputs=("position",),
+    units=UNITS,
+)
+TANK = eoi.Plant(
+    tank,
+    {"k": 0.5, "b": 0.3},
+    inputs=("flow",),
+    outputs=("level",),
+    units={"flow": "m³/s", "level": "m"},
+)
+
+
+def plant_for(effect: AbstractEffect) -> eoi.Plant:
+    return MASS if effect.fits(MASS, 0) else TANK
+
+
+def seen(seed: int = 0) -> Seen:
+    random = np.random.default_rng(seed)
+    y, v, u = random.standard_normal((3, 5000))
+    return Seen(y, v, 2.0 * u, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0, 3.0]))
+
+
+def somewhere(effect: AbstractEffect, seed: int = 0) -> At:
+    random = np.random.default_rng(seed)
+    t, y, v, u = (jnp.asarray(value) for value in random.uniform(0.1, 2.0, 4))
+    return At(t, y, -v, u, jnp.asarray(random.uniform(-0.5, 0.5, effect.states)))
+
+
+# -- every effect ---------------------------------------------------------------------------------
+
+
+@each(EFFECTS)
+def test_grid_is_finite_and_within_the_bounds(effect: AbstractEffect):
+    grid = effect.grid(seen())
+    assert grid.ndim == 2
+    assert grid.shape[0] >= 1
+    assert grid.shape[1] == len(effect.shapes)
+    assert np.all(np.isfinite(grid))
+    for values, parameter in zip(grid.T, effect.shapes, strict=True):
+        assert np.all((values >= parameter.lower) & (values <= parameter.upper))
+    assert len(np.unique(grid, axis=0)) == len(grid)
+
+
+@each(EFFECTS)
+def test_grid_survives_signals_that_do_not_move(effect: AbstractEffect):
+    still, none = np.zeros(200), np.zeros(0)
+    grid = effect.grid(Seen(still, still, still, 0.0, 1.0, 5e-3, 10.0, none))
+    assert grid.ndim == 2
+    assert grid.shape[1] == len(effect.shapes)
+
+
+@each(TERMS)
+def test_term_is_linear_in_its_gains(effect: AbstractTerm):
+    random = np.random.default_rng(1)
+    first, second = random.standard_normal((2, len(effect.gains)))
+    at = somewhere(effect)
+    for shape in effect.grid(seen())[::3]:
+        both = effect.term(at, 2.0 * first - second, shape)
+        apart = 2.0 * effect.term(at, first, shape) - effect.term(at, second, shape)
+        assert both == pytest.approx(float(apart), rel=1e-12, abs=1e-12)
+
+
+@each(TERMS)
+def test_term_without_gain_leaves_the_plant_as_it_is(effect: AbstractTerm):
+    plant = plant_for(effect)
+    placed = place(plant, effect, 0)
+    shape = effect.grid(seen())[0]
+    values = dict(zip(placed.names, [*(0.0 for _ in effect.gains), *shape], strict=True))
+    assert_same_derivative(plant, augmented(plant, [placed], values))
+
+
+NEUTRAL = {"input_dead_zone": 0.0, "input_saturation": 1e9, "input_quadratic": 0.0}
+
+
+@each([one for one in INPUT_EFFECTS if one.name in NEUTRAL])
+def test_input_effect_at_its_neutral_shape_leaves_the_plant_as_it_is(effect: AbstractInputEffect):
+    placed = place(MASS, effect, 0)
+    assert_same_derivative(MASS, augmented(MASS, [placed], {effect.name: NEUTRAL[effect.name]}))
+
+
+def assert_same_derivative(plant: eoi.Plant, new: eoi.Plant):
+    random = np.random.default_rng(3)
+    theta = jnp.asarray(plant.theta)
+    start = new.internal_start(jnp.asarray(new.theta))
+    for _ in range(3):
+        y = jnp.asarray(random.standard_normal((plant.relative_degree, 1)))
+        u, t = jnp.asarray(random.standard_normal(1)), jnp.asarray(random.uniform(0.0, 9.0))
+        old = plant.derivative(t, eoi.State(y, jnp.zeros(0)), u, theta)
+        got = new.derivative(t, eoi.State(y, start), u, jnp.asarray(new.theta))
+        np.testing.assert_allclose(got, old, rtol=1e-14)
+
+
+@each(EFFECTS)
+def test_own_states_start_at_zero_and_move_with_the_right_shape(effect: AbstractEffect):
+    plant = plant_for(effect)
+    placed = place(plant, effect, 0)
+    shape = effect.grid(seen())[0]
+    values = dict(zip(placed.names, [*(1.0 for _ in effect.gains), *shape], strict=True))
+    new = augmented(plant, [placed], values)
+    start = new.internal_start(jnp.asarray(new.theta))
+    assert start.shape == (effect.states,)
+    assert not np.any(start)
+    assert jnp.shape(effect.rate(somewhere(effect), shape)) == (effect.states,)
+
+
+@each(EFFECTS)
+def test_units_are_complete_or_absent(effect: AbstractEffect):
+    plant = plant_for(effect)
+    placed = place(plant, effect, 0)
+    for parameter in effect.parameters:
+        text = unit(plant, placed, parameter.unit)
+        assert text
+        assert "{" not in text
+        bare = eoi.Plant(plant.dynamics, plant.parameters, relative_degree=plant.degrees)
+        known = "{" not in parameter.unit
+        assert unit(bare, placed, parameter.unit) == (parameter.unit if known else "")
+
+
+@each(EFFECTS)
+def test_term_can_be_written_as_text_and_latex(effect: AbstractEffect):
+    names = [f"first{i}" for i in range(len(effect.parameters))]
+    text, latex = effect.text(names, "y", "y'", "u"), effect.latex(names, "y", r"\dot y", "u")
+    for name in names:
+        assert name in text
+        assert name in latex
+    assert latex.count("{") == latex.count("}")
+    assert text[:2] in ("+ ", "- ") or "→" in text
+    assert effect.sentence
+    assert not effect.sentence.endswith(".")
+
+
+@each(EFFECTS)
+def test_effects_are_equal_by_value(effect: AbstractEffect):
+    twin = type(effect)(**vars(effect))
+    assert twin == effect
+    assert hash(twin) == hash(effect)
+    assert sum(other == effect for other in EFFECTS) == 1
+
+
+def test_contained_effects_have_canonical_names():
+    names = {one.name for one in effects.standard()}
+    assert all(set(one.contains) <= names for one in EFFECTS)
+
+
+# -- on a record: the columns of the regression are what a free run does --------------------------
+
+# None of them on a grid.
+SHAPES = {
+    "stribeck_friction": (0.17,),
+    "position_ripple": (33.0,),
+    "end_stop": (0.33,),
+    "free_play": (0.21,),
+    "sinusoidal_disturbance": (2.345,),
+    "input_dead_zone": (0.7,),
+    "input_saturation": (4.1,),
+    "input_delay": (0.043,),
+    "input_quadratic": (0.06,),
+    "actuator_lag": (0.057,),
+    "hysteresis": (0.09, 0.62),
+    "overflow": (0.13,),
+}
+GAINS = {
+    "viscous_friction": 0.4,
+    "coulomb_friction": 0.5,
+    "asymmetric_friction": 0.4,
+    "stribeck_friction": 0.4,
+    "quadratic_drag": 0.3,
+    "cubic_damping": 0.1,
+    "linear_stiffness": 4.0,
+    "quadratic_stiffness": 5.0,
+    "cubic_stiffness": 12.0,
+    "gravity": 3.0,
+    "position_ripple": 0.6,
+    "end_stop": 9.0,
+    "free_play": 6.0,
+    "constant_offset": 0.5,
+    "drift": 0.02,
+    "sinusoidal_disturbance": 0.6,
+    "hysteresis": 0.9,
+    "leak": 0.2,
+    "overflow": 0.4,
+}
+
+
+def truth(effect: AbstractEffect) -> tuple[list[float], tuple[float, ...]]:
+    gains = [GAINS[effect.name] * (1.0 + 0.4 * i) for i in range(len(effect.gains))]
+    shape = SHAPES.get(effect.name, ())
+    if isinstance(effect, effects.EndStop):
+        shape = (effect.side * shape[0],)
+    return gains, shape
+
+
+def simulated(plant: eoi.Plant, placed: Placed, samples: int = 3000) -> eoi.Record:
+    gains, shape = truth(placed.effect)
+    true = augmented(plant, [placed], dict(zip(placed.names, [*gains, *shape], strict=True)))
+    time = 8e-3 * np.arange(samples)
+    drive = eoi.excitation.multisine(time, 3.0, (0.1, 2.0), 16, seed=4)
+    return eoi.simulate(true, time, drive, substeps=4, hold="linear")
+
+
+# A spring, a damper or a leak beside one that is declared: only their sum is known.
+ALIKE = ("viscous_friction", "linear_stiffness", "leak")
+
+
+@each([one for one in EFFECTS if one.name not in ALIKE])
+def test_regression_on_the_columns_of_an_effect_finds_the_true_parameters(effect: AbstractEffect):
+    """All rows at once: a free run, its modes, the columns at the true shape."""
+    plant = plant_for(effect)
+    placed, (gains, shape) = place(plant, effect, 0), truth(effect)
+    one = stretch(plant, simulated(plant, placed), 40.0)
+    declared = plant.with_parameters(0.8 * np.asarray(plant.theta))
+    (atom,) = atoms(declared, placed, np.reshape(shape, (1, -1)), [one])
+    base = base_of(declared, [one])
+    found = fitted(base, [atom], one.noise[:, 0] + 1e-6 * base.local)
+    # Jumps are averaged to second order in the step only: below one per cent here.
+    theta = declared.theta[base.free] + found.theta[: len(base.free)]
+    np.testing.assert_allclose(theta, plant.theta, rtol=1e-2)
+    if gains:
+        np.testing.assert_allclose(found.gains[0], gains, rtol=1e-2)
+
+
+@each([one for one in TERMS if one.name in ALIKE])
+def test_effect_that_repeats_a_declared_term_shares_its_column(effect: AbstractTerm):
+    plant = plant_for(effect)
+    placed = place(plant, effect, 0)
+    one = stretch(plant, simulated(plant, placed, 1000), 40.0)
+    (atom,) = atoms(plant, placed, np.zeros((1, 0)), [one])
+    declared = base_of(plant, [one]).columns
+    alike = [np.allclose(atom.columns[:, 0], column, rtol=1e-6) for column in declared.T]
+    assert sum(alike) == 1
+
+
+AFFINE = (effects.CoulombFriction(), effects.CubicStiffness(), effects.ConstantOffset())
+
+
+@each(AFFINE)
+def test_identify_finds_the_gain_of_an_affine_effect(effect: AbstractTerm):
+    placed = place(MASS, effect, 0)
+    model = augmented(MASS.with_parameters({"k": 26.0, "b": 1.5}), [placed], {effect.name: 0.0})
+    found = eoi.identify(model, simulated(MASS, placed))
+    gains, _ = truth(effect)
+    assert found.parameters[effect.name] == pytest.approx(gains[0], rel=1e-2)
+
+
+def test_identify_finds_shape_and_gain_of_an_effect_with_a_state():
+    effect = effects.Hysteresis()
+    placed, (gains, shape) = place(MASS, effect, 0), truth(effect)
+    start = dict(zip(placed.names, [0.5, 0.12, 0.5], strict=True))
+    found = eoi.identify(augmented(MASS, [placed], start), simulated(MASS, placed))
+    estimate = [found.parameters[name] for name in placed.names]
+    # The state is driven by measured signals at the record's step: a few per cent in its shape.
+    np.testing.assert_allclose(estimate, [*gains, *shape], rtol=0.05)
+
+
+# -- promises of single effects -------------------------------------------------------------------
+
+
+def states_along(effect: AbstractEffect, time, y, v, u, shape):
+    """Own states by the fourth-order Runge-Kutta rule on fine steps."""
+    h = float(time[1] - time[0])
+    rows = tuple(jnp.asarray(one) for one in (time, y, v, u))
+
+    def rate(z, row):
+        t, y, v, u = row
+        return effect.rate(At(t, y, v, u, z), shape)
+
+    def step(z, pair):
+        before, after = pair
+        middle = jax.tree.map(lambda a, b: 0.5 * (a + b), before, after)
+        first = rate(z, before)
+        second = rate(z + 0.5 * h * first, middle)
+        third = rate(z + 0.5 * h * second, middle)
+        fourth = rate(z + h * third, after)
+        new = z + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        return new, new
+
+    pairs = (tuple(one[:-1] for one in rows), tuple(one[1:] for one in rows))
+    start = jnp.zeros(effect.states)
+    return np.concatenate([start[None], jax.lax.scan(step, start, pairs)[1]])
+
+
+def test_delay_by_states_is_the_shift_of_a_smooth_input():
+    delay, tau = effects.InputDelay(), 0.2
+    time = np.arange(0.0, 12.0, 2e-3)
+    u = np.sin(2.0 * time) ** 3 * (time > 0)  # smooth at its start, highest frequency 6 rad/s
+    z = states_along(delay, time, 0 * u, 0 * u, u, (tau,))
+    changed = np.array(jax.vmap(lambda u, z: delay.changed(At(0, 0, 0, u, z), (tau,)))(u, z))
+    shifted = np.where(time > tau, np.sin(2.0 * (time - tau)) ** 3, 0.0)
+    # A Padé approximant of order four is off by (ωτ)⁹/(4!·5!…) and by a ripple at the start.
+    late = time > 2.0
+    assert np.max(np.abs(changed - shifted)[late]) < 1e-5
+    assert np.max(np.abs(changed - shifted)) < 0.01
+    along = np.asarray(delay.along(jnp.asarray(time), jnp.asarray(u), jnp.asarray([tau])))
+    # Exact but for the linear interpolation between samples: h² u''/8.
+    assert np.max(np.abs(along - shifted)) < 2e-3**2 * 30.0 / 8.0
+
+
+@pytest.mark.parametrize("effect", [effects.InputDelay(), effects.ActuatorLag()], ids=label)
+def test_effect_in_time_vanishes_with_its_time(effect: AbstractInputEffect):
+    time = jnp.arange(0.0, 1.0, 0.01)
+    u = jnp.sin(9.0 * time)
+    np.testing.assert_allclose(effect.along(time, u, jnp.asarray([1e-9])), u, atol=1e-6)
+
+
+def test_lag_along_a_record_is_the_analytic_answer_to_a_step():
+    h, lag = 0.01, 0.07
+    start = np.arange(0.0, 1.0, h)
+    answer = effects.ActuatorLag().along(
+        jnp.asarray(start + 0.5 * h), jnp.ones(len(start)), jnp.asarray([lag])
+    )
+    # Mean of 1 - exp(-t/T) over each step.
+    mean = 1.0 - lag / h * (np.exp(-start / lag) - np.exp(-(start + h) / lag))
+    np.testing.assert_allclose(answer, mean, rtol=1e-12)
+
+
+def test_lag_by_states_agrees_with_the_lag_along_a_record():
+    lag = effects.ActuatorLag()
+    time = np.arange(0.0, 3.0, 1e-3)
+    u = np.sin(5.0 * time)
+    z = states_along(lag, time, 0 * u, 0 * u, u, (0.1,))[:, 0]
+    along = np.asarray(lag.along(jnp.asarray(time), jnp.asarray(u), jnp.asarray([0.1])))
+    # `along` takes u for the mean of a step: half a step apart from the samples of z.
+    assert np.max(np.abs(0.5 * (along[1:] + along[:-1]) - z[1:])) < 1e-3 * 5.0
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8, 1.0])
+def test_hysteresis_stays_within_its_yield_force(share: float):
+    time = np.arange(0.0, 20.0, 2e-3)
+    y, v = np.sin(time) + 0.3 * np.sin(4.1 * time), np.cos(time) + 1.23 * np.cos(4.1 * time)
+    z = states_along(effects.Hysteresis(), time, y, v, 0 * y, (0.1, share))
+    assert np.max(np.abs(z)) <= 1.0 + 1e-6  # Runge-Kutta's own error
+    assert np.max(z) > 0.99
+    assert np.min(z) < -0.99
+
+
+def test_asymmetric_friction_is_one_level_and_an_offset_while_it_moves():
+    at = [somewhere(effects.ConstantOffset())._replace(v=jnp.asarray(v)) for v in (-0.7, 0.7)]
+    both = effects.AsymmetricFriction().term, effects.CoulombFriction().term
+    for one in at:
+        levels = both[0](one, (0.5, 0.3), ())
+        assert levels == pytest.approx(float(both[1](one, (0.4,), ())) + 0.5 * (0.3 - 0.5))
+
+
+def test_gravity_is_not_tried_at_small_angles():
+    gravity = effects.Gravity()
+    small = replace(seen(), y=np.full(9, 0.3))
+    assert len(gravity.grid(small)) == 0
+    assert len(gravity.grid(seen())) == 1
+
+
+def test_end_stop_below_pushes_up():
+    at = somewhere(effects.EndStop())._replace(y=-1.0)
+    assert effects.EndStop(-1).term(at, (3.0,), (-0.5,)) == pytest.approx(1.5)
+    assert effects.EndStop(+1).term(at, (3.0,), (0.5,)) == pytest.approx(0.0)
+
+
+def test_ripple_finer_than_the_noise_is_not_tried():
+    ripple, known = effects.PositionRipple(), seen()
+    noisy = replace(known, noise=0.05 * np.ptp(known.y))
+    assert np.max(ripple.grid(noisy)) < np.max(ripple.grid(known))
