@@ -1,0 +1,226 @@
+"""A plant plus effects is a plant like any other."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place, unit
+from eoi_jax.effects.effect import AbstractTerm, Parameter
+
+
+def spring(t, x, u, p):
+    position, rate = x.y
+    return -p.k * position - p.c * rate + p.b * u
+
+
+def two_carts(t, x, u, p):
+    (first, second), rates = x.y
+    pull = p.k * (second - first)
+    return jnp.stack([pull + u[0], -pull + u[1]]) - p.c * rates
+
+
+def delayed(t, x, u, p):
+    return x.z[0] - p.c * x.y[1]
+
+
+def follower(t, x, u, p):
+    return (p.b * u - x.z) / p.lag
+
+
+MASS = eoi.Plant(
+    spring,
+    {"k": 20.0, "c": 0.8, "b": 2.0},
+    relative_degree=2,
+    bounds={"c": (0.0, 9.0)},
+    fixed=("b",),
+    units={"k": "1/s²", "u": "V", "y": "m"},
+    name="one mass",
+)
+CARTS = eoi.Plant(
+    two_carts,
+    {"k": 3.0, "c": 0.1},
+    relative_degree=2,
+    inputs=("left", "right"),
+    outputs=("first", "second"),
+)
+LAGGED = eoi.Plant(
+    delayed,
+    {"c": 0.5, "b": 2.0, "lag": 0.3},
+    relative_degree=2,
+    internal=follower,
+    internal_initial=[0.7],
+)
+
+
+def at(plant: eoi.Plant, y, u, z=()):
+    theta = jnp.asarray(plant.theta)
+    state = eoi.State(jnp.asarray(y, dtype=float), jnp.asarray(z, dtype=float))
+    return plant.derivative(jnp.asarray(0.5), state, jnp.asarray(u, dtype=float), theta), theta
+
+
+def with_effects(plant: eoi.Plant, *several: tuple[eoi.effects.AbstractEffect, int, dict]):
+    placed, values = [], {}
+    for effect, channel, own in several:
+        placed.append(place(plant, effect, channel))
+        values |= own
+    return augmented(plant, placed, values)
+
+
+def test_nothing_added_is_the_same_plant():
+    assert augmented(MASS, [], {}) is MASS
+
+
+def test_augmented_plant_keeps_what_was_declared():
+    new = with_effects(MASS, (effects.CoulombFriction(), 0, {"coulomb_friction": 0.5}))
+    assert new.parameters == {**MASS.parameters, "coulomb_friction": 0.5}
+    assert new.fixed == ("b",)
+    assert (new.lower[1], new.upper[1]) == (0.0, 9.0)
+    assert (new.lower[3], new.upper[3]) == (0.0, np.inf)
+    assert new.units == {**MASS.units, "coulomb_friction": "m/s²"}
+    assert (new.inputs, new.outputs, new.name) == (MASS.inputs, MASS.outputs, "one mass")
+    assert new.dry_friction == (True,)
+    assert new.internal is None
+
+
+def test_term_is_added_to_the_declared_model():
+    new = with_effects(MASS, (effects.CubicStiffness(), 0, {"cubic_stiffness": 5.0}))
+    old, _ = at(MASS, [[0.3], [1.0]], [2.0])
+    assert at(new, [[0.3], [1.0]], [2.0])[0] == pytest.approx(float(old[0]) - 5.0 * 0.3**3)
+
+
+def test_parameters_are_named_by_effect_part_and_channel():
+    assert place(MASS, effects.CoulombFriction(), 0).names == ("coulomb_friction",)
+    assert place(MASS, effects.EndStop(), 0).names == ("end_stop_stiffness", "end_stop_position")
+    assert place(CARTS, effects.CoulombFriction(), 1).names == ("coulomb_friction_second",)
+    assert place(CARTS, effects.InputDelay(), 0).names == ("input_delay_left",)
+
+
+def test_name_that_is_taken_gets_a_number():
+    new = with_effects(MASS, (effects.ConstantOffset(), 0, {"constant_offset": 1.0}))
+    again = place(new, effects.ConstantOffset(), 0)
+    assert again.names == ("constant_offset_2",)
+    third = augmented(new, [again], {"constant_offset_2": 2.0})
+    assert place(third, effects.ConstantOffset(), 0).names == ("constant_offset_3",)
+    assert at(third, [[0.0], [0.0]], [0.0])[0] == pytest.approx(3.0)
+
+
+def test_effect_acts_on_its_own_channel():
+    new = with_effects(
+        CARTS,
+        (effects.ConstantOffset(), 1, {"constant_offset_second": 0.7}),
+        (effects.InputSaturation(), 0, {"input_saturation_left": 1.0}),
+    )
+    rest = [[0.0, 0.0], [0.0, 0.0]]
+    np.testing.assert_allclose(at(new, rest, [3.0, 3.0])[0], [1.0, 3.7])
+    np.testing.assert_allclose(at(CARTS, rest, [3.0, 3.0])[0], [3.0, 3.0])
+
+
+def test_input_effects_act_in_their_order():
+    dead = (effects.InputDeadZone(), 0, {"input_dead_zone": 0.5})
+    clip = (effects.InputSaturation(), 0, {"input_saturation": 1.0})
+    rest = [[0.0], [0.0]]
+    assert at(with_effects(MASS, dead, clip), rest, [3.0])[0] == pytest.approx(2.0 * 1.0)
+    assert at(with_effects(MASS, clip, dead), rest, [3.0])[0] == pytest.approx(2.0 * 0.5)
+
+
+def test_term_sees_the_input_as_recorded():
+    """An input effect is between the record and the plant; terms are beside both."""
+
+    class InputForce(AbstractTerm):
+        name = "input_force"
+        sentence = "a force with the input"
+        gains = (Parameter("", "{f}/{u}"),)
+        depends_on = "u"
+        form = ("+ {0}·{u}", r"+ {0}\,{u}")
+
+        def term(self, at, gain, shape):
+            return gain[0] * at.u
+
+    new = with_effects(
+        MASS,
+        (effects.InputSaturation(), 0, {"input_saturation": 1.0}),
+        (InputForce(), 0, {"input_force": 1.0}),
+    )
+    assert at(new, [[0.0], [0.0]], [3.0])[0] == pytest.approx(2.0 * 1.0 + 3.0)
+
+
+def test_states_of_effects_stand_behind_those_of_the_plant():
+    lag, loop = effects.ActuatorLag(), effects.Hysteresis()
+    new = with_effects(
+        LAGGED,
+        (loop, 0, dict(zip(place(LAGGED, loop, 0).names, (2.0, 0.1, 0.5), strict=True))),
+        (lag, 0, {"actuator_lag": 0.2}),
+    )
+    y, u, z = [[0.1], [1.0]], [3.0], [0.4, 0.25, 1.5]
+    value, theta = at(new, y, u, z)
+    np.testing.assert_allclose(new.internal_start(theta), [0.7, 0.0, 0.0])
+    assert value == pytest.approx(0.4 - 0.5 * 1.0 - 2.0 * 0.25)
+    state = eoi.State(jnp.asarray(y), jnp.asarray(z))
+    rates = new.internal_rate(jnp.asarray(0.0), state, jnp.asarray(u), theta)
+    # The plant's own state is driven by the lagged input.
+    own, bouc_wen = (2.0 * 1.5 - 0.4) / 0.3, (1.0 - 0.25) / 0.1
+    np.testing.assert_allclose(rates, [own, bouc_wen, (3.0 - 1.5) / 0.2])
+
+
+def test_effects_can_be_added_to_an_augmented_plant():
+    once = with_effects(LAGGED, (effects.ActuatorLag(), 0, {"actuator_lag": 0.2}))
+    twice = with_effects(once, (effects.ConstantOffset(), 0, {"constant_offset": 0.3}))
+    y, u, z = [[0.1], [1.0]], [3.0], [0.4, 1.5]
+    assert at(twice, y, u, z)[0] == pytest.approx(float(at(once, y, u, z)[0][0]) + 0.3)
+    assert twice.parameters == {**once.parameters, "constant_offset": 0.3}
+
+
+def test_plant_without_inputs_takes_effects():
+    free = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 4.0}, relative_degree=2, inputs=())
+    new = with_effects(free, (effects.CoulombFriction(), 0, {"coulomb_friction": 0.5}))
+    assert at(new, [[1.0], [2.0]], [])[0] == pytest.approx(-4.5)
+
+
+@pytest.mark.parametrize(
+    ("effect", "units"),
+    [
+        (effects.ViscousFriction(), ["1/s"]),
+        (effects.CubicStiffness(), ["m/s²/(m)³"]),
+        (effects.StribeckFriction(), ["m/s²", "m/s²", "m/s"]),
+        (effects.PositionRipple(), ["m/s²", "m/s²", "1/m"]),
+        (effects.InputDeadZone(), ["V"]),
+        (effects.InputDelay(), ["s"]),
+        (effects.Drift(), ["m/s²/s"]),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_units_follow_from_those_of_the_channel(effect, units):
+    placed = place(MASS, effect, 0)
+    assert [unit(MASS, placed, one.unit) for one in effect.parameters] == units
+
+
+def test_equal_augmented_plants_are_compiled_once():
+    several = (effects.EndStop(-1), 0, {"end_stop_stiffness": 4.0, "end_stop_position": -0.2})
+    other = (effects.EndStop(+1), 0, several[2])
+    traced = []
+
+    @jax.jit
+    def value(plant, y):
+        traced.append(1)
+        return plant.derivative(y[0, 0], eoi.State(y, jnp.zeros(0)), jnp.zeros(1), plant.theta)
+
+    y = jnp.asarray([[-1.0], [0.0]])
+    first, second = (value(with_effects(MASS, several), y) for _ in range(2))
+    assert len(traced) == 1
+    assert float(first[0]) == float(second[0])
+    value(with_effects(MASS, other), y)
+    assert len(traced) == 2
+
+
+def test_augmented_plant_runs_and_is_validated_like_any_other():
+    new = with_effects(
+        eoi.plants.mass_spring_damper(), (effects.InputDelay(), 0, {"input_delay": 0.1})
+    )
+    time = 1e-2 * np.arange(400)
+    drive = eoi.excitation.multisine(time, 1.0, (0.5, 3.0), 5, seed=1)
+    record = eoi.simulate(new, time, drive, substeps=4)
+    checked = eoi.validate(new, record)
+    assert checked.rmse[0] < 1e-6 * np.std(record.outputs)
