@@ -27,7 +27,7 @@ from eoi_jax.fit import Base, Fit, fitted, system
 from eoi_jax.identify import Identification, identify
 from eoi_jax.lowpass import LowPass
 from eoi_jax.modes import Stretch, model_rows, stretch
-from eoi_jax.noise_model import fitted_power, local_power
+from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records
 from eoi_jax.results import Status
@@ -39,7 +39,8 @@ _PEAKS = 6  # frequencies at which a sinusoid is tried
 _AMBIGUOUS = 10.0  # twice the log-likelihood by which sets are told apart
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
 _ROUNDS = 3
-_WINDOW, _INITIAL = 0.05, 50  # of a record; samples that start a free run
+_WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
+_NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
 
@@ -66,7 +67,7 @@ def discover(
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
-        window: length of re-initialised free runs [s]; by default a twentieth of a record.
+        window: length of re-initialised free runs [s]; by default a tenth of a record.
 
     Returns:
         The effects, the augmented plant, evidence for every candidate, errors before and after.
@@ -110,6 +111,8 @@ class _Task:
             added = _read_friction(model, one.chosen)
             placed += list(added)
             model = one.augmented(added)
+            if one.exhausted:
+                break
         return _answer(self, model, placed, rounds)
 
     @property
@@ -194,6 +197,12 @@ class _Round:
         )
         self.sets = self.found.run()
         self.chosen = self._first_accepted()
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the chosen set leaves no more than noise."""
+        power = known_power(self.base.noise, self.base.local)
+        return float(np.mean(self.chosen.residual**2 / power)) < _NOISE_LIKE
 
     def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:
         """The model with the chosen set, at its fitted values.

@@ -259,20 +259,14 @@ class _Columns:
 
     def by_atom(self, rho: np.ndarray) -> np.ndarray:
         """What each atom takes away: ρ² of one column, jointly of two."""
-        out = np.zeros(len(self.first) - 1)
-        for atom, first in enumerate(self.first[:-1]):
-            width = self.first[atom + 1] - first
-            if width == 1:
-                out[atom] = rho[first] ** 2
-            else:
-                i, k = first, first + 1
-                r = self._correlation(i, k)
-                out[atom] = _joint(rho[i], rho[k], r)
+        first, width = self.first[:-1], np.diff(self.first)
+        out = rho[first] ** 2
+        pair = width > 1
+        i, k = first[pair], first[pair] + 1
+        both = self.gram[i, k] - np.sum(self._inside[:, i] * self._inside[:, k], axis=0)
+        correlation = both / np.sqrt(self._square[i] * self._square[k])
+        out[pair] = _joint(rho[i], rho[k], correlation)
         return out
-
-    def _correlation(self, i: Any, k: Any) -> float:
-        both = self.gram[i, k] - self._inside[:, i] @ self._inside[:, k]
-        return float(both / np.sqrt(self._square[i] * self._square[k]))
 
     def pairs(self, columns: np.ndarray, target: Rows) -> list[tuple[float, int, int]]:
         """Pairs of columns that take away most together, and how much."""
