@@ -120,9 +120,7 @@ def discover(
             _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
         folder = output / given.settings.name
         text = _with_command(f"eoi discover {source}", source)
-        runs.publish(
-            folder, lambda draft: runs.write_discovery(draft, given, result, summary, text)
-        )
+        runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
     _show(folder, discovery_text(result), summary, as_json, quiet)
     if result.status.code == "unexplained":
         # The maps of the residual are written all the same: they are what is known.

@@ -42,6 +42,7 @@ _ROUNDS = 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
+_MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
 
 
@@ -82,7 +83,7 @@ def discover(
     check(isinstance(most, int) and most >= 1, "most", "must be an integer ≥ 1", most)
     declared = identify(plant, several, lowpass=lowpass)
     if declared.status.code in ("no_data", "diverged"):
-        return _failed(declared, not held)
+        return _failed(declared, held, several)
     return _Task(plant, several, held, tried, declared, alpha, most, window).run()
 
 
@@ -101,7 +102,7 @@ class _Task:
 
     def run(self) -> Discovery:
         """Rounds of search and refit, then the free runs."""
-        model, placed, rounds = self.declared.plant, [], []
+        model, placed, rounds, steps = self.declared.plant, [], [], []
         for _ in range(_ROUNDS):
             one = _Round(self, model, placed)
             one.search(rounds[0].lacking if rounds else one.lacking)
@@ -111,9 +112,10 @@ class _Task:
             added = _read_friction(model, one.chosen)
             placed += list(added)
             model = one.augmented(added)
+            steps.append((model, tuple(placed), tuple(rounds)))
             if one.exhausted:
                 break
-        return _answer(self, model, placed, rounds)
+        return _answer(self, steps, rounds)
 
     @property
     def band(self) -> float:
@@ -364,22 +366,31 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 
 
 def _answer(
-    task: _Task, model: Plant, placed: Sequence[Placed], rounds: Sequence[_Round]
+    task: _Task,
+    steps: Sequence[tuple[Plant, tuple[Placed, ...], tuple[_Round, ...]]],
+    rounds: Sequence[_Round],
 ) -> Discovery:
-    """From the rounds of the search to what the user reads."""
-    share, left = _explained(rounds)
+    """From the rounds of the search to what the user reads; a last step may be refused."""
     before = task.free_runs(task.declared.plant)
     notes = _notes(task)
-    status = _judged(placed, share, left)
+    placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
+    share, left, quiet = _explained(rounds)
+    status = _judged(placed, share, left, quiet)
     found, after = task.declared, before
-    if placed and status.code == "explained":
-        found = task.refitted(model, notes)
-        if not found.status.ok:
-            notes.append(f"the refit of the augmented model ended as {found.status}")
-        after = task.free_runs(found.plant)
-        if not _holds(before, after):
-            notes.append(_REFUSED.format(" and ".join(_names(placed))))
-            status, found, after = Status("unexplained", _WORSE), task.declared, before
+    for model, placed, done in reversed(steps):
+        share, left, quiet = _explained(rounds if placed is steps[-1][1] else done)
+        verdict = _judged(placed, share, left, quiet)
+        if verdict.code != "explained":
+            break
+        refit = task.refitted(model, notes)
+        if not refit.status.ok:
+            notes.append(f"the refit of the augmented model ended as {refit.status}")
+        runs = task.free_runs(refit.plant)
+        if _holds(before, runs):
+            status, found, after = verdict, refit, runs
+            break
+        notes.append(_REFUSED.format(" and ".join(_names(placed))))
+        status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
     others = _ambiguous(rounds[0], _names(kept)) if kept else ()
     return Discovery(
@@ -399,28 +410,41 @@ def _answer(
         status=status,
         notes=tuple(notes),
         in_sample=not task.held,
+        held_out=task.held or task.records,
     )
 
 
-def _explained(rounds: Sequence[_Round]) -> tuple[float, float]:
-    """Share of the residual's power above the noise that is gone; what is left over y^(r), rms."""
+def _explained(rounds: Sequence[_Round]) -> tuple[float, float, bool]:
+    """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
+
+    And whether that is noise: white as predicted, or less than the noise is.
+    """
     first, last = rounds[0], rounds[-1]
     before = first.found.fit([]).residual
     after = last.found.fit([]).residual if not last.chosen.atoms else last.chosen.residual
-    excess = first.base.signal_power(before) - first.base.noise_power
-    rest = max(last.base.signal_power(after) - last.base.noise_power, 0.0)
-    whole = first.base.signal_power(np.sqrt(first.base.local)) - first.base.noise_power
-    share = 1.0 - rest / excess if excess > 0 else 0.0
-    left = float(np.sqrt(rest / whole)) if whole > 0 else 0.0
-    return float(np.clip(share, 0.0, 1.0)), left
+    noise = _noise_scale(last.base, after) * first.base.noise_power
+    excess = first.base.signal_power(before) - noise
+    rest = max(first.base.signal_power(after) - noise, 0.0)
+    whole = first.base.signal_power(np.sqrt(first.base.local)) - noise
+    if not (excess > 0.0 and whole > 0.0 and np.isfinite(rest)):
+        return 0.0, 0.0 if np.isfinite(rest) else np.inf, last.exhausted
+    share = float(np.clip(1.0 - rest / excess, 0.0, 1.0))
+    return share, float(np.sqrt(rest / whole)), last.exhausted or rest <= noise
 
 
-def _judged(placed: Sequence[Placed], share: float, left: float) -> Status:
+def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
+    """How much of the predicted noise is there: a record's noise estimate is an upper bound."""
+    ratio = residual**2 / np.maximum(base.noise, 1e-300)
+    return float(min(1.0, np.median(ratio) / _MEDIAN))
+
+
+def _judged(placed: Sequence[Placed], share: float, left: float, noise_like: bool) -> Status:
+    good = noise_like or left <= _MATERIAL
     if not placed:
-        if left <= _MATERIAL:
+        if good:
             return Status("nothing_missing", _NOTHING.format(left))
         return Status("unexplained", _UNKNOWN.format(left))
-    if share >= _EXPLAINED or left <= _MATERIAL:
+    if share >= _EXPLAINED or good:
         return Status("explained", _FOUND.format(share, left))
     return Status("unexplained", _PARTLY.format(" and ".join(_names(placed)), share, left))
 
@@ -436,7 +460,7 @@ _FOUND = (
 )
 _PARTLY = (
     "the best that the library has, {}, takes only {:.0%} of the residual's power and leaves "
-    "{:.2g} of the highest derivative (rms): it imitates something else, so nothing was added"
+    "{:.2g} of the highest derivative (rms): not the whole story, so nothing was added"
 )
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
@@ -461,6 +485,9 @@ def _holds(
     before: tuple[Validation, Validation | None], after: tuple[Validation, Validation | None]
 ) -> bool:
     """Whether the free run is better, whole or in windows: one lightly damped drifts in phase."""
+    short = after[0] if after[1] is None else after[1]
+    if np.all(short.nrmse > 1.0):
+        return False  # a constant would predict better
     pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
     better = [
         float(np.sum(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300))))
@@ -554,10 +581,12 @@ _EXPERIMENT = {
 }
 
 
-def _failed(declared: Identification, in_sample: bool) -> Discovery:
+def _failed(
+    declared: Identification, held: tuple[Record, ...], records: tuple[Record, ...]
+) -> Discovery:
     """The declared model could not be fitted: its status is the answer."""
     nothing = (None, None)
     return Discovery(
         (), (), (), (), "", 0.0, *nothing, *nothing, declared, declared, declared.plant,
-        declared.status, (), in_sample,
+        declared.status, (), not held, held or records,
     )  # fmt: skip

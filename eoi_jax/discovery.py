@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eoi_jax.data.record import Record
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
@@ -74,6 +75,7 @@ class Discovery:
             fit if it failed.
         notes: what limits the answer.
         in_sample: whether the free-run errors are on the records of the fit.
+        held_out: the records that the free runs are on.
     """
 
     effects: tuple[str, ...]
@@ -92,6 +94,7 @@ class Discovery:
     status: Status
     notes: tuple[str, ...]
     in_sample: bool
+    held_out: tuple[Record, ...]
 
     def __str__(self) -> str:
         from eoi_jax.report.discovery import discovery_text

@@ -240,14 +240,11 @@ def write_identification(
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
-def write_discovery(
-    folder: Path, given: Job, result: Discovery, summary: dict[str, Any], config: str
-) -> None:
+def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], config: str) -> None:
     """`discovery.json`, `report.txt`, `equation.tex`, three figures, `result.npz`, `config.toml`.
 
     Args:
         folder: an empty one.
-        given: what was asked.
         result: of `discover`.
         summary: of `discovery_summary`.
         config: text of the config, with the command that was given above it.
@@ -260,8 +257,7 @@ def write_discovery(
     forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
     (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
-    measured = given.records if result.in_sample else given.held_out
-    for name, figure in discovery_figures(result, measured).items():
+    for name, figure in discovery_figures(result).items():
         figure.savefig(folder / f"{name}.png")
     result.save(folder / "result.npz")
     (folder / "config.toml").write_text(config, encoding="utf-8")

@@ -86,4 +86,5 @@ def discovery() -> Discovery:
         status=eoi.Status("explained", "Nothing is left above the noise."),
         notes=("run 1: a note.",),
         in_sample=False,
+        held_out=(HELD_OUT,),
     )

@@ -308,7 +308,7 @@ def test_every_effect_has_a_formula_in_balanced_latex(effect):
 
 
 def test_the_residual_is_drawn_before_and_after_to_its_peaks(found):
-    (axes,) = figures.discovery_figures(found, [HELD_OUT])["residual"].axes
+    (axes,) = figures.discovery_figures(found)["residual"].axes
     for line, result in zip(axes.lines, (found.declared, found.found), strict=True):
         assert np.nanmax(line.get_ydata()) == np.nanmax(result.residual[0])
         assert np.nanmin(line.get_ydata()) == np.nanmin(result.residual[0])
@@ -317,7 +317,7 @@ def test_the_residual_is_drawn_before_and_after_to_its_peaks(found):
 
 
 def test_friction_is_drawn_against_the_rate_and_the_fit_goes_through_the_means(found):
-    rate, time = figures.discovery_figures(found, [HELD_OUT])["effect"].axes
+    rate, time = figures.discovery_figures(found)["effect"].axes
     assert rate.get_xlabel() == "rate of position [m/s]"
     assert time.get_xlabel() == "time [s]"  # the offset
     means, fitted = rate.lines[0], rate.lines[1]
@@ -337,7 +337,7 @@ def test_an_effect_of_the_input_is_drawn_against_the_input(found):
 
 
 def test_without_an_effect_the_residual_is_drawn_against_everything(nothing):
-    drawn = figures.discovery_figures(nothing, [HELD_OUT])
+    drawn = figures.discovery_figures(nothing)
     labels = [axes.get_xlabel() for axes in drawn["effect"].axes]
     assert labels == ["position [m]", "rate of position [m/s]", "time [s]", "force [N]"]
     (axes,) = drawn["residual"].axes
@@ -346,7 +346,7 @@ def test_without_an_effect_the_residual_is_drawn_against_everything(nothing):
 
 
 def test_free_runs_are_drawn_against_the_measurement_with_their_errors(found):
-    upper, lower = figures.discovery_figures(found, [HELD_OUT])["free_run"].axes
+    upper, lower = figures.discovery_figures(found)["free_run"].axes
     assert [text.get_text() for text in upper.get_legend().get_texts()] == [
         "measured", "before", "after",
     ]  # fmt: skip
@@ -359,7 +359,7 @@ def test_a_run_that_diverges_does_not_hide_the_measurement(found):
     prediction = found.before.predictions[0]
     wild = eoi.Record(prediction.time, prediction.inputs, 1e3 * prediction.outputs, name="wild")
     before = dataclasses.replace(found.before, predictions=(wild,))
-    upper, lower = figures.discovery_figures(dataclasses.replace(found, before=before), [HELD_OUT])[
+    upper, lower = figures.discovery_figures(dataclasses.replace(found, before=before))[
         "free_run"
     ].axes
     reach = np.max(np.abs(HELD_OUT.outputs))
@@ -369,7 +369,7 @@ def test_a_run_that_diverges_does_not_hide_the_measurement(found):
 
 
 def test_the_single_figure_holds_all_three(found):
-    axes = figures.discovery_figure(found, [HELD_OUT]).axes
+    axes = figures.discovery_figure(found).axes
     assert len(axes) == 1 + 2 + 2
 
 

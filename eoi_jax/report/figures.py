@@ -121,12 +121,11 @@ _BEFORE, _AFTER, _MEASURED = "#0072B2", "#D55E00", "#000000"
 _BINS = 40
 
 
-def discovery_figure(discovery: Discovery, measured: Sequence[Record] = ()) -> Any:
+def discovery_figure(discovery: Discovery) -> Any:
     """Residual over time, residual against what it depends on, free run: one figure.
 
     Args:
         discovery: of `discover`.
-        measured: the records of the free runs, where the discovery does not hold them.
 
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
@@ -137,17 +136,16 @@ def discovery_figure(discovery: Discovery, measured: Sequence[Record] = ()) -> A
     grid = figure.add_gridspec(3, 1, height_ratios=[1, 1.2, 1.5])
     _draw_residuals(figure.add_subfigure(grid[0]), discovery)
     _draw_maps(figure.add_subfigure(grid[1]), discovery)
-    _draw_free_run(figure.add_subfigure(grid[2]), discovery, measured)
+    _draw_free_run(figure.add_subfigure(grid[2]), discovery)
     figure.suptitle(f"{discovery.plant.name}: {_found(discovery)}", fontsize=13)
     return figure
 
 
-def discovery_figures(discovery: Discovery, measured: Sequence[Record] = ()) -> dict[str, Any]:
+def discovery_figures(discovery: Discovery) -> dict[str, Any]:
     """The three parts of `discovery_figure`, a figure each; arguments as there.
 
     Args:
         discovery: of `discover`.
-        measured: the records of the free runs, where the discovery does not hold them.
 
     Returns:
         Figures by name: ``residual`` before and after over time; ``effect``, the residual before
@@ -164,7 +162,7 @@ def discovery_figures(discovery: Discovery, measured: Sequence[Record] = ()) -> 
     figures = {"residual": new(), "effect": new(), "free_run": new()}
     _draw_residuals(figures["residual"], discovery)
     _draw_maps(figures["effect"], discovery)
-    _draw_free_run(figures["free_run"], discovery, measured)
+    _draw_free_run(figures["free_run"], discovery)
     return figures
 
 
@@ -276,14 +274,12 @@ def _values(result: Any, j: int, name: str) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _draw_free_run(
-    figure: Any, discovery: Discovery, measured: Sequence[Record], record: int = 0
-) -> None:
+def _draw_free_run(figure: Any, discovery: Discovery, record: int = 0) -> None:
     """Free runs before and after on a record against its measurement, and their errors."""
     outputs = discovery.plant.outputs
     panels = figure.subplots(2, len(outputs), sharex=True, squeeze=False, height_ratios=[1.6, 1])
     runs = _pair(discovery, discovery.before, discovery.after)
-    given = measured or getattr(discovery, "held_out", ())
+    given = discovery.held_out
     for j, (upper, lower) in enumerate(panels.T):
         unit = discovery.plant.units.get(outputs[j], "")
         upper.set_ylabel(outputs[j] + (f" [{unit}]" if unit else ""))
@@ -291,7 +287,7 @@ def _draw_free_run(
         lower.set_xlabel("time [s]")
         upper.grid(alpha=0.3)
         lower.grid(alpha=0.3)
-        if discovery.before is None or not given:
+        if discovery.before is None:
             upper.set_title("no free run to show", loc="left", fontsize=9)
             continue
         _draw_runs(upper, lower, given[record], [(one.predictions[record], colour, label)
