@@ -11,36 +11,29 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.augment import Placed, augmented, place
-from eoi_jax.candidates import Atom, atoms, candidates, seen_at
+from eoi_jax.augment import Placed
 from eoi_jax.checks import check, check_choice
 from eoi_jax.data.record import Record
 from eoi_jax.discovery import Added, Discovery, Evidence
-from eoi_jax.effects import AsymmetricFriction, ConstantOffset, CoulombFriction, standard
+from eoi_jax.effects import standard
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base, Fit, fitted, system
+from eoi_jax.fit import Base
 from eoi_jax.identify import Identification, identify
 from eoi_jax.lowpass import LowPass
-from eoi_jax.modes import Stretch, model_rows, stretch
-from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records
 from eoi_jax.results import Status
-from eoi_jax.search import Search
+from eoi_jax.rounds import Round, Task, read_friction, values_of
 from eoi_jax.validate import Validation, validate
 
-_BAND = 2.0  # of the modes over the cut-off of F
-_PEAKS = 6  # frequencies at which a sinusoid is tried
 _AMBIGUOUS = 10.0  # twice the log-likelihood by which sets are told apart
-_EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
 _ROUNDS = 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
-_NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
@@ -49,7 +42,7 @@ _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missin
 def discover(
     plant: Plant,
     records: Record | Sequence[Record],
-    validation: Record | Sequence[Record] | None = None,
+    validation: Record | Sequence[Record] | float | None = None,
     effects: Sequence[AbstractEffect | str] | None = None,
     *,
     lowpass: LowPass | None = None,
@@ -62,8 +55,9 @@ def discover(
     Args:
         plant: the declared model, with nominal parameters.
         records: to fit and to search; all of them together.
-        validation: records that the fit does not see, for the errors before and after; without
-            them the errors are those on `records`, and the answer says so.
+        validation: records that the fit does not see, for the errors before and after; or the
+            share of each record that is held out at its end. Without them the errors are those on
+            `records`, and the answer says so.
         effects: to try, as names or objects; all of `eoi_jax.effects.standard()` by default.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
@@ -77,6 +71,10 @@ def discover(
         ValueError: arguments or records that do not fit; the message says which and what to do.
     """
     several = check_records(plant, records)
+    if isinstance(validation, float | int):
+        check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
+        parts = [one.split(1.0 - validation) for one in several]
+        several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
     held = _held_out(plant, several, validation)
     tried = _effects(effects)
     check(0.0 < alpha < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
@@ -84,239 +82,63 @@ def discover(
     declared = identify(plant, several, lowpass=lowpass)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
-    return _Task(plant, several, held, tried, declared, alpha, most, window).run()
+    return _run(Task(plant, several, held, tried, declared, alpha, most, window))
 
 
-@dataclass(frozen=True)
-class _Task:
-    """One discovery: what is fixed during it."""
-
-    plant: Plant
-    records: tuple[Record, ...]
-    held: tuple[Record, ...]
-    effects: tuple[AbstractEffect, ...]
-    declared: Identification
-    alpha: float
-    most: int
-    window: float | None
-
-    def run(self) -> Discovery:
-        """Rounds of search and refit, then the free runs."""
-        model, placed, rounds, steps = self.declared.plant, [], [], []
-        for _ in range(_ROUNDS):
-            one = _Round(self, model, placed)
-            one.search(rounds[0].lacking if rounds else one.lacking)
-            rounds.append(one)
-            if not one.chosen.atoms:
-                break
-            added = _read_friction(model, one.chosen)
-            placed += list(added)
-            model = one.augmented(added)
-            steps.append((model, tuple(placed), tuple(rounds)))
-            if one.exhausted:
-                break
-        return _answer(self, steps, rounds)
-
-    @property
-    def band(self) -> float:
-        """Highest frequency of the modes [rad/s]."""
-        return _BAND * self.declared.lowpass.cutoff
-
-    def refitted(self, model: Plant, notes: list[str]) -> Identification:
-        """Everything fitted again by the estimator, from where the search ended.
-
-        Its passes average over a step what the modes treat to fourth order, and smooth the inputs
-        with the outputs where noise asks for it, which an input effect does not commute with. So
-        the better of both in short free runs on the records of the fit is kept.
-        """
-        found = identify(model, self.records, lowpass=self.declared.lowpass)
-        window = self._window(self.records)
-        if window is None or np.any(model.theta < model.lower) or np.any(model.theta > model.upper):
-            return found
-        ours, theirs = (
-            float(np.sum(np.log(validate(one, self.records, window=window).rmse + 1e-300)))
-            for one in (model, found.plant)
-        )
-        if not ours < theirs:
-            return found
-        notes.append("parameters are those of the search: in free runs better than the refit's")
-        return replace(found, plant=model, parameters=model.parameters)
-
-    def _window(self, records: Sequence[Record]) -> float | None:
-        """Length of short free runs [s]; None where the records are too short."""
-        if self.window is not None:
-            return self.window
-        shortest = min(len(one) for one in records)
-        samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
-        return None if samples > shortest // 2 else samples * records[0].sample_period
-
-    def free_runs(self, plant: Plant) -> tuple[Validation, Validation | None]:
-        """On the held-out records, whole and in windows."""
-        records = self.held or self.records
-        window = self._window(records)
-        whole = validate(plant, records)
-        return whole, None if window is None else validate(plant, records, window=window)
+def _run(task: Task) -> Discovery:
+    """Rounds of search and refit, then the free runs."""
+    model, placed, rounds, steps = task.declared.plant, [], [], []
+    for _ in range(_ROUNDS):
+        one = Round(task, model, placed)
+        one.search(rounds[0].lacking if rounds else one.lacking)
+        rounds.append(one)
+        if not one.chosen.atoms:
+            break
+        added = read_friction(model, one.chosen)
+        placed += list(added)
+        model = one.augmented(added)
+        steps.append((model, tuple(placed), tuple(rounds)))
+        if one.exhausted:
+            break
+    return _answer(task, steps, rounds)
 
 
-class _Round:
-    """One search from one model."""
+def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
+    """Everything fitted again by the estimator, from where the search ended.
 
-    def __init__(self, task: _Task, model: Plant, placed: Sequence[Placed]):
-        self.task, self.model, self.placed = task, model, tuple(placed)
-        self.stretches = [stretch(model, one, task.band) for one in task.records]
-        self.held = [stretch(model, one, task.band) for one in task.held]
-        self.base = base_of(model, self.stretches)
-        self.refused: dict[Placed, str] = {}
-
-    @property
-    def lacking(self) -> float:
-        """Power of what the model leaves."""
-        residual = fitted(self.base, [], np.ones_like(self.base.target)).residual
-        return self.base.signal_power(residual)
-
-    def search(self, lacking: float) -> None:
-        """Find the best set that the held-out records do not refuse.
-
-        Args:
-            lacking: power that the declared model left, the measure of what matters.
-        """
-        task, model = self.task, self.model
-        present = {(one.effect, one.channel) for one in self.placed}
-        self.candidates = [
-            one
-            for one in candidates(model, task.effects)
-            if (one.effect, one.channel) not in present
-        ]
-        peaks = self._peaks()
-        cutoff = task.declared.lowpass.cutoff
-        grid = []
-        for one in self.candidates:
-            seen = seen_at(model, one, self.stretches, cutoff, peaks)
-            grid += atoms(model, one, one.effect.grid(seen), self.stretches)
-        names = len({one.effect.name for one in self.candidates})
-        self.found = Search(
-            self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
-        )
-        self.sets = self.found.run()
-        self.chosen = self._first_accepted()
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether the chosen set leaves no more than noise."""
-        power = known_power(self.base.noise, self.base.local)
-        return float(np.mean(self.chosen.residual**2 / power)) < _NOISE_LIKE
-
-    def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:
-        """The model with the chosen set, at its fitted values.
-
-        Args:
-            added: the effects as they are read, with their parameters.
-        """
-        fit = self.chosen
-        theta = np.array(self.model.theta)
-        theta[self.base.free] += fit.theta[: len(self.base.free)]
-        theta = np.clip(theta, self.model.lower, self.model.upper)
-        values = {
-            name: value
-            for one, numbers in added.items()
-            for name, value in zip(one.names, numbers, strict=True)
-        }
-        return augmented(self.model.with_parameters(theta), list(added), values)
-
-    def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
-        return atoms(self.model, placed, shapes, self.stretches)
-
-    def _peaks(self) -> Float[np.ndarray, " peaks"]:
-        """Frequencies at which the residual of the declared model stands out."""
-        base, (one, *_) = self.base, self.stretches
-        residual = fitted(base, [], np.ones_like(base.target)).residual[: len(one.omega)]
-        power = fitted_power(residual, base.noise[: len(residual)], base.local[: len(residual)],
-                             np.zeros(len(residual), int))  # fmt: skip
-        ratio = residual**2 / power
-        ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
-        inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
-        where = 1 + np.flatnonzero(inner)
-        best = where[np.argsort(ratio[where])[::-1][:_PEAKS]]
-        return 0.5 * (one.omega[best] + one.omega[best + 1])
-
-    def _first_accepted(self) -> Fit:
-        for fit in self.sets:
-            if not fit.atoms:
-                return fit
-            if fit.physical and self.found.material(fit) and self._better(fit):
-                return fit
-        return self.found.fit([])
-
-    def _better(self, fit: Fit) -> bool:
-        """Each effect must lower the held-out error beside the others."""
-        if not self.held:
-            return True
-        base = base_of(self.model, self.held)
-        residual = self._held_residual(base, fit)
-        power = fitted_power(residual, base.noise, base.local, base.output)
-        for one in fit.atoms:
-            rest = self.found.fit([other for other in fit.atoms if other is not one])
-            without = self._held_residual(base, rest)
-            if float(np.sum(without**2 / power)) <= float(np.sum(residual**2 / power)):
-                self.refused[one.placed] = "held-out error grows"
-                return False
-        return True
-
-    def _held_residual(self, base: Base, fit: Fit) -> Float[np.ndarray, " rows"]:
-        """What the set leaves on the held-out records, at the parameters of the fit."""
-        made = [
-            atoms(self.model, one.placed, np.reshape(one.shape, (1, -1)), self.held)[0]
-            for one in fit.atoms
-        ]
-        target, columns = system(base, made)
-        return target - columns @ fit.theta
-
-
-def base_of(model: Plant, stretches: Sequence[Stretch]) -> Base:
-    """The declared model along the records, as modes."""
-    error, slopes = model_rows(model, stretches)
-    free = np.flatnonzero(model.free)
-    parts, noise, output = [], [], []
-    for one in stretches:
-        for j in range(len(model.outputs)):
-            parts.append(local_power(one.rows(one.highest[j])))
-            noise.append(one.noise[:, j])
-            output.append(np.full(len(one.omega), j))
-    return Base(
-        error[0],
-        slopes[0][:, free],
-        free,
-        np.concatenate(noise),
-        np.concatenate(parts),
-        np.concatenate(output),
-    )
-
-
-def values_of(fit: Fit) -> dict[Placed, tuple[float, ...]]:
-    """Parameters of each effect of a set, gains first."""
-    return {
-        one.placed: (*(float(gain) for gain in gains), *one.shape)
-        for one, gains in zip(fit.atoms, fit.gains, strict=True)
-    }
-
-
-def _read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:
-    """The set, with asymmetric dry friction read as it is commonly meant.
-
-    Two levels c₊, c₋ and one level (c₊ + c₋)/2 beside an offset (c₋ - c₊)/2 are the same function.
-    Nearly equal levels are called Coulomb friction and an offset, very different ones asymmetric.
+    Its passes average over a step what the modes treat to fourth order, and smooth the inputs
+    with the outputs where noise asks for it, which an input effect does not commute with. So
+    the better of both in short free runs on the records of the fit is kept.
     """
-    added = {}
-    for placed, values in values_of(fit).items():
-        if isinstance(placed.effect, AsymmetricFriction) and max(values) < _EQUAL * min(values):
-            forward, backward = values
-            level = place(plant, CoulombFriction(), placed.channel)
-            offset = place(plant, ConstantOffset(), placed.channel)
-            added[level] = (0.5 * (forward + backward),)
-            added[offset] = (0.5 * (backward - forward),)
-        else:
-            added[placed] = values
-    return added
+    found = identify(model, task.records, lowpass=task.declared.lowpass)
+    window = _window(task, task.records)
+    if window is None or np.any(model.theta < model.lower) or np.any(model.theta > model.upper):
+        return found
+    ours, theirs = (
+        float(np.sum(np.log(validate(one, task.records, window=window).rmse + 1e-300)))
+        for one in (model, found.plant)
+    )
+    if not ours < theirs:
+        return found
+    notes.append("parameters are those of the search: in free runs better than the refit's")
+    return replace(found, plant=model, parameters=model.parameters)
+
+
+def _window(task: Task, records: Sequence[Record]) -> float | None:
+    """Length of short free runs [s]; None where the records are too short."""
+    if task.window is not None:
+        return task.window
+    shortest = min(len(one) for one in records)
+    samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
+    return None if samples > shortest // 2 else samples * records[0].sample_period
+
+
+def _free_runs(task: Task, plant: Plant) -> tuple[Validation, Validation | None]:
+    """On the held-out records, whole and in windows."""
+    records = task.held or task.records
+    window = _window(task, records)
+    whole = validate(plant, records)
+    return whole, None if window is None else validate(plant, records, window=window)
 
 
 def _held_out(
@@ -335,7 +157,7 @@ def _held_out(
             f"validation[{one.name}]",
             "must not be one of the records of the fit",
             "the same data",
-            "Leave `validation` out, or split a record: record.split(0.7).",
+            "Give another record, or a share of these such as 0.3.",
         )
     return held
 
@@ -366,12 +188,12 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 
 
 def _answer(
-    task: _Task,
-    steps: Sequence[tuple[Plant, tuple[Placed, ...], tuple[_Round, ...]]],
-    rounds: Sequence[_Round],
+    task: Task,
+    steps: Sequence[tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]],
+    rounds: Sequence[Round],
 ) -> Discovery:
     """From the rounds of the search to what the user reads; a last step may be refused."""
-    before = task.free_runs(task.declared.plant)
+    before = _free_runs(task, task.declared.plant)
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
     share, left, quiet = _explained(rounds)
@@ -382,10 +204,10 @@ def _answer(
         verdict = _judged(placed, share, left, quiet)
         if verdict.code != "explained":
             break
-        refit = task.refitted(model, notes)
+        refit = _refitted(task, model, notes)
         if not refit.status.ok:
             notes.append(f"the refit of the augmented model ended as {refit.status}")
-        runs = task.free_runs(refit.plant)
+        runs = _free_runs(task, refit.plant)
         if _holds(before, runs):
             status, found, after = verdict, refit, runs
             break
@@ -414,7 +236,7 @@ def _answer(
     )
 
 
-def _explained(rounds: Sequence[_Round]) -> tuple[float, float, bool]:
+def _explained(rounds: Sequence[Round]) -> tuple[float, float, bool]:
     """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
 
     And whether that is noise: white as predicted, or less than the noise is.
@@ -471,12 +293,12 @@ def _names(placed: Sequence[Placed]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(one.effect.name for one in placed))
 
 
-def _notes(task: _Task) -> list[str]:
+def _notes(task: Task) -> list[str]:
     notes = []
     if not task.held:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "
-            "on other data. Give `validation`, or split a record: record.split(0.7)"
+            "on other data. Give `validation`: records, or a share of these such as 0.3"
         )
     return notes
 
@@ -508,9 +330,7 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
     )
 
 
-def _ranking(
-    plant: Plant, rounds: Sequence[_Round], kept: Sequence[Placed]
-) -> tuple[Evidence, ...]:
+def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> tuple[Evidence, ...]:
     """What was added, then every other candidate alone, by score."""
     first = rounds[0]
     search, empty = first.found, first.found.fit([])
@@ -544,7 +364,7 @@ def _ranking(
     return tuple(rows[one] for one in order)
 
 
-def _ambiguous(first: _Round, kept: Sequence[str]) -> tuple[str, ...]:
+def _ambiguous(first: Round, kept: Sequence[str]) -> tuple[str, ...]:
     """Names in sets no larger than the chosen one that the records support nearly as well."""
     search, chosen, own = first.found, first.chosen, set(kept)
     names: list[str] = []
@@ -563,7 +383,7 @@ def _ambiguous(first: _Round, kept: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in names if name not in own))
 
 
-def _advice(first: _Round, others: Sequence[str]) -> str:
+def _advice(first: Round, others: Sequence[str]) -> str:
     """Which experiment tells the candidates apart, by what they depend on."""
     if not others:
         return ""

@@ -33,6 +33,7 @@ LAYERS = (
     ("candidates",),
     ("fit",),
     ("search",),
+    ("rounds",),
     ("identify",),
     ("residual",),
     ("diagnose",),

@@ -1,0 +1,204 @@
+"""One round of discovery: the search from one model, and what the held-out records say of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.augment import Placed, augmented, place
+from eoi_jax.candidates import Atom, atoms, candidates, seen_at
+from eoi_jax.data.record import Record
+from eoi_jax.effects import AsymmetricFriction, ConstantOffset, CoulombFriction
+from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.fit import Base, Fit, fitted, system
+from eoi_jax.identify import Identification
+from eoi_jax.modes import Stretch, model_rows, stretch
+from eoi_jax.noise_model import fitted_power, known_power, local_power
+from eoi_jax.plants.plant import Plant
+from eoi_jax.search import Search
+
+_BAND = 2.0  # of the modes over the cut-off of F
+_PEAKS = 6  # frequencies at which a sinusoid is tried
+_EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
+_NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
+
+
+@dataclass(frozen=True)
+class Task:
+    """One discovery: what is fixed during it."""
+
+    plant: Plant
+    records: tuple[Record, ...]
+    held: tuple[Record, ...]
+    effects: tuple[AbstractEffect, ...]
+    declared: Identification
+    alpha: float
+    most: int
+    window: float | None
+
+    @property
+    def band(self) -> float:
+        """Highest frequency of the modes [rad/s]."""
+        return _BAND * self.declared.lowpass.cutoff
+
+
+class Round:
+    """One search from one model."""
+
+    def __init__(self, task: Task, model: Plant, placed: Sequence[Placed]):
+        self.task, self.model, self.placed = task, model, tuple(placed)
+        self.stretches = [stretch(model, one, task.band) for one in task.records]
+        self.held = [stretch(model, one, task.band) for one in task.held]
+        self.base = base_of(model, self.stretches)
+        self.refused: dict[Placed, str] = {}
+
+    @property
+    def lacking(self) -> float:
+        """Power of what the model leaves."""
+        residual = fitted(self.base, [], np.ones_like(self.base.target)).residual
+        return self.base.signal_power(residual)
+
+    def search(self, lacking: float) -> None:
+        """Find the best set that the held-out records do not refuse.
+
+        Args:
+            lacking: power that the declared model left, the measure of what matters.
+        """
+        task, model = self.task, self.model
+        present = {(one.effect, one.channel) for one in self.placed}
+        self.candidates = [
+            one
+            for one in candidates(model, task.effects)
+            if (one.effect, one.channel) not in present
+        ]
+        peaks = self._peaks()
+        cutoff = task.declared.lowpass.cutoff
+        grid = []
+        for one in self.candidates:
+            seen = seen_at(model, one, self.stretches, cutoff, peaks)
+            grid += atoms(model, one, one.effect.grid(seen), self.stretches)
+        names = len({one.effect.name for one in self.candidates})
+        self.found = Search(
+            self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
+        )
+        self.sets = self.found.run()
+        self.chosen = self._first_accepted()
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the chosen set leaves no more than noise."""
+        power = known_power(self.base.noise, self.base.local)
+        return float(np.mean(self.chosen.residual**2 / power)) < _NOISE_LIKE
+
+    def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:
+        """The model with the chosen set, at its fitted values.
+
+        Args:
+            added: the effects as they are read, with their parameters.
+        """
+        fit = self.chosen
+        theta = np.array(self.model.theta)
+        theta[self.base.free] += fit.theta[: len(self.base.free)]
+        theta = np.clip(theta, self.model.lower, self.model.upper)
+        values = {
+            name: value
+            for one, numbers in added.items()
+            for name, value in zip(one.names, numbers, strict=True)
+        }
+        return augmented(self.model.with_parameters(theta), list(added), values)
+
+    def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
+        return atoms(self.model, placed, shapes, self.stretches)
+
+    def _peaks(self) -> Float[np.ndarray, " peaks"]:
+        """Frequencies at which the residual of the declared model stands out."""
+        base, (one, *_) = self.base, self.stretches
+        residual = fitted(base, [], np.ones_like(base.target)).residual[: len(one.omega)]
+        power = fitted_power(residual, base.noise[: len(residual)], base.local[: len(residual)],
+                             np.zeros(len(residual), int))  # fmt: skip
+        ratio = residual**2 / power
+        ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
+        inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
+        where = 1 + np.flatnonzero(inner)
+        best = where[np.argsort(ratio[where])[::-1][:_PEAKS]]
+        return 0.5 * (one.omega[best] + one.omega[best + 1])
+
+    def _first_accepted(self) -> Fit:
+        for fit in self.sets:
+            if not fit.atoms:
+                return fit
+            if fit.physical and self.found.material(fit) and self._better(fit):
+                return fit
+        return self.found.fit([])
+
+    def _better(self, fit: Fit) -> bool:
+        """Each effect must lower the held-out error beside the others."""
+        if not self.held:
+            return True
+        base = base_of(self.model, self.held)
+        residual = self._held_residual(base, fit)
+        power = fitted_power(residual, base.noise, base.local, base.output)
+        for one in fit.atoms:
+            rest = self.found.fit([other for other in fit.atoms if other is not one])
+            without = self._held_residual(base, rest)
+            if float(np.sum(without**2 / power)) <= float(np.sum(residual**2 / power)):
+                self.refused[one.placed] = "held-out error grows"
+                return False
+        return True
+
+    def _held_residual(self, base: Base, fit: Fit) -> Float[np.ndarray, " rows"]:
+        """What the set leaves on the held-out records, at the parameters of the fit."""
+        made = [
+            atoms(self.model, one.placed, np.reshape(one.shape, (1, -1)), self.held)[0]
+            for one in fit.atoms
+        ]
+        target, columns = system(base, made)
+        return target - columns @ fit.theta
+
+
+def base_of(model: Plant, stretches: Sequence[Stretch]) -> Base:
+    """The declared model along the records, as modes."""
+    error, slopes = model_rows(model, stretches)
+    free = np.flatnonzero(model.free)
+    parts, noise, output = [], [], []
+    for one in stretches:
+        for j in range(len(model.outputs)):
+            parts.append(local_power(one.rows(one.highest[j])))
+            noise.append(one.noise[:, j])
+            output.append(np.full(len(one.omega), j))
+    return Base(
+        error[0],
+        slopes[0][:, free],
+        free,
+        np.concatenate(noise),
+        np.concatenate(parts),
+        np.concatenate(output),
+    )
+
+
+def values_of(fit: Fit) -> dict[Placed, tuple[float, ...]]:
+    """Parameters of each effect of a set, gains first."""
+    return {
+        one.placed: (*(float(gain) for gain in gains), *one.shape)
+        for one, gains in zip(fit.atoms, fit.gains, strict=True)
+    }
+
+
+def read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:
+    """The set, with asymmetric dry friction read as it is commonly meant.
+
+    Two levels c₊, c₋ and one level (c₊ + c₋)/2 beside an offset (c₋ - c₊)/2 are the same function.
+    Nearly equal levels are called Coulomb friction and an offset, very different ones asymmetric.
+    """
+    added = {}
+    for placed, values in values_of(fit).items():
+        if isinstance(placed.effect, AsymmetricFriction) and max(values) < _EQUAL * min(values):
+            forward, backward = values
+            level = place(plant, CoulombFriction(), placed.channel)
+            offset = place(plant, ConstantOffset(), placed.channel)
+            added[level] = (0.5 * (forward + backward),)
+            added[offset] = (0.5 * (backward - forward),)
+        else:
+            added[placed] = values
+    return added
