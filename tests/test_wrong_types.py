@@ -8,12 +8,20 @@ import pytest
 CALLS = {
     "identify(plant, None)": "`records` must hold at least one record, got none",
     "identify(plant, [3])": "`records` must be a Record or several, got int",
+    "discover(plant, None)": "`records` must hold at least one record, got none",
+    "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
+    "discover(plant, run, effects=[3])": "`effects` must be names or effects, got int",
+    "discover(plant, run, most=1.5)": "`most` must be an integer ≥ 1, got 1.5",
+    "discover(plant, run, alpha=2)": "`alpha` must lie in (0, 1), got 2",
     "observers.HighOrder(1.0, 2.0)": "`degree` must be an integer ≥ 1, got 2.0",
     "LowPass(1.0, 2.5)": "`order` must be an integer ≥ 1, got 2.5",
 }
 SCRIPT = """
 import eoi_jax as eoi
+import numpy as np
 plant = eoi.plants.pendulum()
+time = 0.01 * np.arange(500)
+run = eoi.Record(time, np.sin(time), np.cos(time))
 for call in {calls!r}:
     try:
         eval("eoi." + call)
