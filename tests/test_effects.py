@@ -12,10 +12,10 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import Placed, augmented, place, unit
 from eoi_jax.candidates import atoms
-from eoi_jax.discover import base_of
 from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At, Seen
 from eoi_jax.fit import fitted
 from eoi_jax.modes import stretch
+from eoi_jax.rounds import base_of
 
 EFFECTS = (*effects.standard(), effects.AsymmetricViscousFriction())
 TERMS = [one for one in EFFECTS if isinstance(one, AbstractTerm)]
