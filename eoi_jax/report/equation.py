@@ -11,6 +11,7 @@ import itertools
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from tokenize import TokenError
 from typing import Any
 
 import jax.numpy as jnp
@@ -172,7 +173,7 @@ def _read(function: Any, plant: Plant, count: int) -> tuple[Expression, ...] | N
         value = _Reader(plant, inner, arguments).run(body)
         flat = tuple(_flat(value))
         right = len(flat) == count and _agrees(flat, function, plant)
-    except (_UnreadableError, OSError, TypeError, SyntaxError, IndexError, ValueError, KeyError):
+    except _UNREADABLE:
         return None
     return flat if right else None
 
@@ -203,6 +204,12 @@ def _agrees(read: Sequence[Expression], function: Any, plant: Plant) -> bool:
         if mine is not None and not np.isclose(mine, value, rtol=1e-4):
             return False
     return True
+
+
+_UNREADABLE = (
+    _UnreadableError, OSError, TypeError, SyntaxError, IndexError, ValueError, KeyError,
+    TokenError,  # the file is not Python: code that was run from a string
+)  # fmt: skip
 
 
 def _source(function: Any) -> tuple[list[ast.stmt], list[str]]:
