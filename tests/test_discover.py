@@ -1,0 +1,351 @@
+"""Discovery from end to end on short records, and how it answers when something is wrong."""
+
+from functools import cache
+
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
+from eoi_jax.effects.effect import AbstractTerm, Parameter
+
+mpl.use("Agg")
+
+
+def spring(t, x, u, p):
+    position, rate = x.y
+    return -p.k * position - p.c * rate + p.b * u
+
+
+def crossed(t, x, u, p):
+    """Outside the library: v y², damping that grows with the displacement."""
+    position, rate = x.y
+    return spring(t, x, u, p) - p.hidden * rate * position**2
+
+
+def driven(t, x, u, p):
+    rate = x.y[1]
+    return spring(t, x, u, p) + p.hidden * rate * jnp.abs(rate)
+
+
+TRUE = {"k": 20.0, "c": 0.8, "b": 2.0}
+DECLARED = {"k": 26.0, "c": 0.6, "b": 1.6}
+KNOWN = {"relative_degree": 2, "inputs": ("force",), "outputs": ("position",)}
+UNITS = {"force": "N", "position": "m"}
+MASS = eoi.Plant(spring, DECLARED, **KNOWN, units=UNITS, name="one mass")
+# Friction, offset, springs and delay, and what each is easily taken for.
+FEW = (
+    "coulomb_friction",
+    "asymmetric_friction",
+    "quadratic_drag",
+    "cubic_stiffness",
+    "constant_offset",
+    "input_delay",
+)
+SAMPLES, PERIOD = 8000, 5e-3
+RELATIVE = 1e-4  # noise, of rms(y)
+
+
+def measured(plant: eoi.Plant, seed: int, samples: int = SAMPLES) -> eoi.Record:
+    time = PERIOD * np.arange(samples)
+    drive = eoi.excitation.multisine(time, 3.0, (0.1, 3.0), 16, seed=seed)
+    clean = eoi.simulate(plant, time, drive, substeps=2, hold="linear").outputs
+    noise = RELATIVE * np.std(clean) * np.random.default_rng(seed).standard_normal(clean.shape)
+    return eoi.Record(
+        time,
+        drive,
+        clean + noise,
+        f"run {seed}",
+        input_names=plant.inputs,
+        output_names=plant.outputs,
+        units=UNITS,
+        hold="linear",
+    )
+
+
+def hiding(several: dict[effects.AbstractEffect, tuple[float, ...]]) -> eoi.Plant:
+    """The true plant, with effects that the declared one lacks."""
+    plant = MASS.with_parameters(TRUE)
+    placed = [place(plant, effect, 0) for effect in several]
+    values = {
+        name: value
+        for one in placed
+        for name, value in zip(one.names, several[one.effect], strict=True)
+    }
+    return augmented(plant, placed, values)
+
+
+HIDDEN = {
+    "nothing": hiding({}),
+    "coulomb": hiding({effects.CoulombFriction(): (0.5,)}),
+    "delay": hiding({effects.InputDelay(): (0.031,)}),
+    "level and offset": hiding(
+        {effects.CoulombFriction(): (0.5,), effects.ConstantOffset(): (0.08,)}
+    ),
+    "asymmetric": hiding({effects.AsymmetricFriction(): (0.7, 0.35)}),
+    "outside": eoi.Plant(crossed, {**TRUE, "hidden": 3.0}, **KNOWN, units=UNITS),
+}
+
+
+@cache
+def records(case: str) -> tuple[eoi.Record, eoi.Record]:
+    return measured(HIDDEN[case], 1), measured(HIDDEN[case], 2)
+
+
+@cache
+def found(case: str) -> eoi.Discovery:
+    fit, held = records(case)
+    tried = None if case in ("coulomb", "outside") else FEW
+    return eoi.discover(MASS, fit, held, tried)
+
+
+def values(discovery: eoi.Discovery) -> dict[str, float]:
+    return {name: value for one in discovery.added for name, value in one.parameters.items()}
+
+
+# -- what is found --------------------------------------------------------------------------------
+
+
+def test_coulomb_friction_is_named_out_of_the_whole_library():
+    answer = found("coulomb")
+    assert answer.effects == ("coulomb_friction",)
+    assert answer.status.code == "explained"
+    assert values(answer)["coulomb_friction"] == pytest.approx(0.5, rel=1e-2)
+    for name, value in TRUE.items():
+        assert answer.plant.parameters[name] == pytest.approx(value, rel=1e-2)
+    assert answer.explained > 0.99
+    assert not answer.in_sample
+
+
+def test_error_on_data_not_used_falls_to_the_noise():
+    answer = found("coulomb")
+    noise = RELATIVE * np.std(records("coulomb")[1].outputs)
+    assert answer.before is not None
+    assert answer.after is not None
+    assert answer.windows_before is not None
+    assert answer.windows_after is not None
+    assert answer.before.rmse[0] > 30.0 * noise
+    assert answer.after.rmse[0] < 3.0 * noise
+    assert answer.windows_after.rmse[0] < answer.windows_before.rmse[0]
+
+
+def test_delay_is_named():
+    answer = found("delay")
+    assert answer.effects == ("input_delay",)
+    # Half a sample is a matter of how a record is read.
+    assert values(answer)["input_delay"] == pytest.approx(0.031, abs=0.5 * PERIOD)
+    assert answer.added[0].output == "force"
+
+
+def test_one_level_and_an_offset_are_read_as_such():
+    answer = found("level and offset")
+    assert set(answer.effects) == {"coulomb_friction", "constant_offset"}
+    assert values(answer)["coulomb_friction"] == pytest.approx(0.5, rel=0.02)
+    assert values(answer)["constant_offset"] == pytest.approx(0.08, rel=0.1)
+    assert "asymmetric_friction" in answer.ambiguous_with
+    assert answer.advice
+
+
+def test_levels_of_ratio_two_are_read_as_asymmetric_friction():
+    answer = found("asymmetric")
+    assert answer.effects == ("asymmetric_friction",)
+    expected = {"asymmetric_friction_forward": 0.7, "asymmetric_friction_backward": 0.35}
+    assert values(answer) == pytest.approx(expected, rel=0.03)
+    assert {"coulomb_friction", "constant_offset"} <= set(answer.ambiguous_with)
+    assert answer.advice
+
+
+def test_nothing_is_added_to_a_model_that_lacks_nothing():
+    answer = found("nothing")
+    assert answer.effects == ()
+    assert answer.added == ()
+    assert answer.status.code == "nothing_missing"
+    assert answer.explained == 0.0
+    assert answer.plant.names == MASS.names
+    assert answer.after is answer.before
+
+
+def test_effect_outside_the_library_is_unexplained():
+    answer = found("outside")
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+    assert answer.plant.names == MASS.names
+
+
+def test_ranking_holds_every_candidate_once_with_the_found_first():
+    ranking = found("coulomb").ranking
+    assert ranking[0].effect == "coulomb_friction"
+    assert ranking[0].parameters["coulomb_friction"] == pytest.approx(0.5, rel=1e-2)
+    assert ranking[0].score > 0
+    by_name = {one.effect: one for one in ranking}
+    mechanical = {one.name for one in effects.standard()} - {"leak", "overflow"}
+    assert set(by_name) == mechanical
+    for name in ("viscous_friction", "linear_stiffness"):
+        assert by_name[name].remark == "already in the model"
+    assert all(0.0 <= one.explained <= 1.0 for one in ranking)
+
+
+def test_effect_of_the_wrong_sign_is_remarked():
+    """A drag that drives is no drag."""
+    fit = measured(eoi.Plant(driven, {**TRUE, "hidden": 0.1}, **KNOWN, units=UNITS), 1, 4000)
+    answer = eoi.discover(MASS, fit, effects=["quadratic_drag"])
+    assert [one.remark for one in answer.ranking] == ["wrong sign"]
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+
+
+def test_several_records_make_one_answer():
+    both = [measured(HIDDEN["coulomb"], seed, 4000) for seed in (1, 3)]
+    answer = eoi.discover(MASS, both, records("coulomb")[1], FEW)
+    assert answer.effects == ("coulomb_friction",)
+    assert values(answer)["coulomb_friction"] == pytest.approx(0.5, rel=1e-2)
+    assert len(answer.found.residual) == 2
+
+
+def test_without_held_out_record_the_error_is_in_sample_and_says_so():
+    fit, _ = records("coulomb")
+    answer = eoi.discover(MASS, fit, effects=FEW)
+    assert answer.in_sample
+    assert answer.effects == ("coulomb_friction",)
+    assert any("no held-out record: errors are in-sample" in note for note in answer.notes)
+    assert not found("coulomb").notes
+
+
+def test_effect_that_makes_the_free_run_worse_is_refused():
+    """The other record is of a plant without it."""
+    answer = eoi.discover(MASS, records("coulomb")[0], records("nothing")[1], FEW)
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+    assert any(note.startswith("refused: coulomb_friction makes") for note in answer.notes)
+    assert answer.after is answer.before
+
+
+def test_effect_that_the_held_out_records_contradict_is_refused():
+    """A spring that hardens in one record and softens in the other."""
+    fit, held = (
+        measured(hiding({effects.CubicStiffness(): (gain,)}), seed, 4000)
+        for seed, gain in ((1, 8.0), (2, -8.0))
+    )
+    answer = eoi.discover(MASS, fit, held, ["cubic_stiffness", "constant_offset"])
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+    remarks = {one.effect: one.remark for one in answer.ranking}
+    assert remarks["cubic_stiffness"] == "held-out error grows"
+
+
+class CrossedDamping(AbstractTerm):
+    """-c v y²."""
+
+    name = "crossed_damping"
+    sentence = "damping that grows with the displacement"
+    gains = (Parameter("", "1/(s ({y})²)", lower=0.0),)
+    depends_on = "v"
+    form = ("- {0}·{v}·{y}²", r"- {0}\,{v}\,{y}^2")
+
+    def term(self, at, gain, shape):
+        return -gain[0] * at.v * at.y**2
+
+
+def test_effect_of_the_users_own_is_found():
+    fit, held = records("outside")
+    answer = eoi.discover(MASS, fit, held, [*FEW, CrossedDamping()])
+    assert answer.effects == ("crossed_damping",)
+    assert values(answer)["crossed_damping"] == pytest.approx(3.0, rel=1e-2)
+    assert answer.plant.units["crossed_damping"] == "1/(s (m)²)"
+    assert "position²" in answer.equation
+
+
+# -- the answer as an object ----------------------------------------------------------------------
+
+
+def test_answer_prints_what_was_found():
+    text = str(found("coulomb"))
+    assert "Coulomb" in text
+    assert "coulomb_friction" in text
+    assert "sign" in found("coulomb").equation
+    assert "operatorname{sign}" in found("coulomb").latex
+    assert "nothing" in str(found("nothing"))
+    assert "unexplained" in str(found("outside"))
+
+
+def test_answer_plots():
+    assert found("coulomb").plot().axes
+
+
+def test_answer_survives_a_file(tmp_path):
+    answer = found("coulomb")
+    answer.save(tmp_path / "answer.npz")
+    again = eoi.load(tmp_path / "answer.npz", plant=MASS)
+    assert again.effects == answer.effects
+    assert again.ranking == answer.ranking
+    assert again.status == answer.status
+    assert again.added[0].effect == answer.added[0].effect
+    assert values(again) == values(answer)
+    assert answer.after is not None
+    np.testing.assert_array_equal(again.after.rmse, answer.after.rmse)
+    state, theta = eoi.State(jnp.ones((2, 1)), jnp.zeros(0)), jnp.asarray(answer.plant.theta)
+    force = [
+        one.plant.derivative(jnp.asarray(0.0), state, jnp.ones(1), theta) for one in (again, answer)
+    ]
+    assert force[0] == force[1]
+
+
+# -- wrong calls ----------------------------------------------------------------------------------
+
+
+def test_validation_with_other_inputs_is_refused():
+    fit, held = records("nothing")
+    other = eoi.Record(held.time, np.repeat(held.inputs, 2, axis=1), held.outputs)
+    with pytest.raises(ValueError, match=r"`validation.*input"):
+        eoi.discover(MASS, fit, other)
+
+
+def test_validation_in_other_units_is_refused():
+    fit, held = records("nothing")
+    other = eoi.Record(
+        held.time,
+        held.inputs,
+        1e3 * held.outputs,
+        input_names=held.input_names,
+        output_names=held.output_names,
+        units={"force": "N", "position": "mm"},
+    )
+    with pytest.raises(ValueError, match=r"`validation.*mm"):
+        eoi.discover(MASS, fit, other)
+
+
+def test_validation_on_the_records_of_the_fit_is_refused():
+    fit, _ = records("nothing")
+    with pytest.raises(
+        ValueError, match=r"must not be one of the records of the fit, got the same data"
+    ):
+        eoi.discover(MASS, fit, fit)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, float("nan")])
+def test_level_of_false_alarms_lies_between_zero_and_one(alpha: float):
+    with pytest.raises(ValueError, match=r"`alpha` must lie in \(0, 1\)"):
+        eoi.discover(MASS, records("nothing")[0], alpha=alpha)
+
+
+def test_number_of_effects_is_at_least_one():
+    with pytest.raises(ValueError, match=r"`most` must be an integer ≥ 1, got 0"):
+        eoi.discover(MASS, records("nothing")[0], most=0)
+
+
+def test_unknown_effect_is_named_with_the_closest():
+    with pytest.raises(ValueError, match=r"got 'coulomb'\. Did you mean `coulomb_friction`\?"):
+        eoi.discover(MASS, records("nothing")[0], effects=["coulomb"])
+
+
+def test_no_effects_to_try_is_a_wrong_call():
+    with pytest.raises(ValueError, match=r"`effects` must name at least one effect, got none"):
+        eoi.discover(MASS, records("nothing")[0], effects=())
+
+
+def test_records_that_do_not_fit_the_plant_are_refused():
+    with pytest.raises(ValueError, match=r"`records` must hold at least one record"):
+        eoi.discover(MASS, [])
