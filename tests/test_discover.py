@@ -349,3 +349,8 @@ def test_no_effects_to_try_is_a_wrong_call():
 def test_records_that_do_not_fit_the_plant_are_refused():
     with pytest.raises(ValueError, match=r"`records` must hold at least one record"):
         eoi.discover(MASS, [])
+
+
+def test_share_that_is_held_out_lies_between_zero_and_one():
+    with pytest.raises(ValueError, match=r"`validation` must lie in \(0, 1\) as a share, got 1.5"):
+        eoi.discover(MASS, records("nothing")[0], 1.5)
