@@ -43,7 +43,7 @@ def discover(
     plant: Plant,
     records: Record | Sequence[Record],
     validation: Record | Sequence[Record] | float | None = None,
-    effects: Sequence[AbstractEffect | str] | None = None,
+    effects: str | Sequence[AbstractEffect | str] | None = None,
     *,
     lowpass: LowPass | None = None,
     alpha: float = 0.01,
@@ -76,7 +76,7 @@ def discover(
         parts = [one.split(1.0 - validation) for one in several]
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
     held = _held_out(plant, several, validation)
-    tried = _effects(effects)
+    tried = _effects([effects] if isinstance(effects, str) else effects)
     check(0.0 < alpha < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     check(isinstance(most, int) and most >= 1, "most", "must be an integer ≥ 1", most)
     declared = identify(plant, several, lowpass=lowpass)
@@ -212,6 +212,7 @@ def _answer(
             status, found, after = verdict, refit, runs
             break
         notes.append(_REFUSED.format(" and ".join(_names(placed))))
+        rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
     others = _ambiguous(rounds[0], _names(kept)) if kept else ()

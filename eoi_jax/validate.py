@@ -6,7 +6,7 @@ estimated from the first samples of each run, by least squares of the free run o
 scored.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -23,6 +23,7 @@ from eoi_jax.types import Theta
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
+Start = Float[np.ndarray, " unknowns"]
 
 _ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
 _ENOUGH = 1e-8  # relative fall of the squared error below which they end
@@ -224,12 +225,31 @@ def _initial_state(
 
     z = np.asarray(run.plant.internal_start(theta))
     starts = [np.concatenate([rows, z]) for rows in _polynomial_starts(run.plant, y, valid, period)]
+    unknowns = len(starts[0])
+    own = np.arange(unknowns) < unknowns - len(z)
+    cost, values = _descend(evaluate, starts, own)
+    if len(z):
+        # Internal states stay where the model starts them, unless the first samples tell (BIC):
+        # from a few noisy ones they would come out anywhere.
+        freed, moved = _descend(evaluate, [values], np.ones_like(own))
+        count = max(int(np.sum(valid)) * y.shape[1], 2)
+        if freed < cost * np.exp(-2.0 * len(z) * np.log(count) / count):
+            values = moved
+    return _unpack(run.plant, jnp.asarray(values))
+
+
+def _descend(
+    evaluate: Callable[[Start], tuple[float, np.ndarray, np.ndarray]],
+    starts: Sequence[Start],
+    free: Bool[np.ndarray, " unknowns"],
+) -> tuple[float, Start]:
+    """Damped Gauss-Newton over some of the unknowns, from the best start: cost and values."""
     trials = [(evaluate(start), start) for start in starts]
     (cost, error, jacobian), values = min(trials, key=lambda trial: trial[0][0])
     for _ in range(_ROUNDS):
         if not (np.isfinite(cost) and np.all(np.isfinite(jacobian))):
             break
-        step = _least_squares(jacobian, error)
+        step = np.where(free, _least_squares(jacobian * free, error), 0.0)
         for _ in range(6):  # halve a step that does not help
             trial = evaluate(values + step)
             if trial[0] < cost:
@@ -241,7 +261,7 @@ def _initial_state(
         cost, error, jacobian = trial
         if gain <= _ENOUGH * cost:
             break
-    return _unpack(run.plant, jnp.asarray(values))
+    return cost, values
 
 
 @eqx.filter_jit
