@@ -42,7 +42,6 @@ SCORED = 50  # first sample of a free run that counts; those before start it
 BATCH = 80  # cases simulated at once: as many lanes cost little more than few
 GROUP = 20  # cases of one kind that a worker takes at once
 CLEAN = 17  # seeds of cases without effect: 306 of them at noise ≤ 1e-3, on three plants
-LIFETIME = 12  # groups until a worker is replaced: kernels of found models pile up in memory
 
 
 # -- the declared models ----------------------------------------------------------------------
@@ -358,7 +357,7 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     os.environ.update(one_thread)
     try:
         spawn = multiprocessing.get_context("spawn")  # JAX does not survive a fork
-        with ProcessPoolExecutor(workers, spawn, max_tasks_per_child=LIFETIME) as executor:
+        with ProcessPoolExecutor(workers, spawn) as executor:
             yield executor
     finally:
         os.environ.clear()

@@ -35,12 +35,14 @@ from eoi_jax.tuning import rate_noise, spectrum
 
 _FINE = 0.7  # band times step
 _MOST_SUBSTEPS = 8
-_MODES = 1200  # of one record; more say little more and cost time
+# Of one record: so many low modes are all used (a sinusoid shows in two of them), of those above an
+# even selection, which says as much and costs less.
+_LOW, _HIGH = 1000, 500
 # Over the band: rise time of the weights beside samples that do not count where noise is small and
 # where it is not, at the ends of a record, and the shortest rest that is left out with noise. What
 # noise leaks into low modes falls with the square of the rise time.
 _SHARP, _SOFT, _ENDS, _REST = 3.0, 10.0, 20.0, 6.0
-_LEAK = 1e-3  # noise that the edges may let in, over y^(r), rms
+_LEAK = 1e-2  # noise that the edges may let in, over y^(r), rms
 _LEAST_END = 0.01  # of the record
 
 Rows = Float[np.ndarray, "*batch modes"]
@@ -240,9 +242,12 @@ def _states(plant: Plant, record: Record) -> Float[np.ndarray, "S r ny"]:
 
 
 def _modes(nodes: int, spacing: float, band: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which modes are used, and their frequencies; of very many an even selection."""
+    """Which modes are used, and their frequencies."""
     count = min(int(band * spacing * nodes / np.pi), nodes)
-    kept = np.unique(np.round(np.linspace(0, count - 1, min(count, _MODES))).astype(int))
+    low, high = np.arange(min(count, _LOW)), np.arange(_LOW, count)
+    if len(high) > _HIGH:
+        high = np.unique(np.round(np.linspace(_LOW, count - 1, _HIGH)).astype(int))
+    kept = np.concatenate([low, high])
     return kept, np.pi * kept / (spacing * nodes)
 
 

@@ -32,7 +32,7 @@ _RANK = 1e-7  # a column that keeps less of its power beside the declared ones i
 _BEAM = 5  # sets of one size that are refined
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
-_NESTED = 0.003  # the same, of an effect beside a simpler one that it contains
+_NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
 _MATERIAL = 0.015  # share of the declared model's residual that an effect must take, power
 
 Rows = Float[np.ndarray, " rows"]
