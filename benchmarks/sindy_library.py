@@ -208,7 +208,7 @@ def weak_rows(s: Signals, order: int, half: int) -> Rows:
 
 def derivative_rows(s: Signals, order: int, half: int) -> Rows:
     """The usual way: PySINDy's smoothed finite differences, at thinned instants."""
-    import pysindy
+    import pysindy  # pyright: ignore[reportMissingImports]  (an extra: benchmarks)
 
     n, thin = len(s.raw), s.thin
     centres = np.arange(thin * (half // thin), n - half, thin * max(1, half // (4 * thin)))

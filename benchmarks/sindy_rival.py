@@ -130,7 +130,7 @@ def _projected(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _frols(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
     """Supports of growing size, greedy by error reduction ratio."""
-    import pysindy
+    import pysindy  # pyright: ignore[reportMissingImports]  (an extra: benchmarks)
 
     optimiser = pysindy.FROLS(max_iter=LONGEST, alpha=1e-9, unbias=False)
     with warnings.catch_warnings():
@@ -141,7 +141,7 @@ def _frols(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
 
 def _stlsq(X: np.ndarray, b: np.ndarray) -> list[list[int]]:
     """Supports of growing size, by thresholds from high to low."""
-    import pysindy
+    import pysindy  # pyright: ignore[reportMissingImports]  (an extra: benchmarks)
 
     supports: list[list[int]] = [[]]
     for threshold in np.geomspace(1.0, 0.03, 8):
