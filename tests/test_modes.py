@@ -195,7 +195,8 @@ def test_smoothing_leaves_less_than_the_floor_of_the_noise_model(share: float):
     errors = np.stack([model_rows(plant, [one])[0][0] for one in several])
     common = np.sum(errors.mean(axis=0) ** 2) - np.sum(errors.var(axis=0, ddof=1)) / len(errors)
     whole = np.sum(several[0].rows(several[0].highest[0]) ** 2)
-    assert np.sqrt(max(common, 0.0) / whole) < 1e-3  # half of the floor
+    # The estimate has a spread of its own, from the noise that the edges at rests let in.
+    assert np.sqrt(max(common, 0.0) / whole) < 2e-3  # the floor
 
 
 def test_noise_at_sharp_edges_is_predicted_to_a_factor_of_two():

@@ -224,12 +224,12 @@ def test_family_is_named_by_its_simplest_member(rise: float, expected: str | Non
 
 
 def test_family_needs_more_than_significance_beside_its_simplest_member():
-    """A rise worth a thousandth of the residual is seen in little noise, and is no reason."""
+    """A rise worth 1/2500 of the residual is seen in little noise, and is no reason."""
     parts = columns(5, 4)
     make = stribeck(parts[:, 2], parts[:, 3])
     grid = make(named(effects.StribeckFriction()), np.array([[0.5], [1.0]]))
     grid.append(atom(effects.CoulombFriction(), parts[:, 2]))
-    known = base(5.0 * parts[:, 2] + 0.15 * parts[:, 3], parts[:, :2])
+    known = base(5.0 * parts[:, 2] + 0.1 * parts[:, 3], parts[:, :2])
     found, best = search(known, grid, make)
     family = next(fit for fit in found.run() if names(fit) == {"stribeck_friction"})
     assert names(best) == {"coulomb_friction"}
