@@ -349,8 +349,9 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
         fit = refined.get(placed, alone.get(placed))
         channels = plant.inputs if placed.on_input else plant.outputs
         remark, parameters, score, taken = "", {}, -np.inf, 0.0
-        if fit is None or search.known(placed):
-            remark = "already in the model" if search.known(placed) else "not to be evaluated"
+        known = search.known(placed)
+        if fit is None or known:
+            remark = "already in the model" if known else "not to be evaluated"
         else:
             parameters = dict(zip(placed.names, values_of(fit)[placed], strict=True))
             score = worth.get(placed, empty.cost - fit.cost - search.penalty(fit.atoms))

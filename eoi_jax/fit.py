@@ -76,11 +76,6 @@ class Fit:
         return frozenset(one.placed for one in self.atoms)
 
     @property
-    def size(self) -> int:
-        """Number of parameters added."""
-        return sum(len(one.placed.effect.parameters) for one in self.atoms)
-
-    @property
     def gains(self) -> tuple[Float[np.ndarray, " gains"], ...]:
         """Of each atom."""
         return _gains(self.atoms, self.theta)

@@ -9,7 +9,8 @@ class Status:
 
     Attributes:
         code: one word for programs: ``"converged"``, ``"passes_exhausted"``,
-            ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``.
+            ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery
+            ``"explained"``, ``"nothing_missing"``, ``"unexplained"``.
         message: what happened, the likely cause, what to try.
     """
 
@@ -18,7 +19,7 @@ class Status:
 
     @property
     def ok(self) -> bool:
-        """Whether the run has an answer for every free parameter."""
+        """Whether a fit has an answer for every free parameter."""
         return self.code in ("converged", "passes_exhausted", "stalled")
 
     def __str__(self) -> str:

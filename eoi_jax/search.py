@@ -3,12 +3,12 @@ r"""Which effects does the residual justify: a search over sets of atoms.
 A set is fitted with all declared parameters free, by weighted least squares over the modes, and
 scored by twice the log-likelihood gained less a penalty,
 
-    score = Σ (|R_0|² - |R|²)/S - (p - m) log n - 2 m log(M/α) ,
+    score = Σ (|R_0|² - |R|²)/S - (p - m) log n - 2 m log(M/α) - Σ rarity ,
 
 p parameters added (shapes count), n modes, m effects, M candidates, α the level of false alarms:
 one parameter must pass a test at a level that knows how many names were tried, each further one
-costs what BIC asks for. S(ω) is the power of what the best set leaves
-(`noise_model`), so the search is repeated until S and the set agree.
+costs what BIC asks for; `rarity` settles ties between twins. S(ω) is the power of what the best set
+leaves (`noise_model`), so the search is repeated until S and the set agree.
 
 Three things keep it honest: sets of two are searched exhaustively on the grid (an effect may gain
 nothing before another is in), shapes are refined locally before sets are compared (Gauss–Newton,
