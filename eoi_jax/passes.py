@@ -142,10 +142,13 @@ class _Kernel(eqx.Module):
 
     def run(self, steps: Steps) -> tuple[Sums, Trace | None]:
         h = jnp.asarray(steps.sample_period)
-        last, trace = jax.lax.scan(
+        last, stored = jax.lax.scan(
             lambda carry, row: self._step(carry, row, h), self._init(steps, h), _rows(steps)
         )
-        return last.sums, trace
+        if stored is None:
+            return last.sums, None
+        phi = stored[..., 3:] if self.store == "regressors" else None
+        return last.sums, Trace(stored[..., 0], stored[..., 1], stored[..., 2], phi)
 
     def _init(self, steps: Steps, h: Scalar) -> _Carry:
         ny, size = len(self.plant.outputs), self.theta.shape[0]
@@ -264,7 +267,7 @@ class _Kernel(eqx.Module):
         score: Output,
         block_weight: Scalar,
         block_end: Array,
-    ) -> tuple[Sums, Array, Any]:
+    ) -> tuple[Sums, Array, Array | None]:
         injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
         explained = phi @ self.increment
         old = carry.sums
@@ -284,11 +287,12 @@ class _Kernel(eqx.Module):
             old.sliding + score * seen.sliding,
             meat,
         )
-        shown = {
-            "nothing": None,
-            "signals": Trace(injection, explained, weight, None),
-            "regressors": Trace(injection, explained, weight, phi),
-        }[self.store]
+        if self.store == "nothing":
+            return sums, block, None
+        # One array: to write a step of each of several costs more than the step.
+        shown = jnp.stack([injection, explained, weight], 1)
+        if self.store == "regressors":
+            shown = jnp.concatenate([shown, phi], 1)
         return sums, block, shown
 
 
