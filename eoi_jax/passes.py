@@ -387,7 +387,7 @@ def _in_blocks(steps: Steps) -> tuple:
 
     def blocks(row: Array | np.ndarray, mode: str) -> Array:
         wide = jnp.pad(row, [(0, missing)] + [(0, 0)] * (row.ndim - 1), mode=mode)
-        return wide.reshape(-1, _BLOCK, *row.shape[1:])
+        return wide.reshape(wide.shape[0] // _BLOCK, _BLOCK, *row.shape[1:])
 
     signals, flags = _rows(steps)[:4], _rows(steps)[4:]
     return (*(blocks(row, "edge") for row in signals), *(blocks(row, "constant") for row in flags))
