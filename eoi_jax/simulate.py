@@ -52,11 +52,13 @@ class Drive(eqx.Module):
         step: length of a step [s].
         inputs: u at the start, the middle and the end of each step, shape (steps, 3, nu).
         substeps: steps per sample.
+
+    Several runs of one length stand side by side on leading axes.
     """
 
-    time: Float[Array, " steps"]
-    step: Scalar
-    inputs: Float[Array, "steps 3 nu"]
+    time: Float[Array, "*runs steps"]
+    step: Float[Array, "*runs"]
+    inputs: Float[Array, "*runs steps 3 nu"]
     substeps: int = eqx.field(static=True)
 
 

@@ -18,14 +18,16 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.simulate import Drive, drive, free_run, frictional, trajectory
+from eoi_jax.simulate import Drive, drive, frictional, trajectory
 from eoi_jax.types import Theta
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
-Start = Float[np.ndarray, " unknowns"]
+Starts = Float[np.ndarray, "runs unknowns"]
+Trials = Float[np.ndarray, "runs trials unknowns"]
 
 _ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
+_TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
 _ENOUGH = 1e-8  # relative fall of the squared error below which they end
 
 
@@ -172,10 +174,12 @@ def _predict(
     score = np.zeros(total, dtype=bool)
     whole = drive(record.time, record.inputs, record.hold, run.substeps)
     diverged = None
-    for first in range(0, total - 1, count):
-        # The last window reaches back, so that all have one length and one compiled kernel.
-        start = min(first, total - 1 - count)
-        y_hat = _free_run(run, record, whole, start, count)
+    firsts = range(0, total - 1, count)
+    # The last window reaches back, so that all have one length and run together.
+    starts = [min(first, total - 1 - count) for first in firsts]
+    for first, start, y_hat in zip(
+        firsts, starts, _free_runs(run, record, whole, starts, count), strict=True
+    ):
         bad = ~np.all(np.isfinite(y_hat), axis=1)
         if bad.any() and diverged is None:
             diverged = record.time[start + int(np.argmax(bad))]
@@ -191,95 +195,133 @@ def _predict(
     return prediction, score
 
 
-def _free_run(run: _Run, record: Record, whole: Drive, start: int, count: int) -> Samples:
-    """One run of `count` steps from sample `start`, from its own estimated initial state."""
+def _free_runs(
+    run: _Run, record: Record, whole: Drive, starts: Sequence[int], count: int
+) -> Float[np.ndarray, "runs time ny"]:
+    """Runs of `count` steps from samples `starts`, each from its own estimated initial state."""
     theta = jnp.asarray(run.plant.theta)
-    head = _part(whole, start, min(run.initial_samples, count + 1) - 1)
-    seen = slice(start, start + min(run.initial_samples, count + 1))
-    x = _initial_state(run, theta, head, record.outputs[seen], record.valid[seen])
-    y, _ = free_run(run.plant, theta, _part(whole, start, count), x, run.friction)
-    return np.asarray(y[:, 0, :], dtype=np.float64)
+    first = min(run.initial_samples, count + 1)
+    seen = np.asarray(starts)[:, None] + np.arange(first)
+    head = _parts(whole, starts, first - 1)
+    values = _initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
+    y = _runs(run.plant, theta, _parts(whole, starts, count), jnp.asarray(values), run.friction)
+    return np.asarray(y, dtype=np.float64)
 
 
-def _part(whole: Drive, start: int, count: int) -> Drive:
-    steps = slice(start * whole.substeps, (start + count) * whole.substeps)
-    return Drive(whole.time[steps], whole.step, whole.inputs[steps], whole.substeps)
+def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
+    """What drives each run, runs first."""
+    n = whole.substeps
+    steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
+    time, inputs = np.asarray(whole.time)[steps], np.asarray(whole.inputs)[steps]
+    period = jnp.full(len(starts), whole.step)
+    return Drive(jnp.asarray(time), period, jnp.asarray(inputs), n)
+
+
+@eqx.filter_jit
+def _runs(
+    plant: Plant,
+    theta: Theta,
+    drives: Drive,
+    values: Float[Array, "runs unknowns"],
+    friction: tuple[bool, ...],
+) -> Float[Array, "runs time ny"]:
+    def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
+        return trajectory(plant, theta, driven_by, _unpack(plant, values), friction)[0][:, 0, :]
+
+    return jax.vmap(one)(drives, values)
 
 
 # -- the initial state --------------------------------------------------------------------
 
 
-def _initial_state(
-    run: _Run, theta: Theta, head: Drive, y: Samples, valid: Bool[np.ndarray, " time"]
-) -> State:
-    """Least squares of the free run over the first samples, by damped Gauss-Newton."""
-    period = float(head.step) * head.substeps
-
-    def evaluate(values: Float[np.ndarray, " unknowns"]) -> tuple[float, np.ndarray, np.ndarray]:
-        out, slopes = _head_run(run.plant, theta, head, jnp.asarray(values), run.friction)
-        error = np.where(valid[:, None], y - np.asarray(out), 0.0).ravel()
-        with np.errstate(over="ignore", invalid="ignore"):
-            cost = float(error @ error)
-        jacobian = np.where(valid[:, None, None], np.asarray(slopes), 0.0)
-        return cost if np.isfinite(cost) else np.inf, error, jacobian.reshape(len(error), -1)
-
+def _initial_states(
+    run: _Run, theta: Theta, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
+) -> Starts:
+    """Least squares of each free run over its first samples, by damped Gauss-Newton."""
+    period = float(heads.step[0]) * heads.substeps
     z = np.asarray(run.plant.internal_start(theta))
-    starts = [np.concatenate([rows, z]) for rows in _polynomial_starts(run.plant, y, valid, period)]
-    unknowns = len(starts[0])
-    own = np.arange(unknowns) < unknowns - len(z)
+
+    def evaluate(values: Trials) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        out, slopes = _head_runs(run.plant, theta, heads, jnp.asarray(values), run.friction)
+        known = valid[:, None, :, None]
+        error = np.where(known, y[:, None] - np.asarray(out), 0.0)
+        error = error.reshape(*error.shape[:2], -1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = np.sum(error**2, axis=-1)
+        jacobian = np.where(known[..., None], np.asarray(slopes), 0.0)
+        jacobian = jacobian.reshape(*error.shape, -1)
+        return np.where(np.isfinite(cost), cost, np.inf), error, jacobian
+
+    starts = np.stack(
+        [_polynomial_starts(run.plant, *one, period) for one in zip(y, valid, strict=True)]
+    )
+    starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
+    own = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
     cost, values = _descend(evaluate, starts, own)
     if len(z):
         # Internal states stay where the model starts them, unless the first samples tell (BIC):
         # from a few noisy ones they would come out anywhere.
-        freed, moved = _descend(evaluate, [values], np.ones_like(own))
-        count = max(int(np.sum(valid)) * y.shape[1], 2)
-        if freed < cost * np.exp(-2.0 * len(z) * np.log(count) / count):
-            values = moved
-    return _unpack(run.plant, jnp.asarray(values))
+        freed, moved = _descend(
+            evaluate, np.repeat(values[:, None], _TRIALS, axis=1), np.ones_like(own)
+        )
+        count = np.maximum(np.sum(valid, axis=1) * y.shape[2], 2)
+        tell = freed < cost * np.exp(-2.0 * len(z) * np.log(count) / count)
+        values = np.where(tell[:, None], moved, values)
+    return values
 
 
 def _descend(
-    evaluate: Callable[[Start], tuple[float, np.ndarray, np.ndarray]],
-    starts: Sequence[Start],
+    evaluate: Callable[[Trials], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    starts: Trials,
     free: Bool[np.ndarray, " unknowns"],
-) -> tuple[float, Start]:
-    """Damped Gauss-Newton over some of the unknowns, from the best start: cost and values."""
-    trials = [(evaluate(start), start) for start in starts]
-    (cost, error, jacobian), values = min(trials, key=lambda trial: trial[0][0])
+) -> tuple[Float[np.ndarray, " runs"], Starts]:
+    """Damped Gauss-Newton over some of the unknowns, each run from its best start.
+
+    Returns:
+        The squared error of each run, and its values.
+    """
+    runs = np.arange(len(starts))
+    tried = evaluate(starts)
+    best = np.argmin(tried[0], axis=1)
+    cost, error, jacobian = (one[runs, best] for one in tried)
+    values, going = starts[runs, best], np.isfinite(cost)
     for _ in range(_ROUNDS):
-        if not (np.isfinite(cost) and np.all(np.isfinite(jacobian))):
+        going &= np.all(np.isfinite(jacobian), axis=(1, 2))
+        if not going.any():
             break
-        step = np.where(free, _least_squares(jacobian * free, error), 0.0)
-        for _ in range(6):  # halve a step that does not help
-            trial = evaluate(values + step)
-            if trial[0] < cost:
-                break
-            step = 0.5 * step
-        else:
-            break
-        gain, values = cost - trial[0], values + step
-        cost, error, jacobian = trial
-        if gain <= _ENOUGH * cost:
-            break
+        step = np.zeros_like(values)
+        for i in np.flatnonzero(going):
+            step[i] = np.where(free, _least_squares(jacobian[i] * free, error[i]), 0.0)
+        trials = values[:, None] + step[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
+        tried = evaluate(trials)
+        best = np.argmax(tried[0] < cost[:, None], axis=1)  # the longest step that helps
+        new = tried[0][runs, best]
+        helps = going & (new < cost)
+        going = helps & (cost - new > _ENOUGH * cost)
+        for old, several in zip((cost, error, jacobian, values), (*tried, trials), strict=True):
+            old[helps] = several[runs, best][helps]
     return cost, values
 
 
 @eqx.filter_jit
-def _head_run(
+def _head_runs(
     plant: Plant,
     theta: Theta,
-    head: Drive,
-    values: Float[Array, " unknowns"],
+    heads: Drive,
+    values: Float[Array, "runs trials unknowns"],
     friction: tuple[bool, ...],
-) -> tuple[Float[Array, "time ny"], Float[Array, "time ny unknowns"]]:
+) -> tuple[Float[Array, "runs trials time ny"], Float[Array, "runs trials time ny unknowns"]]:
     """Outputs over the first samples, and their derivatives with the initial values."""
 
-    def outputs(values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
-        y = trajectory(plant, theta, head, _unpack(plant, values), friction)[0][:, 0, :]
-        return y, y
+    def one(head: Drive, values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
+        def outputs(values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
+            y = trajectory(plant, theta, head, _unpack(plant, values), friction)[0][:, 0, :]
+            return y, y
 
-    slopes, y = jax.jacfwd(outputs, has_aux=True)(values)
-    return y, slopes
+        slopes, y = jax.jacfwd(outputs, has_aux=True)(values)
+        return y, slopes
+
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0)))(heads, values)
 
 
 def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
@@ -297,17 +339,18 @@ def _unpack(plant: Plant, values: Float[Array, " unknowns"]) -> State:
 
 def _polynomial_starts(
     plant: Plant, y: Samples, valid: Bool[np.ndarray, " time"], period: float
-) -> list[Float[np.ndarray, " owned"]]:
+) -> Float[np.ndarray, "trials owned"]:
     """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
 
     A long stretch averages noise, a short one follows fast motion: the free run decides later.
+    The last one is repeated where the head is too short for more.
     """
     degree = plant.relative_degree + 1
     rows, columns = _owned(plant)
     factorial = np.cumprod([1.0, *range(1, degree + 1)])
     (known,) = np.nonzero(valid)
     starts, count = [], len(known)
-    while count >= min(degree + 1, len(known)) and count > 0 and len(starts) < 5:
+    while count >= min(degree + 1, len(known)) and count > 0 and len(starts) < _TRIALS:
         index = known[:count]
         # Time in units of the stretch: the columns are then of one size.
         reach = max(float(index[-1]), 1.0)
@@ -317,7 +360,8 @@ def _polynomial_starts(
         scale = (factorial / (reach * period) ** np.arange(degree + 1))[:, None]
         starts.append((coefficients * scale)[rows, columns])
         count //= 2
-    return starts or [np.zeros(len(rows))]
+    starts = starts or [np.zeros(len(rows))]
+    return np.stack([*starts, *[starts[-1]] * (_TRIALS - len(starts))])
 
 
 def _least_squares(
