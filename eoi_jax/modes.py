@@ -44,6 +44,7 @@ _LOW, _HIGH = 1000, 500
 _SHARP, _SOFT, _ENDS, _REST = 3.0, 10.0, 20.0, 6.0
 _LEAK = 1e-2  # noise that the edges may let in, over y^(r), rms
 _LEAST_END = 0.01  # of the record
+_MOST_LOST = 0.5  # of the weight of all samples, to moments of rest
 
 Rows = Float[np.ndarray, "*batch modes"]
 
@@ -187,7 +188,8 @@ def _weights(
 
     Dry friction is not what the model says while the plant rests, not even for a moment. But to cut
     moments out lets the noise of y^(r), which is large at high frequency, into all modes over the
-    edges: it is done where that noise stays below what the modes have anyway.
+    edges: it is done where that noise stays below what the modes have anyway, and where the rises
+    beside the moments leave most of the record: a slow free oscillation turns too often for that.
     """
     ends = max(_ENDS / (band * h), _LEAST_END * len(good[0]))
     chosen = []
@@ -200,7 +202,8 @@ def _weights(
         size = np.std(np.diff(smooth.outputs[:, j], degree)) / h**degree
         leak = record.noise[j] * np.sqrt(np.mean(np.diff(sharp, degree) ** 2)) / h**degree
         leak *= np.sqrt(record.sample_period * band / np.pi)
-        chosen.append(sharp if leak < _LEAK * size else soft)
+        kept = np.sum(sharp) > (1.0 - _MOST_LOST) * np.sum(soft)
+        chosen.append(sharp if kept and leak < _LEAK * size else soft)
     return tuple(chosen)
 
 
