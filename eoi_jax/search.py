@@ -227,7 +227,7 @@ class _Columns:
         self.weight = 1.0 / np.sqrt(power)
         widths = [one.columns.shape[1] for one in terms]
         self.owner = np.repeat(np.arange(len(terms)), widths)
-        self.first = np.concatenate([[0], np.cumsum(widths)])
+        self.first = np.concatenate([[0], np.cumsum(widths, dtype=int)])
         stacked = np.concatenate([one.columns for one in terms], axis=1) if terms else None
         rows = np.zeros((len(power), 0)) if stacked is None else stacked
         self.white = rows * self.weight[:, None]
