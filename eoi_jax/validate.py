@@ -2,7 +2,7 @@
 
 The initial state (outputs, their derivatives, internal states) is part of no model: it is
 estimated from the first samples of each run, by least squares of the free run over them
-(Gauss-Newton on forward sensitivities, started from a local polynomial). Those samples are not
+(Gauss-Newton, started from a local polynomial). Those samples are not
 scored.
 """
 
@@ -27,6 +27,8 @@ Starts = Float[np.ndarray, "runs unknowns"]
 Trials = Float[np.ndarray, "runs trials unknowns"]
 
 _ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
+_DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
+_LANES = 64  # runs that start states are found with, at once
 _TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
 _ENOUGH = 1e-8  # relative fall of the squared error below which they end
 
@@ -242,14 +244,13 @@ def _initial_states(
     z = np.asarray(run.plant.internal_start(theta))
 
     def evaluate(values: Trials) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        out, slopes = _head_runs(run.plant, theta, heads, jnp.asarray(values), run.friction)
         known = valid[:, None, :, None]
-        error = np.where(known, y[:, None] - np.asarray(out), 0.0)
-        error = error.reshape(*error.shape[:2], -1)
+        small = _small(run.plant, values, y, period)
+        out, slopes = _sensitivities(run, theta, heads, values, small)
+        error = np.where(known, y[:, None] - out, 0.0).reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = np.sum(error**2, axis=-1)
-        jacobian = np.where(known[..., None], np.asarray(slopes), 0.0)
-        jacobian = jacobian.reshape(*error.shape, -1)
+        jacobian = np.where(known[..., None], slopes, 0.0).reshape(*error.shape, -1)
         return np.where(np.isfinite(cost), cost, np.inf), error, jacobian
 
     starts = np.stack(
@@ -303,25 +304,44 @@ def _descend(
     return cost, values
 
 
-@eqx.filter_jit
-def _head_runs(
-    plant: Plant,
-    theta: Theta,
-    heads: Drive,
-    values: Float[Array, "runs trials unknowns"],
-    friction: tuple[bool, ...],
-) -> tuple[Float[Array, "runs trials time ny"], Float[Array, "runs trials time ny unknowns"]]:
-    """Outputs over the first samples, and their derivatives with the initial values."""
+def _sensitivities(
+    run: _Run, theta: Theta, heads: Drive, values: Trials, small: Trials
+) -> tuple[Float[np.ndarray, "runs trials time ny"], np.ndarray]:
+    """Outputs over the first samples, and their derivatives with the initial values.
 
-    def one(head: Drive, values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
-        def outputs(values: Float[Array, " unknowns"]) -> tuple[Array, Array]:
-            y = trajectory(plant, theta, head, _unpack(plant, values), friction)[0][:, 0, :]
-            return y, y
+    By differences: a derivative of the simulation would take longer to compile than all else.
+    """
+    unknowns = values.shape[-1]
+    moved = np.concatenate([np.zeros((1, unknowns)), np.eye(unknowns)]) * small[..., None, :]
+    lanes = (values[..., None, :] + moved).reshape(-1, unknowns)
+    owner = np.repeat(np.arange(len(values)), len(lanes) // len(values))
+    parts = []
+    # Always so many runs at once, whatever the number of windows: one kernel for each plant.
+    for first in range(0, len(lanes), _LANES):
+        index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
+        some = Drive(
+            heads.time[owner[index]],
+            heads.step[owner[index]],
+            heads.inputs[owner[index]],
+            heads.substeps,
+        )
+        parts.append(_runs(run.plant, theta, some, jnp.asarray(lanes[index]), run.friction))
+    out = np.concatenate(parts)[: len(lanes)].reshape(*moved.shape[:3], *parts[0].shape[1:])
+    with np.errstate(over="ignore", invalid="ignore"):
+        slopes = np.moveaxis(out[:, :, 1:] - out[:, :, :1], 2, -1) / small[:, :, None, None]
+    return out[:, :, 0], slopes
 
-        slopes, y = jax.jacfwd(outputs, has_aux=True)(values)
-        return y, slopes
 
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0)))(heads, values)
+def _small(
+    plant: Plant, values: Trials, y: Float[np.ndarray, "runs time ny"], period: float
+) -> Trials:
+    """Steps of the differences: a small share of what each initial value is measured by."""
+    rows, columns = _owned(plant)
+    reach = np.ptp(y, axis=1) + 1e-3 * np.max(np.abs(y), axis=1)
+    reach = np.where(reach > 0, reach, 1.0)[:, columns] / (y.shape[1] * period) ** rows
+    own = np.broadcast_to(reach[:, None], (*values.shape[:2], len(rows)))
+    z = np.abs(values[..., len(rows) :])
+    return _DIFFERENCE * np.concatenate([own, np.where(z > 0, z, 1.0)], axis=-1)
 
 
 def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
