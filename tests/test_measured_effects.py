@@ -145,6 +145,32 @@ def test_force_error_sees_a_lag_of_the_force_by_the_models_own_state(data_direct
     assert share != pytest.approx(0.0404, abs=1e-4)
 
 
+# -- what is found ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def air_track(data_directory: Path):
+    return _case("schmidt_lipson, one mass", data_directory)
+
+
+def test_mass_on_the_air_track_gets_a_friction_that_predicts_what_was_not_seen(air_track):
+    found = eoi.discover(air_track.plant, air_track.records, air_track.held_out, window=5.0)
+    assert found.status.code == "explained"
+    # A damped sine fitted to the first part by least squares: 0.457 video units on the rest, of
+    # which 0.3 are the rounding to whole units; without damping it is 2.8.
+    assert found.after.rmse[0] < 0.7
+    assert found.plant.parameters["stiffness"] == pytest.approx(6.2196, rel=1e-3)
+    laws = {"viscous_friction", "coulomb_friction", "quadratic_drag"}
+    assert laws & set(found.effects)
+    assert laws <= {*found.effects, *found.ambiguous_with}
+
+
+def test_one_effect_alone_can_be_tried_where_it_leaves_more_than_noise(air_track):
+    # The second round has nothing left to try.
+    found = eoi.discover(air_track.plant, air_track.records, effects="viscous_friction")
+    assert found.effects == ("viscous_friction",)
+
+
 # -- words ------------------------------------------------------------------------------------
 
 
