@@ -158,7 +158,7 @@ def test_mass_on_the_air_track_gets_a_friction_that_predicts_what_was_not_seen(a
     assert found.status.code == "explained"
     # A damped sine fitted to the first part by least squares: 0.457 video units on the rest, of
     # which 0.3 are the rounding to whole units; without damping it is 2.8.
-    assert found.after.rmse[0] < 0.7
+    assert found.after is not None and found.after.rmse[0] < 0.7
     assert found.plant.parameters["stiffness"] == pytest.approx(6.2196, rel=1e-3)
     laws = {"viscous_friction", "coulomb_friction", "quadratic_drag"}
     assert laws & set(found.effects)
