@@ -1,6 +1,6 @@
 """A plant plus effects is a plant: discovery wraps a model, it never edits one.
 
-    y^(r) = f(t, x, ψ(u); θ) + Σ effect terms        ż = g(t, x, ψ(u); θ)
+    y^(r) = f(t, x, ψ(u); θ) + Σ effect terms        ż = g(t, x, ψ(u); θ) + Σ effect terms
 
 The effects' own parameters are ordinary parameters of the new plant, their own states internal
 states behind the plant's; identify, validate, simulate take it like any other.
@@ -13,7 +13,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At
+from eoi_jax.effects.effect import (
+    AbstractEffect,
+    AbstractInputEffect,
+    AbstractInternalEffect,
+    AbstractTerm,
+    At,
+)
 from eoi_jax.plants.plant import Dynamics, Plant, State, parameter_type
 
 
@@ -23,7 +29,7 @@ class Placed:
 
     Attributes:
         effect: what.
-        channel: index of the output (or of the input, for an input effect) that it acts on.
+        channel: index of the output, the input or the internal state that it acts on.
         names: of its parameters, gains first, in the augmented plant.
     """
 
@@ -36,14 +42,21 @@ class Placed:
         """Whether it acts on an input."""
         return isinstance(self.effect, AbstractInputEffect)
 
+    @property
+    def on_state(self) -> bool:
+        """Whether it acts on an internal state."""
+        return isinstance(self.effect, AbstractInternalEffect)
+
 
 def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
     """An effect at a channel, with parameter names that are free in the plant.
 
-    Named as the effect and its part; with several channels also as the channel.
+    Named as the effect and its part; with several channels, and at internal states, also as the
+    channel.
     """
     channels = effect.channels(plant)
-    suffix = f"_{channels[channel]}" if len(channels) > 1 else ""
+    several = len(channels) > 1 or isinstance(effect, AbstractInternalEffect)
+    suffix = f"_{channels[channel]}" if several else ""
     names = []
     for parameter in effect.parameters:
         name = "_".join(filter(None, (effect.name, parameter.name))) + suffix
@@ -54,13 +67,19 @@ def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
     return Placed(effect, channel, tuple(names))
 
 
-def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float]) -> Plant:
+def augmented(
+    plant: Plant,
+    placed: Sequence[Placed],
+    values: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> Plant:
     """The plant with effects added.
 
     Args:
         plant: the model that lacks them.
         placed: what is added, and where; input effects act in this order.
         values: of the effects' parameters, by their placed names.
+        bounds: of some of them, where the effect's own are too wide.
 
     Returns:
         A plant with the parameters of both, the effects' ones behind.
@@ -78,7 +97,7 @@ def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float
     units = plant.units
     for one in several:
         for name, parameter in zip(one.names, one.effect.parameters, strict=True):
-            limits[name] = (parameter.lower, parameter.upper)
+            limits[name] = (bounds or {}).get(name, (parameter.lower, parameter.upper))
             units[name] = unit(plant, one, parameter.unit)
     added = {name: float(values[name]) for one in several for name in one.names}
     moving = states + nz > 0
@@ -97,17 +116,26 @@ def augmented(plant: Plant, placed: Sequence[Placed], values: Mapping[str, float
     )
 
 
+def own_states(plant: Plant) -> int:
+    """Number of internal states that the declared plant has: without those of effects."""
+    start, count = plant.internal_initial, len(plant.internal_start(jnp.asarray(plant.theta)))
+    while isinstance(start, _Start):
+        start, count = start.base, count - start.states
+    return count
+
+
 def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     """The unit of an effect's parameter at its channel; "" where the plant declares none."""
     j = placed.channel
-    y = "" if placed.on_input else plant.units.get(plant.outputs[j], "")
+    own = placed.effect.channels(plant)[j]
+    y = "" if placed.on_input else plant.units.get(own, "")
     channel = j if placed.on_input else 0
     u = plant.units.get(plant.inputs[channel], "") if plant.inputs else ""
     known = {"{y}": y, "{v}": y, "{f}": y, "{u}": u}
     if any(key in pattern and not value for key, value in known.items()):
         return ""
     power = {1: "", 2: "²", 3: "³", 4: "⁴"}
-    r = 1 if placed.on_input else plant.degrees[j]
+    r = 1 if placed.on_input or placed.on_state else plant.degrees[j]
     return pattern.format(y=y, v=f"{y}/s", f=f"{y}/s{power.get(r, f'^{r}')}", u=u)
 
 
@@ -125,9 +153,10 @@ class _Dynamics:
         f = jnp.asarray(self.base(t, State(x.y, x.z[: self.nz]), changed, _own(self.names, p)))
         f = jnp.reshape(f, (x.y.shape[1],))
         for one, z in _own_states(self.placed, x.z[self.nz :]):
-            if isinstance(one.effect, AbstractTerm):
+            if isinstance(one.effect, AbstractTerm | AbstractInternalEffect):
                 gain, shape = _parameters(one, p)
-                f = f.at[one.channel].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
+                j = 0 if one.on_state else one.channel
+                f = f.at[j].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
         return f
 
 
@@ -145,7 +174,12 @@ class _Internal:
         if self.base is not None:
             changed = _inputs(self, t, x, u, p)
             rate = self.base(t, State(x.y, x.z[: self.nz]), changed, _own(self.names, p))
-            rates.append(jnp.reshape(jnp.asarray(rate), (self.nz,)))
+            rate = jnp.reshape(jnp.asarray(rate), (self.nz,))
+            for one in self.placed:
+                if isinstance(one.effect, AbstractInternalEffect):
+                    at, (_, shape) = _at(one, t, x, u, x.z[:0]), _parameters(one, p)
+                    rate = rate.at[one.channel].add(one.effect.change(at, shape))
+            rates.append(rate)
         at_input = u
         for one, z in _own_states(self.placed, x.z[self.nz :]):
             _, shape = _parameters(one, p)
@@ -199,8 +233,8 @@ def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
 
 
 def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
-    y = x.y[:, 0 if one.on_input else one.channel]
+    y = x.y[:, 0 if one.on_input or one.on_state else one.channel]
     rate = y[1] if x.y.shape[0] > 1 else jnp.zeros_like(y[0])
     # A plant may have no input at all.
     own = u[one.channel if one.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])
-    return At(t, y[0], rate, own, z)
+    return At(t, x.z[one.channel] if one.on_state else y[0], rate, own, z)

@@ -1,8 +1,9 @@
 """Candidate effects as columns of a regression: each effect at each point of its shape grid.
 
 A term is linear in its gains: its columns are the term at unit gain, projected on the modes. An
-input effect replaces the declared part of the model: the columns of *all* parameters change, and
-what is fitted is the physical model itself, not a linearisation in the effect.
+effect of an input or of an internal state replaces the declared part of the model: the columns of
+*all* parameters change, and what is fitted is the physical model itself, not a linearisation in the
+effect.
 """
 
 from collections.abc import Sequence
@@ -15,9 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.augment import Placed, place
-from eoi_jax.effects.effect import AbstractEffect, AbstractInputEffect, AbstractTerm, At, Grid, Seen
-from eoi_jax.modes import Stretch, averaged, integrated, model_rows, thinned
+from eoi_jax.augment import Placed, augmented, own_states, place
+from eoi_jax.effects.effect import (
+    AbstractEffect,
+    AbstractInputEffect,
+    AbstractInternalEffect,
+    AbstractTerm,
+    At,
+    Grid,
+    Seen,
+)
+from eoi_jax.modes import Stretch, averaged, integrated, internal_along, model_rows, thinned
 from eoi_jax.plants.plant import Plant
 
 _OVERFLOW = 1e100
@@ -30,20 +39,21 @@ class Atom:
     Attributes:
         placed: the effect and its channel.
         shape: its shape parameters.
-        columns: of a term, one for each gain, shape (rows, gains); of an input effect those of the
-            declared parameters, shape (rows, np).
-        target: of an input effect, y^(r) - f with the changed input; None for a term.
+        columns: one for each gain, shape (rows, gains).
+        target: y^(r) - f with the changed input or internal state; None for a term.
+        slopes: ∂f/∂θ of the declared parameters then, shape (rows, np).
     """
 
     placed: Placed
     shape: tuple[float, ...]
-    columns: Float[np.ndarray, "rows columns"]
-    target: Float[np.ndarray, " rows"] | None
+    columns: Float[np.ndarray, "rows gains"]
+    target: Float[np.ndarray, " rows"] | None = None
+    slopes: Float[np.ndarray, "rows np"] | None = None
 
     @property
-    def key(self) -> tuple[str, int]:
+    def key(self) -> tuple[str, bool, int]:
         """Name and channel: two atoms of one key are never in one model, except opposite stops."""
-        return self.placed.effect.name, self.placed.channel
+        return self.placed.effect.name, self.placed.on_state, self.placed.channel
 
 
 def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
@@ -53,8 +63,9 @@ def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
         if isinstance(effect, AbstractInputEffect):
             placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
         else:
-            fitting = [j for j in range(len(plant.outputs)) if effect.fits(plant, j)]
-            placed += [place(plant, effect, j) for j in fitting]
+            inner = isinstance(effect, AbstractInternalEffect)
+            count = own_states(plant) if inner else len(plant.outputs)
+            placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
     return placed
 
 
@@ -66,11 +77,14 @@ def seen_at(
     peaks: Float[np.ndarray, " peaks"],
 ) -> Seen:
     """What the records show at the channel of an effect."""
-    y = 0 if placed.on_input else placed.channel
+    y = 0 if placed.on_input or placed.on_state else placed.channel
     u = placed.channel if placed.on_input else 0
     rate = min(1, plant.relative_degree - 1)
+    levels = [one.y[:, 0, y] for one in stretches]
+    if placed.on_state:
+        levels = [internal_along(plant, one)[:, placed.channel] for one in stretches]
     return Seen(
-        np.concatenate([one.y[:, 0, y] for one in stretches]),
+        np.concatenate(levels),
         np.concatenate([one.y[:, rate, y] for one in stretches]),
         np.concatenate([one.u[:, u] if plant.inputs else 0.0 * one.time for one in stretches]),
         max(one.state_noise[y] for one in stretches),
@@ -89,18 +103,36 @@ def atoms(plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretc
     if placed.on_input:
         inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
         target, slopes = model_rows(plant, stretches, inputs)
-        made = [Atom(placed, value, slopes[i], target[i]) for i, value in enumerate(values)]
+        none = np.zeros((target.shape[1], 0))
+        made = [Atom(placed, value, none, target[i], slopes[i]) for i, value in enumerate(values)]
+    elif placed.on_state:
+        made = _changed_states(plant, placed, values, stretches)
     else:
         columns = _term_rows(plant, placed, shapes, stretches)
-        made = [Atom(placed, value, columns[i], None) for i, value in enumerate(values)]
+        made = [Atom(placed, value, columns[i]) for i, value in enumerate(values)]
     # A state that is faster than the steps does not stay finite: that shape cannot be tried.
     return [one for one in made if _finite(one)]
 
 
 def _finite(one: Atom) -> bool:
-    target = one.columns if one.target is None else one.target
-    size = max(np.max(np.abs(one.columns), initial=0.0), np.max(np.abs(target), initial=0.0))
-    return bool(size < _OVERFLOW)  # not a number compares as False
+    parts = [part for part in (one.columns, one.target, one.slopes) if part is not None]
+    # Not a number compares as False.
+    return all(bool(np.max(np.abs(part), initial=0.0) < _OVERFLOW) for part in parts)
+
+
+def _changed_states(
+    plant: Plant, placed: Placed, shapes: list[tuple[float, ...]], stretches: Sequence[Stretch]
+) -> list[Atom]:
+    """The model with the effect in it at gains of zero: its columns are all of them."""
+    gains, declared = len(placed.effect.gains), len(plant.names)
+    own, made = slice(declared, declared + gains), []
+    first = dict(zip(placed.names, (0.0,) * gains + shapes[0], strict=True))
+    whole = augmented(plant, [placed], first)
+    for shape in shapes:
+        changed = whole.with_parameters(np.concatenate([whole.theta[: own.stop], shape]))
+        target, slopes = model_rows(changed, stretches)
+        made.append(Atom(placed, shape, slopes[0][:, own], target[0], slopes[0][:, :declared]))
+    return made
 
 
 def _term_rows(

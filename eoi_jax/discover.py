@@ -321,7 +321,7 @@ def _holds(
 
 
 def _added(plant: Plant, found: Identification, one: Placed) -> Added:
-    channels = plant.inputs if one.on_input else plant.outputs
+    channels = one.effect.channels(plant)
     return Added(
         one.effect,
         channels[one.channel],
@@ -347,7 +347,7 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
     }
     for placed in first.candidates:
         fit = refined.get(placed, alone.get(placed))
-        channels = plant.inputs if placed.on_input else plant.outputs
+        channels = placed.effect.channels(plant)
         remark, parameters, score, taken = "", {}, -np.inf, 0.0
         known = search.known(placed)
         if fit is None or known:

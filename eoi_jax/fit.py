@@ -8,12 +8,17 @@ from jaxtyping import Float, Int
 
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom
+from eoi_jax.modes import Stretch, model_rows
+from eoi_jax.plants.plant import Plant
 
 _STEPS = 6  # of Gauss–Newton
 _STEP = 1e-3  # of the numerical derivative, in units of the distance on the grid
 _ENOUGH = 1e-3  # relative fall of the cost below which they end
+_SETTLING = 40  # evaluations of a model whose parameters are fitted once more
+_FAR = 1e6  # weighted error of a model that is not finite
 _POINTS = 3  # on each side, when neighbours on the grid are far apart
 
+Theta = Float[np.ndarray, " np"]
 Rows = Float[np.ndarray, " rows"]
 Make = Callable[[Placed, np.ndarray], list[Atom]]
 
@@ -57,7 +62,7 @@ class Fit:
     """A set of effects, fitted.
 
     Attributes:
-        atoms: what was added, input effects first.
+        atoms: what was added; what changes the declared part first.
         theta: increments of the free declared parameters, then gains.
         residual: as modes.
         cost: Σ |R|²/S.
@@ -86,7 +91,7 @@ def fitted(base: Base, atoms: Sequence[Atom], power: Rows) -> Fit:
 
     Args:
         base: the declared model.
-        atoms: the set; at most one input effect.
+        atoms: the set; at most one that changes the declared part of the model.
         power: S of each mode.
     """
     ordered = tuple(sorted(atoms, key=lambda one: one.target is None))
@@ -104,9 +109,9 @@ def system(base: Base, atoms: Sequence[Atom]) -> tuple[Rows, Float[np.ndarray, "
     """Target and columns of a set."""
     target, columns = base.target, base.columns
     if atoms and atoms[0].target is not None:
-        target, columns = atoms[0].target, atoms[0].columns[:, base.free]
-    terms = [one.columns for one in atoms if one.target is None]
-    return target, np.concatenate([columns, *terms], axis=1)
+        assert atoms[0].slopes is not None
+        target, columns = atoms[0].target, atoms[0].slopes[:, base.free]
+    return target, np.concatenate([columns, *(one.columns for one in atoms)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -199,15 +204,59 @@ def _slopes(
     for d in range(len(step)):
         if d >= len(made):  # could not be evaluated: stays where it is
             columns.append(np.zeros_like(base.target))
-        elif one.target is None:
-            columns.append((made[d].columns - one.columns) @ own / step[d])
         else:
-            declared = fit.theta[: len(base.free)]
-            other = made[d]
-            assert other.target is not None
-            change = (other.columns - one.columns)[:, base.free] @ declared
-            columns.append((one.target - other.target + change) / step[d])
+            change = (made[d].columns - one.columns) @ own
+            if one.target is not None:
+                (_, moved), (_, still) = system(base, made[d : d + 1]), system(base, [one])
+                declared = slice(len(base.free))
+                change += one.target - made[d].target
+                change += (moved - still)[:, declared] @ fit.theta[declared]
+            columns.append(change / step[d])
     return columns
+
+
+def settled(model: Plant, stretches: Sequence[Stretch], power: Rows, start: Theta) -> Plant:
+    """All free parameters of a model by Gauss–Newton on the modes, damped and within their bounds.
+
+    A set is fitted on columns taken at the declared parameters. Where these act through internal
+    states, columns bend with them, and the step is too long or too short.
+
+    Args:
+        model: with the parameters that the columns were taken at.
+        stretches: of the records.
+        power: S of each mode.
+        start: where the fit of the set wants to go, shape (np,); as far as it helps it is followed.
+    """
+    from scipy.optimize import least_squares  # only discovery with internal states needs it
+
+    free, weight = np.flatnonzero(model.free), 1.0 / np.sqrt(power)
+    low, high = np.asarray(model.lower)[free], np.asarray(model.upper)[free]
+    theta = np.asarray(model.theta)
+    scale = np.maximum(np.abs(theta), np.abs(start))[free]
+    scale = np.where(scale > 0, scale, 1.0)
+
+    def moved(x: Rows) -> Plant:
+        new = theta.copy()
+        new[free] = np.clip(x * scale, low, high)
+        return model.with_parameters(new)
+
+    def both(x: Rows) -> tuple[Rows, np.ndarray]:
+        target, slopes = model_rows(moved(x), stretches)
+        error, slope = target[0] * weight, -slopes[0][:, free] * scale * weight[:, None]
+        return np.clip(np.nan_to_num(error, nan=_FAR), -_FAR, _FAR), np.nan_to_num(slope)
+
+    steps = [theta[free] + share * (start - theta)[free] for share in (1.0, 0.5, 0.25, 0.0)]
+    inside = [np.clip(one, low, high) / scale for one in steps]
+    first = min(inside, key=lambda x: float(np.sum(both(x)[0] ** 2)))
+    answer = least_squares(
+        lambda x: both(x)[0],
+        first,
+        lambda x: both(x)[1],  # type: ignore[arg-type]
+        (low / scale, high / scale),
+        x_scale="jac",
+        max_nfev=_SETTLING,
+    )
+    return moved(answer.x)
 
 
 def _parted(fit: Fit, placed: Placed) -> tuple[Atom, list[Atom]]:
@@ -216,7 +265,7 @@ def _parted(fit: Fit, placed: Placed) -> tuple[Atom, list[Atom]]:
 
 
 def _gains(atoms: Sequence[Atom], theta: np.ndarray) -> tuple[np.ndarray, ...]:
-    widths = [0 if one.target is not None else one.columns.shape[1] for one in atoms]
+    widths = [one.columns.shape[1] for one in atoms]
     first = len(theta) - sum(widths)
     values = []
     for width in widths:

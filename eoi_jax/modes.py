@@ -408,6 +408,13 @@ def _internal(plant: Plant, theta: Array, rows: tuple, bend: tuple, h: Any) -> A
     return integrated(rate, start, rows, bend, h)
 
 
+def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
+    """Internal states of a plant in the middle of each step, at its parameters."""
+    theta = jnp.asarray(plant.theta)
+    h = jnp.asarray(one.sample_period)
+    return np.asarray(_internal(plant, theta, (one.time, one.y, one.u), one.bend, h))
+
+
 def integrated(
     rate: Callable[[Array, tuple], Array], start: Array, rows: tuple, bend: tuple, h: Any
 ) -> Float[Array, "S nz"]:

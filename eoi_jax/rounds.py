@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.augment import Placed, augmented, place
+from eoi_jax.augment import Placed, augmented, own_states, place
 from eoi_jax.candidates import Atom, atoms, candidates, seen_at
 from eoi_jax.data.record import Record
 from eoi_jax.effects import AsymmetricFriction, ConstantOffset, CoulombFriction
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base, Fit, fitted, system
+from eoi_jax.fit import Base, Fit, fitted, settled, system
 from eoi_jax.identify import Identification
 from eoi_jax.modes import Stretch, model_rows, stretch
 from eoi_jax.noise_model import fitted_power, known_power, local_power
@@ -67,10 +67,12 @@ class Round:
         """
         task, model = self.task, self.model
         present = {(one.effect, one.channel) for one in self.placed}
+        spilling = {one.effect.name for one in self.placed if one.on_state}
         self.candidates = [
             one
             for one in candidates(model, task.effects)
             if (one.effect, one.channel) not in present
+            and not (one.on_state and one.effect.name in spilling)
         ]
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
@@ -97,7 +99,10 @@ class Round:
         Args:
             added: the effects as they are read, with their parameters.
         """
-        fit = self.chosen
+        return self._grown(self.chosen, added)
+
+    def _grown(self, fit: Fit, added: dict[Placed, tuple[float, ...]]) -> Plant:
+        """The model with a set; fitted once more where internal states bend the columns."""
         theta = np.array(self.model.theta)
         theta[self.base.free] += fit.theta[: len(self.base.free)]
         theta = np.clip(theta, self.model.lower, self.model.upper)
@@ -106,7 +111,25 @@ class Round:
             for one, numbers in added.items()
             for name, value in zip(one.names, numbers, strict=True)
         }
-        return augmented(self.model.with_parameters(theta), list(added), values)
+        whole = augmented(self.model, list(added), values, self._bounds(list(added)))
+        wanted = np.concatenate([theta, np.asarray(whole.theta)[len(theta) :]])
+        if own_states(self.model) == 0:
+            return whole.with_parameters(wanted)
+        return settled(whole, self.stretches, self.found.power, wanted)
+
+    def _bounds(self, added: Sequence[Placed]) -> dict[str, tuple[float, float]]:
+        """Of the scales of what changes internal states: the ends of their grid.
+
+        What is faster than the modes is not in the data, and makes the model stiff.
+        """
+        bounds = {}
+        for one in added:
+            gains = len(one.effect.gains)
+            for d, parameter in enumerate(one.effect.shapes if one.on_state else ()):
+                if parameter.lower == 0.0:
+                    span = self.found.spans[one]
+                    bounds[one.names[gains + d]] = (float(span.low[d]), float(span.high[d]))
+        return bounds
 
     def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
         return atoms(self.model, placed, shapes, self.stretches)
@@ -149,6 +172,8 @@ class Round:
 
     def _held_residual(self, base: Base, fit: Fit) -> Float[np.ndarray, " rows"]:
         """What the set leaves on the held-out records, at the parameters of the fit."""
+        if own_states(self.model) > 0:
+            return model_rows(self._grown(fit, values_of(fit)), self.held)[0][0]
         made = [
             atoms(self.model, one.placed, np.reshape(one.shape, (1, -1)), self.held)[0]
             for one in fit.atoms

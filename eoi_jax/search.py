@@ -62,13 +62,13 @@ class Search:
     power: Rows = field(init=False)
     _columns: "_Columns" = field(init=False)
     _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
-    _spans: Spans = field(init=False, default_factory=dict)
+    spans: Spans = field(init=False, default_factory=dict)
 
     def run(self) -> list[Fit]:
         """The best set of each composition that was looked at, best first."""
-        self._spans = _spacings(self.grid)
+        self.spans = _spacings(self.grid)
         self._terms = [one for one in self.grid if one.target is None]
-        self._inputs = [one for one in self.grid if one.target is not None]
+        self._changing = [one for one in self.grid if one.target is not None]
         self.power = np.ones_like(self.base.target)
         self._weigh(fitted(self.base, [], self.power).residual)
         chosen, shown = self.fit([]), []
@@ -168,7 +168,7 @@ class Search:
             fit = min(fit, self.fit(known), key=self.value)
         better = sum(self.value(other) < self.value(fit) for other in others)
         if better < (_BEAM if known is None else 2):
-            fit = refined(self.base, fit, self.power, self._spans, self.make)
+            fit = refined(self.base, fit, self.power, self.spans, self.make)
             self._refined[fit.keys] = fit.atoms
         return fit
 
@@ -185,7 +185,7 @@ class Search:
                 best.setdefault(one.placed, one)
         tried = list(best.values())[: _TRIED if keys else None]
         if not any(one.target is not None for one in fit.atoms):
-            tried += [one for one in self._inputs if one.key not in keys]
+            tried += [one for one in self._changing if one.key not in keys]
         fits: dict[Placed, Fit] = {}
         for one in tried:
             new = self.fit([*fit.atoms, one])
@@ -200,10 +200,10 @@ class Search:
         for gain, i, k in self._columns.pairs(self.base.columns, self.base.target):
             found.append((gain, (terms[owner[i]], terms[owner[k]])))
         declared = float(self.fit([]).cost)
-        for one in self._inputs:
-            assert one.target is not None
+        for one in self._changing:
             alone = self.fit([one])
-            gain, _ = self._columns.gains(one.columns[:, self.base.free], one.target)
+            target, matrix = system(self.base, [one])
+            gain, _ = self._columns.gains(matrix, target)
             by_atom = self._columns.by_atom(gain)
             for i in np.argsort(by_atom)[::-1][:_TRIED]:
                 found.append((declared - alone.cost + by_atom[i], (one, terms[i])))

@@ -110,7 +110,7 @@ def test_input_effect_replaces_the_declared_columns_and_comes_first():
     parts = columns(0, 5)
     known = base(parts[:, 2], parts[:, :2])
     changed = 0.5 * parts[:, 3] + 2.0 * parts[:, 4]
-    delay = Atom(named(effects.InputDelay()), (0.1,), parts[:, 3:], changed)
+    delay = Atom(named(effects.InputDelay()), (0.1,), np.zeros((ROWS, 0)), changed, parts[:, 3:])
     friction = atom(effects.CoulombFriction(), parts[:, 2])
     fit = fitted(known, [friction, delay], np.ones(ROWS))
     assert [one.placed.effect.name for one in fit.atoms] == ["input_delay", "coulomb_friction"]

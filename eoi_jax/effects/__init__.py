@@ -5,6 +5,7 @@ from eoi_jax.effects.disturbance import Drift as Drift
 from eoi_jax.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
 from eoi_jax.effects.effect import AbstractEffect as AbstractEffect
 from eoi_jax.effects.effect import AbstractInputEffect as AbstractInputEffect
+from eoi_jax.effects.effect import AbstractInternalEffect as AbstractInternalEffect
 from eoi_jax.effects.effect import AbstractTerm as AbstractTerm
 from eoi_jax.effects.effect import At as At
 from eoi_jax.effects.effect import Parameter as Parameter
@@ -23,6 +24,7 @@ from eoi_jax.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.effects.inputs import InputSaturation as InputSaturation
 from eoi_jax.effects.library import standard as standard
 from eoi_jax.effects.memory import Hysteresis as Hysteresis
+from eoi_jax.effects.outflow import InternalOverflow as InternalOverflow
 from eoi_jax.effects.outflow import Leak as Leak
 from eoi_jax.effects.outflow import Overflow as Overflow
 from eoi_jax.effects.stiffness import CubicStiffness as CubicStiffness

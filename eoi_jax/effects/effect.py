@@ -1,7 +1,8 @@
 r"""What an effect is: one thing that a model may lack, with its term, parameters and grid.
 
 An effect adds a term to y^(r) that is linear in its *gains* and may depend nonlinearly on its
-*shapes*, or it changes an input on its way into the model. It may carry a state of its own.
+*shapes*, or it changes an input on its way into the model, or the rate of an internal state of the
+model. It may carry a state of its own.
 A new one is a small class:
 
     class CubicStiffness(AbstractTerm):
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -49,7 +51,8 @@ class At(NamedTuple):
 
     Attributes:
         t: time [s].
-        y: the output; `v` its first derivative (0 where the model has none).
+        y: the output, or the internal state that it acts on; `v` the first derivative of the
+            output (0 where the model has none).
         v: rate of the output.
         u: the input (of the channel, or the first one).
         z: own states of the effect, shape (states,).
@@ -67,7 +70,7 @@ class Seen:
     """What the records show of one channel: where grids of shape parameters come from.
 
     Attributes:
-        y, v, u: samples of all records (those that count).
+        y, v, u: samples of all records (those that count), of what the effect acts on.
         noise: standard deviation of the noise left in `y`.
         duration: of the longest record [s].
         sample_period: h [s].
@@ -119,7 +122,7 @@ class AbstractEffect(ABC):
 
     @abstractmethod
     def channels(self, plant: Plant) -> tuple[str, ...]:
-        """Names of what it may act on: the outputs, or the inputs."""
+        """Names of what it may act on: the outputs, the inputs, or the internal states."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -174,6 +177,37 @@ class AbstractInputEffect(AbstractEffect):
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         """The same along a whole record, (S,), where that is exact without states; else None."""
         del time, u, shape
+
+
+class AbstractInternalEffect(AbstractEffect):
+    """An effect that changes the rate of one internal state, and what of it reaches y^(r).
+
+    Nobody measures that state: it is followed by the model. What it loses may enter the first
+    output, linear in the gains.
+
+    Attributes:
+        form: what is added to the state's rate, as text and LaTeX; {y} is the state.
+        outer_form: what is added to y^(r), likewise; "" for nothing.
+    """
+
+    outer_form: ClassVar[tuple[str, str]] = ("", "")
+
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return internal_names(plant)
+
+    @abstractmethod
+    def change(self, at: At, shape: Any) -> Any:
+        """What it adds to dz/dt of the state `at.y`."""
+
+    @abstractmethod
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        """What it adds to y^(r) of the first output [its unit], linear in `gain`."""
+
+
+def internal_names(plant: Plant) -> tuple[str, ...]:
+    """Names of a plant's internal states: z, or z1, z2, … of several."""
+    count = len(plant.internal_start(jnp.asarray(plant.theta)))
+    return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
 
 
 def mechanical(plant: Plant, output: int) -> bool:

@@ -18,7 +18,7 @@ from eoi_jax.effects.inputs import (
     InputSaturation,
 )
 from eoi_jax.effects.memory import Hysteresis
-from eoi_jax.effects.outflow import Leak, Overflow
+from eoi_jax.effects.outflow import InternalOverflow, Leak, Overflow
 from eoi_jax.effects.stiffness import (
     CubicStiffness,
     EndStop,
@@ -33,7 +33,8 @@ from eoi_jax.effects.stiffness import (
 def standard() -> tuple[AbstractEffect, ...]:
     """Every canonical effect; `discover` tries those that fit the plant.
 
-    Two names have two forms each: `end_stop` (above, below) and `input_quadratic` (odd, even).
+    Three names have several forms: `end_stop` (above, below), `input_quadratic` (odd, even) and
+    `overflow` (of an output; of an internal state, caught in part or not at all).
     `AsymmetricViscousFriction` is not among them: |v| and a constant offset are hard to tell apart,
     and the offset is far more common. Name it in `effects` to have it tried.
 
@@ -67,4 +68,6 @@ def standard() -> tuple[AbstractEffect, ...]:
         Hysteresis(),
         Leak(),
         Overflow(),
+        InternalOverflow(caught=True),
+        InternalOverflow(caught=False),
     )

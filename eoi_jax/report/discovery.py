@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.discovery import Added, Discovery
-from eoi_jax.effects import AbstractInputEffect
+from eoi_jax.effects import AbstractInputEffect, AbstractInternalEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
@@ -61,8 +61,9 @@ def answer(discovery: Discovery) -> str:
 def phrase(discovery: Discovery, added: Added) -> str:
     """One effect with its parameters: ``Coulomb (dry) friction of 20.42 ± 0.08 N``."""
     what, _, _ = added.effect.sentence.partition(":")
+    inner = isinstance(added.effect, AbstractInternalEffect)
     channels = discovery.plant.inputs if _on_input(added) else discovery.plant.outputs
-    where = f" at {added.output}" if len(channels) > 1 else ""
+    where = f" at {added.output}" if len(channels) > 1 or inner else ""
     shown = []
     for (name, value), own in zip(added.parameters.items(), added.effect.parameters, strict=True):
         error = added.standard_errors.get(name, np.nan)

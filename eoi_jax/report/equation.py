@@ -17,7 +17,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.effects import AbstractInputEffect
+from eoi_jax.effects import AbstractInputEffect, AbstractInternalEffect
+from eoi_jax.effects.effect import internal_names
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.expression import (
     Call,
@@ -52,7 +53,10 @@ def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = Fa
         " ".join([f"{left} = {right}", *terms.get(output, ())])
         for left, right, output in zip(names, rights, plant.outputs, strict=True)
     ]
-    inner = [f"{_prime(name, 1)} = {text(one, values)}" for name, one in _internal(plant)]
+    inner = [
+        " ".join([f"{_prime(name, 1)} = {text(one, values)}", *terms.get(name, ())])
+        for name, one in _internal(plant)
+    ]
     return "\n".join([*lines, *inner, *(f"with {change}" for change in changes)])
 
 
@@ -66,7 +70,8 @@ def equation_latex(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = F
         left = latex(Symbol(output, degree), {})
         lines.append(" ".join([f"{left} &= {right}", *terms.get(output, ())]))
     for name, one in _internal(plant):
-        lines.append(f"{latex(Symbol(name, 1), {})} &= {latex(one, values)}")
+        left = latex(Symbol(name, 1), {})
+        lines.append(" ".join([f"{left} &= {latex(one, values)}", *terms.get(name, ())]))
     lines += [rf"&\text{{with }} {change}" for change in changes]
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
@@ -81,7 +86,7 @@ def _prime(name: str, order: int) -> str:
 def _effects(
     plant: Plant, added: Sequence[Any], numeric: bool, in_latex: bool
 ) -> tuple[dict[str, list[str]], list[str]]:
-    """Terms by output, and what happens to inputs."""
+    """Terms by output or internal state, and what happens to inputs."""
     write = latex if in_latex else text
     terms: dict[str, list[str]] = {}
     changes: list[str] = []
@@ -100,6 +105,9 @@ def _effects(
             changes.append(shown)
         else:
             terms.setdefault(output, []).append(_signs(shown))
+        if isinstance(one.effect, AbstractInternalEffect) and one.effect.outer_form[in_latex]:
+            outer = one.effect.outer_form[in_latex].format(*names, y=write(Symbol(output), {}))
+            terms.setdefault(plant.outputs[0], []).append(_signs(outer))
     return terms, changes
 
 
@@ -147,8 +155,7 @@ def _internal(plant: Plant) -> list[tuple[str, Expression]]:
 
 
 def _states(plant: Plant) -> list[str]:
-    count = len(plant.internal_start(jnp.asarray(plant.theta))) if plant.internal is not None else 0
-    return ["z"] if count == 1 else [f"z{i + 1}" for i in range(count)]
+    return list(internal_names(plant))
 
 
 def _arguments(plant: Plant) -> tuple[Expression, ...]:
