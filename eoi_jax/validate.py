@@ -6,7 +6,7 @@ estimated from the first samples of each run, by least squares of the free run o
 scored.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -28,7 +28,7 @@ Trials = Float[np.ndarray, "runs trials unknowns"]
 
 _ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
 _DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
-_LANES = 64  # runs that start states are found with, at once
+_LANES = 32  # runs that start states are found with, at once
 _TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
 _ENOUGH = 1e-8  # relative fall of the squared error below which they end
 
@@ -230,6 +230,8 @@ def _runs(
     def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
         return trajectory(plant, theta, driven_by, _unpack(plant, values), friction)[0][:, 0, :]
 
+    if len(values) == 1:  # not side by side: dry friction then looks for stops only where one is
+        return one(jax.tree.map(lambda leaf: leaf[0], drives), values[0])[None]
     return jax.vmap(one)(drives, values)
 
 
@@ -242,29 +244,17 @@ def _initial_states(
     """Least squares of each free run over its first samples, by damped Gauss-Newton."""
     period = float(heads.step[0]) * heads.substeps
     z = np.asarray(run.plant.internal_start(theta))
-
-    def evaluate(values: Trials) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        known = valid[:, None, :, None]
-        small = _small(run.plant, values, y, period)
-        out, slopes = _sensitivities(run, theta, heads, values, small)
-        error = np.where(known, y[:, None] - out, 0.0).reshape(*values.shape[:2], -1)
-        with np.errstate(over="ignore", invalid="ignore"):
-            cost = np.sum(error**2, axis=-1)
-        jacobian = np.where(known[..., None], slopes, 0.0).reshape(*error.shape, -1)
-        return np.where(np.isfinite(cost), cost, np.inf), error, jacobian
-
     starts = np.stack(
         [_polynomial_starts(run.plant, *one, period) for one in zip(y, valid, strict=True)]
     )
     starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
     own = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
-    cost, values = _descend(evaluate, starts, own)
+    fit = _Heads(run, theta, heads, y, valid, period)
+    cost, values = _descend(fit, starts, own)
     if len(z):
         # Internal states stay where the model starts them, unless the first samples tell (BIC):
         # from a few noisy ones they would come out anywhere.
-        freed, moved = _descend(
-            evaluate, np.repeat(values[:, None], _TRIALS, axis=1), np.ones_like(own)
-        )
+        freed, moved = _descend(fit, values[:, None], np.ones_like(own))
         count = np.maximum(np.sum(valid, axis=1) * y.shape[2], 2)
         tell = freed < cost * np.exp(-2.0 * len(z) * np.log(count) / count)
         values = np.where(tell[:, None], moved, values)
@@ -272,9 +262,7 @@ def _initial_states(
 
 
 def _descend(
-    evaluate: Callable[[Trials], tuple[np.ndarray, np.ndarray, np.ndarray]],
-    starts: Trials,
-    free: Bool[np.ndarray, " unknowns"],
+    fit: "_Heads", starts: Trials, free: Bool[np.ndarray, " unknowns"]
 ) -> tuple[Float[np.ndarray, " runs"], Starts]:
     """Damped Gauss-Newton over some of the unknowns, each run from its best start.
 
@@ -282,66 +270,91 @@ def _descend(
         The squared error of each run, and its values.
     """
     runs = np.arange(len(starts))
-    tried = evaluate(starts)
-    best = np.argmin(tried[0], axis=1)
-    cost, error, jacobian = (one[runs, best] for one in tried)
-    values, going = starts[runs, best], np.isfinite(cost)
+    costs, errors = fit.errors(starts)
+    best = np.argmin(costs, axis=1)
+    cost, error, values = costs[runs, best], errors[runs, best], starts[runs, best]
+    going = np.isfinite(cost)
     for _ in range(_ROUNDS):
-        going &= np.all(np.isfinite(jacobian), axis=(1, 2))
+        slopes = fit.slopes(values, error, free)
+        going &= np.all(np.isfinite(slopes), axis=(1, 2))
         if not going.any():
             break
         step = np.zeros_like(values)
         for i in np.flatnonzero(going):
-            step[i] = np.where(free, _least_squares(jacobian[i] * free, error[i]), 0.0)
+            step[i, free] = _least_squares(slopes[i], error[i])
         trials = values[:, None] + step[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
-        tried = evaluate(trials)
-        best = np.argmax(tried[0] < cost[:, None], axis=1)  # the longest step that helps
-        new = tried[0][runs, best]
+        costs, errors = fit.errors(trials)
+        best = np.argmax(costs < cost[:, None], axis=1)  # the longest step that helps
+        new = costs[runs, best]
         helps = going & (new < cost)
         going = helps & (cost - new > _ENOUGH * cost)
-        for old, several in zip((cost, error, jacobian, values), (*tried, trials), strict=True):
+        for old, several in ((cost, costs), (error, errors), (values, trials)):
             old[helps] = several[runs, best][helps]
     return cost, values
 
 
-def _sensitivities(
-    run: _Run, theta: Theta, heads: Drive, values: Trials, small: Trials
-) -> tuple[Float[np.ndarray, "runs trials time ny"], np.ndarray]:
-    """Outputs over the first samples, and their derivatives with the initial values.
+@dataclass(frozen=True)
+class _Heads:
+    """The first samples of all runs, to which start states are fitted."""
 
-    By differences: a derivative of the simulation would take longer to compile than all else.
-    """
-    unknowns = values.shape[-1]
-    moved = np.concatenate([np.zeros((1, unknowns)), np.eye(unknowns)]) * small[..., None, :]
-    lanes = (values[..., None, :] + moved).reshape(-1, unknowns)
-    owner = np.repeat(np.arange(len(values)), len(lanes) // len(values))
-    parts = []
-    # Always so many runs at once, whatever the number of windows: one kernel for each plant.
-    for first in range(0, len(lanes), _LANES):
-        index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
-        some = Drive(
-            heads.time[owner[index]],
-            heads.step[owner[index]],
-            heads.inputs[owner[index]],
-            heads.substeps,
-        )
-        parts.append(_runs(run.plant, theta, some, jnp.asarray(lanes[index]), run.friction))
-    out = np.concatenate(parts)[: len(lanes)].reshape(*moved.shape[:3], *parts[0].shape[1:])
-    with np.errstate(over="ignore", invalid="ignore"):
-        slopes = np.moveaxis(out[:, :, 1:] - out[:, :, :1], 2, -1) / small[:, :, None, None]
-    return out[:, :, 0], slopes
+    run: _Run
+    theta: Theta
+    heads: Drive
+    y: Float[np.ndarray, "runs time ny"]
+    valid: Bool[np.ndarray, "runs time"]
+    period: float
 
+    def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
+        """Squared error of each trial, infinite where it diverges, and the errors."""
+        out = self._simulated(values)
+        error = np.where(self.valid[:, None, :, None], self.y[:, None] - out, 0.0)
+        error = error.reshape(*values.shape[:2], -1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = np.sum(error**2, axis=-1)
+        return np.where(np.isfinite(cost), cost, np.inf), error
 
-def _small(
-    plant: Plant, values: Trials, y: Float[np.ndarray, "runs time ny"], period: float
-) -> Trials:
-    """Steps of the differences: a small share of what each initial value is measured by."""
-    rows, columns = _owned(plant)
-    reach = np.ptp(y, axis=1) + 1e-3 * np.max(np.abs(y), axis=1)
-    reach = np.where(reach > 0, reach, 1.0)[:, columns] / (y.shape[1] * period) ** rows
-    own = np.broadcast_to(reach[:, None], (*values.shape[:2], len(rows)))
-    z = np.abs(values[..., len(rows) :])
-    return _DIFFERENCE * np.concatenate([own, np.where(z > 0, z, 1.0)], axis=-1)
+    def slopes(
+        self, values: Starts, error: Float[np.ndarray, "runs rows"], free: np.ndarray
+    ) -> Float[np.ndarray, "runs rows free"]:
+        """Minus the derivatives of the errors with the free initial values.
+
+        By differences: a derivative of the simulation would take longer to compile than all else.
+        """
+        small = self._small(values)[:, free]
+        moved = np.eye(values.shape[1])[free] * small[..., None]
+        _, errors = self.errors(values[:, None] + moved)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.moveaxis(error[:, None] - errors, 1, 2) / small[:, None]
+
+    def _small(self, values: Starts) -> Starts:
+        """Steps of the differences: a small share of what each initial value is measured by."""
+        rows, columns = _owned(self.run.plant)
+        reach = np.ptp(self.y, axis=1) + 1e-3 * np.max(np.abs(self.y), axis=1)
+        reach = np.where(reach > 0, reach, 1.0)[:, columns]
+        z = np.abs(values[:, len(rows) :])
+        own = reach / (self.y.shape[1] * self.period) ** rows
+        return _DIFFERENCE * np.concatenate([own, np.where(z > 0, z, 1.0)], axis=1)
+
+    def _simulated(self, values: Trials) -> Float[np.ndarray, "runs trials time ny"]:
+        run, heads = self.run, self.heads
+        lanes = values.reshape(-1, values.shape[-1])
+        owner = np.repeat(np.arange(len(values)), values.shape[1])
+        time, step, inputs = (np.asarray(x) for x in (heads.time, heads.step, heads.inputs))
+        parts = []
+        # Always so many runs at once, whatever the number of windows: one kernel for each plant.
+        for first in range(0, len(lanes), _LANES):
+            index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
+            of = owner[index]
+            drives = Drive(
+                jnp.asarray(time[of]),
+                jnp.asarray(step[of]),
+                jnp.asarray(inputs[of]),
+                heads.substeps,
+            )
+            starts = jnp.asarray(lanes[index])
+            parts.append(np.asarray(_runs(run.plant, self.theta, drives, starts, run.friction)))
+        out = np.concatenate(parts)[: len(lanes)]
+        return out.reshape(*values.shape[:2], *out.shape[1:])
 
 
 def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
