@@ -314,7 +314,7 @@ _FOUND = (
     "derivative (rms)"
 )
 _REST = (
-    ", more than noise. No other effect comes near the first of them, and free runs on held-out data "
+    ", more than noise. No other effect comes near the first of them, and free runs on other data "
     "confirm it; the rest stays unexplained"
 )
 _PARTLY = (
