@@ -55,8 +55,15 @@ class Round:
 
     @property
     def lacking(self) -> float:
-        """Power of what the model leaves."""
-        residual = fitted(self.base, [], np.ones_like(self.base.target)).residual
+        """Power of what the model leaves beside constants: an offset may dwarf all that varies."""
+        present = {(one.effect, one.channel) for one in self.placed}
+        constants = [
+            atom
+            for one in candidates(self.model, [ConstantOffset()])
+            if (one.effect, one.channel) not in present
+            for atom in self._make(one, np.zeros((1, 0)))
+        ]
+        residual = fitted(self.base, constants, np.ones_like(self.base.target)).residual
         return self.base.signal_power(residual)
 
     def search(self, lacking: float) -> None:
