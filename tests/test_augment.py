@@ -7,7 +7,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place, unit
+from eoi_jax.augment import augmented, own_states, place, unit
 from eoi_jax.effects.effect import AbstractTerm, Parameter
 
 
@@ -177,6 +177,34 @@ def test_plant_without_inputs_takes_effects():
     free = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 4.0}, relative_degree=2, inputs=())
     new = with_effects(free, (effects.CoulombFriction(), 0, {"coulomb_friction": 0.5}))
     assert at(new, [[1.0], [2.0]], [])[0] == pytest.approx(-4.5)
+
+
+def test_spill_leaves_the_state_and_its_share_reaches_the_first_output():
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.k * (x.z[1] - x.y[0]),
+        {"k": 0.5},
+        internal=lambda t, x, u, p: jnp.stack([u[0] - p.k * x.z[0], p.k * (x.z[0] - x.z[1])]),
+        internal_initial=(0.0, 0.0),
+    )
+    spill = effects.InternalOverflow()
+    first = {"overflow_share_z1": 0.25, "overflow_rate_z1": 2.0, "overflow_level_z1": 0.5}
+    new = with_effects(plant, (effects.ActuatorLag(), 0, {"actuator_lag": 0.1}), (spill, 0, first))
+    assert (own_states(plant), own_states(new)) == (2, 2)
+    theta = jnp.asarray(new.theta)
+    for level, lost in ((0.3, 0.0), (0.8, 0.6)):
+        state = eoi.State(jnp.zeros((1, 1)), jnp.array([level, 0.2, 0.0]))
+        f = new.derivative(jnp.zeros(()), state, jnp.ones(1), theta)
+        np.testing.assert_allclose(f, [0.1 + 0.25 * lost], atol=1e-12)
+        rates = new.internal_rate(jnp.zeros(()), state, jnp.ones(1), theta)
+        # The lag has not begun to let the input through.
+        own = [-0.5 * level - lost, 0.5 * (level - 0.2)]
+        np.testing.assert_allclose(rates, [*own, 10.0], atol=1e-12)
+
+
+def test_bounds_of_an_effect_can_be_narrowed():
+    placed = place(MASS, effects.InputDelay(), 0)
+    new = augmented(MASS, [placed], {"input_delay": 0.1}, {"input_delay": (0.05, 0.3)})
+    assert (new.lower[-1], new.upper[-1]) == (0.05, 0.3)
 
 
 @pytest.mark.parametrize(

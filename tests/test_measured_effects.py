@@ -171,6 +171,26 @@ def test_one_effect_alone_can_be_tried_where_it_leaves_more_than_noise(air_track
     assert found.effects == ("viscous_friction",)
 
 
+def test_overflow_of_the_tank_that_nobody_measures_is_named(data_directory: Path):
+    case = _case("cascaded_tanks", data_directory)
+    found = eoi.discover(
+        case.plant,
+        case.records,
+        case.held_out,
+        ["overflow", "constant_offset", "leak"],
+        lowpass=case.lowpass,
+        window=case.window,
+    )
+    assert found.status.code == "explained"
+    assert "no other effect comes near" in found.status.message.lower()
+    assert ("overflow", "z") in {(one.effect.name, one.output) for one in found.added}
+    assert ("overflow", "lower_level") in {(one.effect.name, one.output) for one in found.added}
+    # 0.407 V for an independent output-error fit with both overflows; 0.65 V without.
+    assert found.after is not None
+    assert found.after.rmse[0] < 0.41
+    assert "max(z - overflow_level_z, 0)" in found.equation
+
+
 # -- words ------------------------------------------------------------------------------------
 
 
