@@ -31,7 +31,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import moving, tapered
-from eoi_jax.tuning import rate_noise, spectrum
+from eoi_jax.tuning import Spectrum, rate_noise, spectrum
 
 _FINE = 0.7  # band times step
 _MOST_SUBSTEPS = 8
@@ -42,9 +42,13 @@ _LOW, _HIGH = 1000, 500
 # where it is not, at the ends of a record, and the shortest rest that is left out with noise. What
 # noise leaks into low modes falls with the square of the rise time.
 _SHARP, _SOFT, _ENDS, _REST = 3.0, 10.0, 20.0, 6.0
-_LEAK = 1e-2  # noise that the edges may let in, over y^(r), rms
+_LEAK = 2e-3  # noise that the edges may let in, over y^(r), rms: the floor of `noise_model`
+# Of the smoothing: its cut-off over the frequency where noise hides a state; the share that it may
+# take of what stands above the noise, that floor again; its gain is 1 - (ω/cut-off)^8.
+_QUIET, _LOST, _SLOPE = 1.5, 2e-3, 8
 _LEAST_END = 0.01  # of the record
 _MOST_LOST = 0.5  # of the weight of all samples, to moments of rest
+_MOST_POWER = 0.99  # of y^(r), below the frequency half of the band
 
 Rows = Float[np.ndarray, "*batch modes"]
 
@@ -145,18 +149,42 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     )
 
 
-def quiet_band(plant: Plant, record: Record) -> float | None:
-    """Cut-off at which smoothing loses as much of the states as it takes away noise [rad/s].
+def telling_band(plant: Plant, records: Sequence[Record]) -> float:
+    """Half the frequency up to which modes of y^(r) tell something [rad/s].
 
-    The highest derivative among the states is what noise disturbs most. None: no smoothing.
+    The filter F passes all below its cut-off alike, so that noise bounds it early. Modes are
+    weighed one by one: they are used up to where the noise is as large as y^(r), or to twice the
+    frequency below which nearly all of y^(r) lies.
+    """
+    best = 0.0
+    for record in records:
+        for j, degree in enumerate(plant.degrees):
+            one = spectrum(record, j, degree)
+            best = max(best, min(one.below(_MOST_POWER), 0.5 * _crossing(one)))
+    return best
+
+
+def _crossing(one: Spectrum) -> float:
+    """Frequency from which on a spectrum is more noise than signal [rad/s]."""
+    lost, passed = np.sum(one.signal) - np.cumsum(one.signal), np.cumsum(one.noise)
+    return float(one.omega[int(np.argmin(lost + passed))])
+
+
+def quiet_band(plant: Plant, record: Record) -> float | None:
+    """Cut-off of the smoothing of the states [rad/s]; None: no smoothing.
+
+    There smoothing loses as much of the states as it takes away noise. But a state far above its
+    noise must come through almost whole: what the filter takes of it, the residual shows. The
+    highest derivative among the states is what noise disturbs most.
     """
     best = []
     for j, degree in enumerate(plant.degrees):
         one = spectrum(record, j, degree - 1)
-        lost = np.sum(one.signal) - np.cumsum(one.signal)
-        passed = np.cumsum(one.noise)
-        best.append(one.omega[int(np.argmin(lost + passed))])
-    cutoff = 1.5 * float(max(best))
+        seen = one.signal > 0.0
+        allowed = one.noise[seen] / one.signal[seen] + _LOST**2
+        whole = one.omega[seen] * allowed ** (-0.5 / _SLOPE)
+        best += [_QUIET * _crossing(one), float(np.max(whole, initial=0.0))]
+    cutoff = max(best)
     return cutoff if 0.0 < cutoff < 0.8 * np.pi / record.sample_period else None
 
 

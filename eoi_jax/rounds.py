@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from eoi_jax.effects import AsymmetricFriction, ConstantOffset, CoulombFriction
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base, Fit, fitted, settled, system
 from eoi_jax.identify import Identification
-from eoi_jax.modes import Stretch, model_rows, stretch
+from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
 from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
 from eoi_jax.search import Search
@@ -37,10 +38,11 @@ class Task:
     most: int
     window: float | None
 
-    @property
+    @cached_property
     def band(self) -> float:
         """Highest frequency of the modes [rad/s]."""
-        return _BAND * self.declared.lowpass.cutoff
+        cutoff = self.declared.lowpass.cutoff
+        return _BAND * max(cutoff, telling_band(self.plant, self.records))
 
 
 class Round:

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.modes import Stretch, averaged, averaging, model_rows, stretch, thinned
+from eoi_jax.modes import (
+    Stretch,
+    averaged,
+    averaging,
+    model_rows,
+    quiet_band,
+    stretch,
+    telling_band,
+    thinned,
+)
 
 BAND = 40.0  # [rad/s]
 
@@ -214,6 +223,41 @@ def test_states_carry_less_noise_than_the_record():
     record = noisy(clean, 1e-2, 0)
     one = stretch(plant, record, BAND)
     assert one.state_noise[0] < 0.6 * record.noise[0]
+
+
+def lines(highest: float, share: float) -> eoi.Record:
+    """Lines at 5, 10, … up to `highest` [rad/s], as strong in y'' each, and white noise."""
+    time = 2e-3 * np.arange(20_000)
+    omega = 5.0 * 2.0 ** np.arange(np.log2(highest / 5.0) + 0.5)
+    clean = np.sum(np.cos(np.outer(time, omega) + omega) / omega**2, axis=1)
+    noise = share * np.std(clean) * np.random.default_rng(1).standard_normal(len(time))
+    return eoi.Record(time, np.zeros_like(time), clean + noise)
+
+
+@pytest.mark.parametrize("share", [1e-3, 1e-2, 5e-2])
+def test_band_ends_where_noise_hides_the_highest_derivative(share: float):
+    """Lines as strong as these stand above the noise up to one of them, and no further."""
+    record = lines(640.0, share)
+    omega = 5.0 * 2.0 ** np.arange(8)
+    # Power of y'' in a line of amplitude one, and that of the noise at all frequencies below.
+    below = record.noise[0] ** 2 * 2e-3 / np.pi * omega**5 / 5.0
+    top = omega[np.flatnonzero(np.diff(below, prepend=0.0) < 0.5)[-1]]
+    # Power is averaged over neighbours, 5 % of the frequency on each side, before it is judged.
+    assert top == pytest.approx(2.0 * telling_band(MASS, [record]), rel=0.1)
+
+
+def test_more_noise_means_a_narrower_band():
+    several = [telling_band(MASS, [lines(640.0, share)]) for share in (1e-3, 1e-2, 5e-2)]
+    assert several[0] > 1.5 * several[1] > 2.0 * several[2]
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-3])
+def test_smoothing_passes_a_state_far_above_its_noise(share: float):
+    """A line that stands out keeps all but the floor and what noise makes of it anyway."""
+    record = lines(20.0, share)
+    cutoff = quiet_band(MASS, record)
+    assert cutoff is not None
+    assert (20.0 / cutoff) ** 8 < 3e-3  # 2e-3 and some leakage of the window
 
 
 # -- samples that do not count --------------------------------------------------------------------
