@@ -20,6 +20,8 @@ from eoi_jax.plants.plant import Plant
 from eoi_jax.search import Search
 
 _BAND = 2.0  # of the modes over the cut-off of F
+# Over that, where fast modes still tell something: far beyond F a rig has dynamics of its own.
+_WIDER = 2.0
 _PEAKS = 6  # frequencies at which a sinusoid is tried
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
@@ -42,7 +44,8 @@ class Task:
     def band(self) -> float:
         """Highest frequency of the modes [rad/s]."""
         cutoff = self.declared.lowpass.cutoff
-        return _BAND * max(cutoff, telling_band(self.plant, self.records))
+        telling = telling_band(self.plant, self.records)
+        return _BAND * float(np.clip(telling, cutoff, _WIDER * cutoff))
 
 
 class Round:
