@@ -19,6 +19,7 @@ _FAR = 1e6  # weighted error of a model that is not finite
 _POINTS = 3  # on each side, when neighbours on the grid are far apart
 
 Theta = Float[np.ndarray, " np"]
+Free = Float[np.ndarray, " free"]
 Rows = Float[np.ndarray, " rows"]
 Make = Callable[[Placed, np.ndarray], list[Atom]]
 
@@ -235,12 +236,12 @@ def settled(model: Plant, stretches: Sequence[Stretch], power: Rows, start: Thet
     scale = np.maximum(np.abs(theta), np.abs(start))[free]
     scale = np.where(scale > 0, scale, 1.0)
 
-    def moved(x: Rows) -> Plant:
+    def moved(x: Free) -> Plant:
         new = theta.copy()
         new[free] = np.clip(x * scale, low, high)
         return model.with_parameters(new)
 
-    def both(x: Rows) -> tuple[Rows, np.ndarray]:
+    def both(x: Free) -> tuple[Rows, Float[np.ndarray, "rows free"]]:
         target, slopes = model_rows(moved(x), stretches)
         error, slope = target[0] * weight, -slopes[0][:, free] * scale * weight[:, None]
         return np.clip(np.nan_to_num(error, nan=_FAR), -_FAR, _FAR), np.nan_to_num(slope)
