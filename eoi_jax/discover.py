@@ -33,6 +33,7 @@ from eoi_jax.rounds import Round, Task, read_friction, values_of
 from eoi_jax.validate import Validation, validate
 
 _AMBIGUOUS = 10.0  # twice the log-likelihood by which sets are told apart
+_BEYOND = 0.5  # of an effect: what another one that contains it would add to it
 _ROUNDS = 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
@@ -411,15 +412,24 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
 
 
 def _ambiguous(first: Round, kept: Sequence[str]) -> tuple[str, ...]:
-    """Names in sets no larger than the chosen one that the records support nearly as well."""
+    """Names in sets no larger than the chosen one that the records support nearly as well.
+
+    And of an effect that contains a chosen one, where what it adds to that may well be large: it
+    cost more than it gained because the records hardly show it.
+    """
     search, chosen, own = first.found, first.chosen, set(kept)
     names: list[str] = []
     for fit in first.sets:
         theirs = {one.placed.effect.name for one in fit.atoms}
         contained = {name for one in fit.atoms for name in one.placed.effect.contains}
-        if not fit.physical or own <= theirs | contained or len(fit.atoms) > len(chosen.atoms):
+        if not fit.physical or own <= theirs or len(fit.atoms) > len(chosen.atoms):
             continue
-        if search.value(fit) - search.value(chosen) < _AMBIGUOUS:
+        if own <= theirs | contained:
+            pairs = zip(fit.atoms, fit.gains, strict=True)
+            close = any(one.placed.effect.beyond(gains) > _BEYOND for one, gains in pairs)
+        else:
+            close = search.value(fit) - search.value(chosen) < _AMBIGUOUS
+        if close:
             names += [name for name in sorted(theirs - own) if name not in names]
     level_and_offset = ["coulomb_friction", "constant_offset"]
     if "asymmetric_friction" in own:

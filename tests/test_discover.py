@@ -10,7 +10,12 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
+from eoi_jax.candidates import Atom
+from eoi_jax.discover import _ambiguous
 from eoi_jax.effects.effect import AbstractTerm, Parameter
+from eoi_jax.fit import Base, Fit
+from eoi_jax.rounds import Round
+from eoi_jax.search import Search
 
 mpl.use("Agg")
 
@@ -354,3 +359,37 @@ def test_records_that_do_not_fit_the_plant_are_refused():
 def test_share_that_is_held_out_lies_between_zero_and_one():
     with pytest.raises(ValueError, match=r"`validation` must lie in \(0, 1\) as a share, got 1.5"):
         eoi.discover(MASS, records("nothing")[0], 1.5)
+
+
+# -- what the records cannot tell apart -----------------------------------------------------------
+
+
+def undecided(rise: float) -> tuple[str, ...]:
+    """What is said beside Coulomb friction, if Stribeck friction fits with this rise (level 1)."""
+    rows = 400
+    base = Base(
+        np.ones(rows), np.ones((rows, 0)), np.zeros(0, int), *np.ones((2, rows)),
+        np.zeros(rows, int),
+    )  # fmt: skip
+    fits = []
+    for effect, gains, cost in (
+        (effects.CoulombFriction(), [1.0], 400.0),
+        (effects.StribeckFriction(), [1.0, rise], 398.0),
+    ):
+        atom = Atom(
+            place(MASS, effect, 0), (0.1,) * len(effect.shapes), np.ones((rows, len(gains))), None
+        )
+        fits.append(Fit((atom,), np.asarray(gains), np.ones(rows), cost, True))
+    first = object.__new__(Round)
+    first.found = Search(base, [], lambda placed, shapes: [], 0.01, 3, 20, 1.0)
+    first.sets, first.chosen = fits, fits[0]
+    return _ambiguous(first, ("coulomb_friction",))
+
+
+def test_stribeck_friction_that_cannot_be_excluded_is_said_beside_coulomb():
+    """It gains less than its parameters cost, but the rise may be as large as the level."""
+    assert undecided(rise=0.8) == ("stribeck_friction",)
+
+
+def test_stribeck_friction_of_no_rise_is_not_said_beside_coulomb():
+    assert undecided(rise=0.05) == ()

@@ -139,6 +139,11 @@ class AbstractEffect(ABC):
         del seen
         return np.zeros((1, 0))
 
+    def beyond(self, gains: Sequence[float] | np.ndarray) -> float:
+        """How much it adds to the simpler effect that it contains, as a share of that; or 0."""
+        del gains
+        return 0.0
+
     def rate(self, at: At, shape: Any) -> Any:
         """dz/dt of the own states, shape (states,)."""
         del shape

@@ -1,5 +1,6 @@
 """Friction and drag: forces against the velocity of an output."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -84,6 +85,10 @@ class StribeckFriction(AbstractTerm):
 
     def grid(self, seen: Seen) -> Grid:
         return np.geomspace(0.03, 1.0, 8)[:, None] * _rms(seen.v)
+
+    def beyond(self, gains: Sequence[float] | np.ndarray) -> float:
+        level, rise = gains
+        return float(rise / max(level, 1e-300))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         rise = jnp.exp(-((at.v / shape[0]) ** 2))
