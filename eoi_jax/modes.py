@@ -156,12 +156,8 @@ def telling_band(plant: Plant, records: Sequence[Record]) -> float:
     weighed one by one: they are used up to where the noise is as large as y^(r), or to twice the
     frequency below which nearly all of y^(r) lies.
     """
-    best = 0.0
-    for record in records:
-        for j, degree in enumerate(plant.degrees):
-            one = spectrum(record, j, degree)
-            best = max(best, min(one.below(_MOST_POWER), 0.5 * _crossing(one)))
-    return best
+    several = [spectrum(one, j, r) for one in records for j, r in enumerate(plant.degrees)]
+    return max(min(one.below(_MOST_POWER), 0.5 * _crossing(one)) for one in several)
 
 
 def _crossing(one: Spectrum) -> float:

@@ -367,10 +367,8 @@ def test_share_that_is_held_out_lies_between_zero_and_one():
 def undecided(rise: float) -> tuple[str, ...]:
     """What is said beside Coulomb friction, if Stribeck friction fits with this rise (level 1)."""
     rows = 400
-    base = Base(
-        np.ones(rows), np.ones((rows, 0)), np.zeros(0, int), *np.ones((2, rows)),
-        np.zeros(rows, int),
-    )  # fmt: skip
+    ones = np.ones(rows)
+    base = Base(ones, np.ones((rows, 0)), np.zeros(0, int), ones, ones, np.zeros(rows, int))
     fits = []
     for effect, gains, cost in (
         (effects.CoulombFriction(), [1.0], 400.0),
