@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,8 @@ _BAND = 2.0  # of the modes over the cut-off of F
 # Over that, where fast modes still tell something: far beyond F a rig has dynamics of its own.
 _WIDER = 2.0
 _PEAKS = 6  # frequencies at which a sinusoid is tried
+# Correlation of a motion with itself that counts as the same; harmonics of it that are looked for.
+_IN_STEP, _HARMONICS = 0.95, 4
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
@@ -156,8 +159,10 @@ class Round:
         ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
         inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
         where = 1 + np.flatnonzero(inner)
-        best = where[np.argsort(ratio[where])[::-1][:_PEAKS]]
-        return 0.5 * (one.omega[best] + one.omega[best + 1])
+        strongest = where[np.argsort(ratio[where])[::-1]]
+        omega = 0.5 * (one.omega[strongest] + one.omega[strongest + 1])
+        free = (peak for peak in omega if not in_step(self.stretches, peak))
+        return np.asarray(list(islice(free, _PEAKS)))
 
     def _first_accepted(self) -> Fit:
         for fit in self.sets:
@@ -192,6 +197,29 @@ class Round:
         ]
         target, columns = system(base, made)
         return target - columns @ fit.theta
+
+
+def in_step(stretches: Sequence[Stretch], omega: float) -> bool:
+    """Whether the motion repeats, or mirrors, itself after some periods of a frequency [rad/s].
+
+    Then it has harmonics there, and so has everything that depends on it: a disturbance of that
+    frequency cannot be told from a friction or spring that the library does not have.
+    """
+    if omega <= 0.0:
+        return False
+    for j in range(stretches[0].y.shape[2]):
+        for periods in range(1, _HARMONICS + 1):
+            products = np.zeros(3)
+            for one in stretches:
+                lag = round(2.0 * np.pi * periods / (omega * one.sample_period))
+                speed = np.diff(one.y[:, 0, j])
+                if lag <= len(speed) // 2:
+                    a, b = speed[lag:], speed[: len(speed) - lag]
+                    products += [np.sum(a * b), np.sum(a * a), np.sum(b * b)]
+            both, first, second = products
+            if abs(both) > _IN_STEP * np.sqrt(first * second):
+                return True
+    return False
 
 
 def base_of(model: Plant, stretches: Sequence[Stretch]) -> Base:
