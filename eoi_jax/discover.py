@@ -20,6 +20,7 @@ from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom
 from eoi_jax.checks import check, check_choice
 from eoi_jax.data.record import Record
+from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Evidence
 from eoi_jax.effects import standard
 from eoi_jax.effects.effect import AbstractEffect
@@ -243,6 +244,8 @@ def _answer(
         notes=tuple(notes),
         in_sample=not task.held,
         held_out=task.held or task.records,
+        # What remains unexplained is looked at with the tests that need no hypothesis.
+        diagnosis=diagnose(task.declared, task.records) if status.code == "unexplained" else None,
     )
 
 
@@ -308,7 +311,7 @@ def _judged(
 _NOTHING = "what is left is {:.2g} of the highest derivative (rms): nothing that the data can name"
 _UNKNOWN = (
     "what is left is {:.2g} of the highest derivative (rms), more than noise, and no effect of the "
-    "library explains it. Look at the residual's maps; more records with other inputs may tell"
+    "library explains it. `diagnosis` shows where it lives; more records with other inputs may tell"
 )
 _FOUND = (
     "the effects take {:.1%} of the residual's power; what is left is {:.2g} of the highest "

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from eoi_jax.data.record import Record
+from eoi_jax.diagnose import Diagnosis
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
@@ -76,6 +77,7 @@ class Discovery:
         notes: what limits the answer.
         in_sample: whether the free-run errors are on the records of the fit.
         held_out: the records that the free runs are on.
+        diagnosis: of the declared model's residual where no effect explains it; else None.
     """
 
     effects: tuple[str, ...]
@@ -95,6 +97,7 @@ class Discovery:
     notes: tuple[str, ...]
     in_sample: bool
     held_out: tuple[Record, ...]
+    diagnosis: Diagnosis | None = None
 
     def __str__(self) -> str:
         from eoi_jax.report.discovery import discovery_text

@@ -141,6 +141,7 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
             "values": equation_text(fitted, added, numeric=True),
             "latex": equation_latex(fitted, added),
         },
+        "findings": result.diagnosis.findings if result.diagnosis else (),
         "notes": result.notes,
     }
     return _plain({**summary, **_provenance(given)})

@@ -180,6 +180,17 @@ def test_effect_outside_the_library_is_unexplained():
     assert answer.plant.names == MASS.names
 
 
+def test_unexplained_residual_comes_with_its_diagnosis(tmp_path):
+    answer = found("outside")
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.more_than_noise.all()
+    assert all(finding in str(answer) for finding in answer.diagnosis.findings)
+    assert found("coulomb").diagnosis is None
+    answer.save(tmp_path / "answer.npz")
+    again = eoi.load(tmp_path / "answer.npz")
+    assert again.diagnosis.findings == answer.diagnosis.findings
+
+
 def test_ranking_holds_every_candidate_once_with_the_found_first():
     ranking = found("coulomb").ranking
     assert ranking[0].effect == "coulomb_friction"

@@ -36,9 +36,18 @@ def discovery_text(discovery: Discovery) -> str:
         _explained(discovery),
         _equation(discovery),
         candidate_table(discovery),
+        _leads(discovery),
         "\n".join(f"- {note}" for note in discovery.notes),
     ]
     return "\n\n".join(block for block in blocks if block)
+
+
+def _leads(discovery: Discovery) -> str:
+    """What the residual shows where no effect explains it."""
+    if discovery.diagnosis is None:
+        return ""
+    found = [f"- {finding}" for finding in discovery.diagnosis.findings]
+    return "\n".join(["The residual of the declared model:", *found])
 
 
 def answer(discovery: Discovery) -> str:
