@@ -1,4 +1,4 @@
-r"""One pass over a record: observer, filter, normal equations and index in one compiled loop.
+r"""One pass over a record: observer, filter, normal equations and index fused in one scan.
 
 Per step k → k+1 (section 4 of the paper, steps of one iteration):
 1. the observer follows y with the model at θ and shows y^(r) as it observes it;
@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.lowpass import DiscreteFilter
-from eoi_jax.observers.observer import AbstractObserver
+from eoi_jax.observers.observer import AbstractObserver, Observation
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.types import Output, Regressor, Scalar, Theta
 
@@ -53,11 +53,6 @@ class Steps(eqx.Module):
     sample_period: Float[Array | np.ndarray, "*batch"]
 
 
-# Steps that are treated together: within one only the observer goes step by step; model, filter and
-# sums are a few matrix products. Larger ones cost more in the filter, smaller ones in overhead.
-_BLOCK = 64
-
-
 class Sums(eqx.Module):
     """What a pass adds up, over scored steps and for each output.
 
@@ -87,60 +82,14 @@ class Trace(eqx.Module):
     Phi: Float[Array, "*steps ny np"] | None
 
 
-class _Follow(eqx.Module):
-    """What one step hands to the next."""
-
+class _Carry(eqx.Module):
     observer: Any
     z: Float[Array, " nz"]
     sensitivity: Float[Array, "nz np"]
-
-
-class _Seen(eqx.Module):
-    """What one step shows: the observation, and the internal states in its middle."""
-
-    observed: Output
-    rates: Float[Array, "rates ny"]
-    sliding: Float[Array, " ny"]
-    z: Float[Array, " nz"]
-    sensitivity: Float[Array, "nz np"]
-
-
-class _Carry(eqx.Module):
-    """What one block of steps hands to the next."""
-
-    follow: _Follow
-    history: tuple[Float[Array, "taps ny"], Float[Array, "taps ny np"]]
+    history: tuple[tuple[Output, Regressor], ...]
     filtered: Float[Array, "order ny columns"]
-    scores: Float[Array, " np"]
+    block: Float[Array, " np"]
     sums: Sums
-
-
-class _Response(eqx.Module):
-    """A filter over a block of steps: what signals inside it and the state before it give."""
-
-    inside: Float[Array, "block block"]
-    before: Float[Array, "block order"]
-    last_inside: Float[Array, "order block"]
-    last_before: Float[Array, "order order"]
-
-    def __call__(
-        self, state: Float[Array, "order *signal"], values: Float[Array, "block *signal"]
-    ) -> tuple[Float[Array, "order *signal"], Float[Array, "block *signal"]]:
-        """State behind the block, and the output along it."""
-        x, v = state.reshape(state.shape[0], -1), values.reshape(values.shape[0], -1)
-        last = self.last_before @ x + self.last_inside @ v
-        along = self.before @ x + self.inside @ v
-        return last.reshape(state.shape), along.reshape(values.shape)
-
-
-def _response(lowpass: DiscreteFilter, size: int) -> _Response:
-    """x[k+1] = A x[k] + b v[k] with output x₀[k+1], unrolled over `size` steps."""
-    a, b = jnp.asarray(lowpass.transition), jnp.asarray(lowpass.entry)
-    _, powers = jax.lax.scan(lambda p, _: (a @ p, p), jnp.eye(len(b), dtype=a.dtype), None, size)
-    impulse = powers @ b  # (size, order): A^k b
-    lag = np.arange(size)[:, None] - np.arange(size)[None, :]
-    inside = jnp.where(lag >= 0, impulse[np.maximum(lag, 0), 0], 0.0)
-    return _Response(inside, powers[:, 0] @ a, impulse[::-1].T, a @ powers[-1])
 
 
 @eqx.filter_jit
@@ -193,17 +142,10 @@ class _Kernel(eqx.Module):
 
     def run(self, steps: Steps) -> tuple[Sums, Trace | None]:
         h = jnp.asarray(steps.sample_period)
-        response = _response(self.lowpass, _BLOCK)
-        last, stored = jax.lax.scan(
-            lambda carry, rows: self._block(carry, rows, response, h),
-            self._init(steps, h),
-            _in_blocks(steps),
+        last, trace = jax.lax.scan(
+            lambda carry, row: self._step(carry, row, h), self._init(steps, h), _rows(steps)
         )
-        if stored is None:
-            return last.sums, None
-        stored = stored.reshape(-1, *stored.shape[2:])[: steps.time.shape[0]]
-        phi = stored[..., 3:] if self.store == "regressors" else None
-        return last.sums, Trace(stored[..., 0], stored[..., 1], stored[..., 2], phi)
+        return last.sums, trace
 
     def _init(self, steps: Steps, h: Scalar) -> _Carry:
         ny, size = len(self.plant.outputs), self.theta.shape[0]
@@ -225,8 +167,10 @@ class _Kernel(eqx.Module):
             zeros((size, size), dtype),
         )
         return _Carry(
-            _Follow(self._start(steps.y[0], steps.y_next[0], h), z, sensitivity),
-            (zeros((taps - 1, ny), dtype), zeros((taps - 1, ny, size), dtype)),
+            self._start(steps.y[0], steps.y_next[0], h),
+            z,
+            sensitivity,
+            ((each, phi),) * (taps - 1),
             zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
             zeros(size, dtype),
             sums,
@@ -240,56 +184,44 @@ class _Kernel(eqx.Module):
             rates = rates.at[0].set((y_next - y) / h)
         return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
 
-    def _block(
-        self, carry: _Carry, rows: tuple, response: _Response, h: Scalar
-    ) -> tuple[_Carry, Array | None]:
-        """A block of steps: only what must be is done one step after another."""
-        t, y, y_next, u, use, score, restart, *block = rows
-        position = y if self.observer.scheme == "explicit" else 0.5 * (y + y_next)
-        follow, seen = jax.lax.scan(
-            lambda follow, row: self._step(follow, row, h),
-            carry.follow,
-            (t, position, y, y_next, u, restart),
-        )
-        f, phi = jax.vmap(self._model)(t, position, seen, u)
-        (f, phi), history = self._averaged(carry.history, (f, phi))
-        injection = seen.observed - f
-        columns = [injection[..., None], seen.observed[..., None], jnp.ones_like(f)[..., None], phi]
-        signals = jnp.concatenate(columns, axis=-1)
-        # A model that is undefined where it does not count (√ of a negative level) must not spread.
-        signals = jnp.where(use[..., None] > 0, use[..., None] * signals, 0.0)
-        filtered, along = response(carry.filtered, signals)
-        sums, scores, stored = self._add(carry, along, seen.sliding, score, *block)
-        return _Carry(follow, history, filtered, scores, sums), stored
-
-    def _step(self, follow: _Follow, row: tuple, h: Scalar) -> tuple[_Follow, _Seen]:
-        """The observer, and the internal states that the measurement drives."""
-        t, position, y, y_next, u, restart = row
+    def _step(self, carry: _Carry, row: tuple, h: Scalar) -> tuple[_Carry, Any]:
+        t, y, y_next, u, use, score, restart, *block = row
         state = jax.tree.map(
-            lambda new, old: jnp.where(restart, new, old),
-            self._start(y, y_next, h),
-            follow.observer,
+            lambda new, old: jnp.where(restart, new, old), self._start(y, y_next, h), carry.observer
         )
-        rates = self.observer.rates(state)
-        middle, sensitivity, z, sensitivity_next = self._internal(follow, t, position, u, rates, h)
-        predicted = State(jnp.concatenate([position[None], rates]), middle)
+        explicit = self.observer.scheme == "explicit"
+        position = y if explicit else 0.5 * (y + y_next)
+        z, sensitivity, z_next, sensitivity_next = self._internal(carry, t, position, u, state, h)
+        predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
         drift = self.plant.derivative(t, predicted, u, self.theta)
         state, seen = self.observer.step(state, y, y_next, drift, h)
-        sliding = seen.sliding.astype(self.theta.dtype)
-        shown = _Seen(seen.observed, seen.rates, sliding, middle, sensitivity)
-        return _Follow(state, z, sensitivity_next), shown
+        f, phi = self._model(t, position, seen, z, sensitivity, u)
+        history = ((f, phi), *carry.history)
+        f, phi = self._averaged(history)
+        signals = jnp.concatenate(
+            [(seen.observed - f)[:, None], seen.observed[:, None], jnp.ones_like(f)[:, None], phi],
+            1,
+        )
+        # A model that is undefined where it does not count (√ of a negative level) must not spread.
+        signals = jnp.where(use[:, None] > 0, use[:, None] * signals, 0.0)
+        filtered = self.lowpass.step(carry.filtered, signals)
+        sums, block, shown = self._add(carry, filtered[0], seen, score, *block)
+        new = _Carry(
+            state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
+        )
+        return new, shown
 
     def _internal(
-        self, follow: _Follow, t: Scalar, position: Output, u: Array, rates: Array, h: Scalar
+        self, carry: _Carry, t: Scalar, position: Output, u: Array, state: Any, h: Scalar
     ) -> tuple[Array, Array, Array, Array]:
         """z in the middle and at the end of the step (Runge–Kutta of order four), with ∂z/∂θ."""
         if self.plant.internal is None:
-            return follow.z, follow.sensitivity, follow.z, follow.sensitivity
-        y = jnp.concatenate([position[None], rates])
+            return carry.z, carry.sensitivity, carry.z, carry.sensitivity
+        y = jnp.concatenate([position[None], self.observer.rates(state)])
 
         def ends(shift: Theta) -> tuple[Array, Array]:
             theta = self.theta + shift
-            z = follow.z + follow.sensitivity @ shift
+            z = carry.z + carry.sensitivity @ shift
 
             def rate(z: Array) -> Array:
                 return self.plant.internal_rate(t, State(y, z), u, theta)
@@ -306,91 +238,58 @@ class _Kernel(eqx.Module):
         return middle, jacobian[0], end, jacobian[1]
 
     def _model(
-        self, t: Scalar, position: Output, seen: _Seen, u: Array
+        self, t: Scalar, position: Output, seen: Observation, z: Array, sensitivity: Array, u: Array
     ) -> tuple[Output, Regressor]:
         """f and φ = df/dθ, total: through the internal states too."""
         y = jnp.concatenate([position[None], seen.rates])
 
         def shifted(shift: Theta) -> Output:
-            x = State(y, seen.z + seen.sensitivity @ shift)
+            x = State(y, z + sensitivity @ shift)
             return self.plant.derivative(t, x, u, self.theta + shift)
 
         return _value_and_jacobian(shifted, self.theta.shape[0], self.theta.dtype)
 
-    def _averaged(self, history: tuple, model: tuple) -> tuple[tuple, tuple]:
-        """The observer's own moving average, on model and regressors; and what the next needs."""
+    def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
+        """The observer's own moving average, on model and regressors."""
         weights = _kernel_weights(self.observer, len(self.plant.outputs))
-        f, phi = (jnp.concatenate(both) for both in zip(history, model, strict=True))
-        size, last = len(model[0]), len(weights) - 1
-        lagged = [(w, slice(last - i, last - i + size)) for i, w in enumerate(weights)]
-        averages = (
-            sum(w * f[part] for w, part in lagged),
-            sum(w[:, None] * phi[part] for w, part in lagged),
-        )
-        return averages, (f[size:], phi[size:])
+        f = sum(w * one[0] for w, one in zip(weights, history, strict=True))
+        phi = sum(w[:, None] * one[1] for w, one in zip(weights, history, strict=True))
+        return f, phi  # type: ignore[return-value]
 
     def _add(
         self,
         carry: _Carry,
-        along: Float[Array, "block ny columns"],
-        sliding: Float[Array, "block ny"],
-        score: Float[Array, "block ny"],
-        weight_in_block: Float[Array, " block"],
-        block_end: Bool[Array, " block"],
-    ) -> tuple[Sums, Float[Array, " np"], Array | None]:
-        injection, observed, weight, phi = *jnp.moveaxis(along[..., :3], -1, 0), along[..., 3:]
-        old, scores, meat = carry.sums, carry.scores, carry.sums.meat
-        weighted = score[..., None] * phi
+        output: Float[Array, "ny columns"],
+        seen: Observation,
+        score: Output,
+        block_weight: Scalar,
+        block_end: Array,
+    ) -> tuple[Sums, Array, Any]:
+        injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
         explained = phi @ self.increment
+        old = carry.sums
+        weighted = score[:, None] * phi
+        block, meat = carry.block, old.meat
         if self.store != "nothing":
-            rest = weight_in_block[:, None] * self.weights * (injection - explained)
-            blocks, scores = _block_sums(
-                scores, jnp.einsum("kj,kja->ka", rest, weighted), block_end
-            )
-            meat = meat + blocks.T @ blocks
+            block = block + block_weight * (self.weights * (injection - explained)) @ weighted
+            meat = meat + jnp.where(block_end, jnp.outer(block, block), 0.0)
+            block = jnp.where(block_end, 0.0, block)
         sums = Sums(
-            old.information + jnp.einsum("kja,kjb->jab", weighted, phi),
-            old.rhs + jnp.einsum("kja,kj->ja", weighted, injection),
-            old.square + jnp.sum(score * injection**2, axis=0),
-            old.observed_square + jnp.sum(score * observed**2, axis=0),
-            old.weight + jnp.sum(score * weight**2, axis=0),
-            old.count + jnp.sum(score, axis=0),
-            old.sliding + jnp.sum(score * sliding, axis=0),
+            old.information + weighted[:, :, None] * phi[:, None, :],
+            old.rhs + weighted * injection[:, None],
+            old.square + score * injection**2,
+            old.observed_square + score * observed**2,
+            old.weight + score * weight**2,
+            old.count + score,
+            old.sliding + score * seen.sliding,
             meat,
         )
-        if self.store == "nothing":
-            return sums, scores, None
-        shown = jnp.stack([injection, explained, weight], axis=-1)
-        if self.store == "regressors":
-            shown = jnp.concatenate([shown, phi], axis=-1)
-        return sums, scores, shown
-
-
-def _block_sums(
-    before: Float[Array, " np"], scores: Float[Array, "steps np"], end: Bool[Array, " steps"]
-) -> tuple[Float[Array, "steps np"], Float[Array, " np"]]:
-    """Sums of scores up to each end of a block (other rows zero), and what the last block has."""
-    total = before + jnp.cumsum(scores, axis=0)
-    ends = jax.lax.cummax(jnp.where(end, jnp.arange(len(end)), -1))
-    earlier = jnp.concatenate([-jnp.ones(1, ends.dtype), ends[:-1]])
-
-    def at(index: Array) -> Array:
-        return jnp.where(index[..., None] >= 0, total[index], 0.0)
-
-    return jnp.where(end[:, None], total - at(earlier), 0.0), total[-1] - at(ends[-1])
-
-
-def _in_blocks(steps: Steps) -> tuple:
-    """The rows of a record, `_BLOCK` steps together; what fills the last block does not count."""
-    count = steps.time.shape[0]
-    missing = -count % _BLOCK
-
-    def blocks(row: Array | np.ndarray, mode: str) -> Array:
-        wide = jnp.pad(row, [(0, missing)] + [(0, 0)] * (row.ndim - 1), mode=mode)
-        return wide.reshape(wide.shape[0] // _BLOCK, _BLOCK, *row.shape[1:])
-
-    signals, flags = _rows(steps)[:4], _rows(steps)[4:]
-    return (*(blocks(row, "edge") for row in signals), *(blocks(row, "constant") for row in flags))
+        shown = {
+            "nothing": None,
+            "signals": Trace(injection, explained, weight, None),
+            "regressors": Trace(injection, explained, weight, phi),
+        }[self.store]
+        return sums, block, shown
 
 
 def _rows(steps: Steps) -> tuple:
