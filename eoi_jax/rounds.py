@@ -11,8 +11,14 @@ from jaxtyping import Float
 from eoi_jax.augment import Placed, augmented, own_states, place
 from eoi_jax.candidates import Atom, atoms, candidates, seen_at
 from eoi_jax.data.record import Record
-from eoi_jax.effects import AsymmetricFriction, ConstantOffset, CoulombFriction
-from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.effects import (
+    AsymmetricFriction,
+    ConstantOffset,
+    CoulombFriction,
+    SinusoidalDisturbance,
+)
+from eoi_jax.effects.effect import AbstractEffect, AbstractTerm
+from eoi_jax.effects.products import ModulatedSinusoid, Product
 from eoi_jax.fit import Base, Fit, fitted, settled, system
 from eoi_jax.identify import Identification
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
@@ -26,6 +32,9 @@ _WIDER = 2.0
 _PEAKS = 6  # frequencies at which a sinusoid is tried
 # Correlation of a motion with itself that counts as the same; harmonics of it that are looked for.
 _IN_STEP, _HARMONICS = 0.95, 4
+# Share of what a set leaves, and of what the model lacks, from which on a product refutes it.
+_MOST, _NOTABLE = 0.5, 0.005
+_NEXT = 3  # extensions of a set that are looked at
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
@@ -60,6 +69,7 @@ class Round:
         self.held = [stretch(model, one, task.band) for one in task.held]
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
+        self._beside = np.inf  # least that a set with a product leaves
 
     @property
     def lacking(self) -> float:
@@ -168,9 +178,32 @@ class Round:
         for fit in self.sets:
             if not fit.atoms:
                 return fit
-            if fit.physical and self.found.material(fit) and self._better(fit):
+            worth = fit.physical and self.found.material(fit)
+            if worth and self._complete(fit) and self._better(fit):
                 return fit
         return self.found.fit([])
+
+    def _complete(self, fit: Fit) -> bool:
+        """Whether no term that the library lacks takes most of what a set and one more leave.
+
+        Regression specification error test: an answer that is right leaves nothing in products of
+        signals. A gain that varies with position or time is nearly an offset or a disturbance
+        where signals vary little about their mean; the rest gives it away.
+        """
+        power, found = self.base.signal_power, self.found
+        # What one more effect of the library takes is not held against the set.
+        left = min(power(one.residual) for one in [fit, *found.extended(fit)[:_NEXT]])
+        for one in fit.atoms:
+            j = 0 if one.placed.on_input or one.placed.on_state else one.placed.channel
+            for term, shape in _products(one):
+                more = self._make(Placed(term, j, ()), np.reshape(shape, (1, -1)))
+                # Also against what products left of a better set: its twin is no better.
+                rest = power(found.fit([*fit.atoms, *more]).residual)
+                self._beside = min(rest, self._beside)
+                if left - self._beside > max(_MOST * left, _NOTABLE * found.lacking):
+                    self.refused[one.placed] = "a product of signals takes most of the rest"
+                    return False
+        return True
 
     def _better(self, fit: Fit) -> bool:
         """Each effect must lower the held-out error beside the others."""
@@ -197,6 +230,15 @@ class Round:
         ]
         target, columns = system(base, made)
         return target - columns @ fit.theta
+
+
+def _products(one: Atom) -> list[tuple[AbstractTerm, tuple[float, ...]]]:
+    """What is held against an effect, with its shape parameters."""
+    pairs = (("u", "y"), ("u", "v"), ("y", "v"))
+    held: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
+    if isinstance(one.placed.effect, SinusoidalDisturbance):
+        held += [(ModulatedSinusoid(by), one.shape) for by in ("y", "v", "u")]
+    return held
 
 
 def in_step(stretches: Sequence[Stretch], omega: float) -> bool:

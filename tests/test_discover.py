@@ -31,6 +31,16 @@ def crossed(t, x, u, p):
     return spring(t, x, u, p) - p.hidden * rate * position**2
 
 
+def swaying(t, x, u, p):
+    """Outside the library: a stiffness that varies with time, about a point far from zero."""
+    return spring(t, x, u, p) + p.hidden * jnp.sin(5.0 * t) * (x.y[0] + 2.0)
+
+
+def position_gain(t, x, u, p):
+    """Outside the library: a drive that grows with the position, and rests on a bias."""
+    return spring(t, x, u, p) + p.hidden * (u[0] * x.y[0] + 6.0)
+
+
 def driven(t, x, u, p):
     rate = x.y[1]
     return spring(t, x, u, p) + p.hidden * rate * jnp.abs(rate)
@@ -178,6 +188,21 @@ def test_effect_outside_the_library_is_unexplained():
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
     assert answer.plant.names == MASS.names
+
+
+@pytest.mark.parametrize(
+    ("law", "nearly"), [(swaying, "sinusoidal_disturbance"), (position_gain, "constant_offset")]
+)
+def test_what_is_nearly_an_effect_is_not_given_its_name(law, nearly):
+    """The effect takes nearly all of the residual; a product of signals takes the rest."""
+    plant = eoi.Plant(law, {**TRUE, "hidden": 0.3}, **KNOWN, units=UNITS)
+    fit, held = (measured(plant, seed, 4000) for seed in (1, 2))
+    answer = eoi.discover(MASS, fit, held, [nearly])
+    evidence = answer.ranking[0]
+    assert evidence.explained > 0.9
+    assert evidence.remark == "a product of signals takes most of the rest"
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
 
 
 def test_unexplained_residual_comes_with_its_diagnosis(tmp_path):
