@@ -11,7 +11,6 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -33,10 +32,6 @@ from eoi_jax.prepare import check_records
 from eoi_jax.results import Status
 from eoi_jax.rounds import Round, Task, read_friction, values_of
 from eoi_jax.validate import Validation, validate
-
-# A model with what it has beside the declared one, and the rounds that led there.
-Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]
-FreeRuns = tuple[Validation, Validation | None]
 
 _AMBIGUOUS = 10.0  # twice the log-likelihood by which sets are told apart
 _BEYOND = 0.5  # of an effect: what another one that contains it would add to it
@@ -93,15 +88,11 @@ def discover(
     declared = identify(plant, several, lowpass=lowpass)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
-    task = Task(plant, several, held, tried, declared, alpha, most, window)
-    with ThreadPoolExecutor(1) as pool:  # the free runs before wait for nothing
-        before = pool.submit(_free_runs, task, declared.plant)
-        steps, rounds = _rounds(task)
-        return _answer(task, steps, rounds, before.result())
+    return _run(Task(plant, several, held, tried, declared, alpha, most, window))
 
 
-def _rounds(task: Task) -> tuple[list[Step], list[Round]]:
-    """Rounds of search: the models that they end with, and the rounds."""
+def _run(task: Task) -> Discovery:
+    """Rounds of search and refit, then the free runs."""
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for _ in range(_ROUNDS):
         one = Round(task, model, placed)
@@ -115,7 +106,7 @@ def _rounds(task: Task) -> tuple[list[Step], list[Round]]:
         steps.append((model, tuple(placed), tuple(rounds)))
         if one.exhausted:
             break
-    return steps, rounds
+    return _answer(task, steps, rounds)
 
 
 def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
@@ -148,7 +139,7 @@ def _window(task: Task, records: Sequence[Record]) -> float | None:
     return None if samples > shortest // 2 else samples * records[0].sample_period
 
 
-def _free_runs(task: Task, plant: Plant) -> FreeRuns:
+def _free_runs(task: Task, plant: Plant) -> tuple[Validation, Validation | None]:
     """On the held-out records, whole and in windows."""
     records = task.held or task.records
     window = _window(task, records)
@@ -203,9 +194,12 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 
 
 def _answer(
-    task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
+    task: Task,
+    steps: Sequence[tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]],
+    rounds: Sequence[Round],
 ) -> Discovery:
     """From the rounds of the search to what the user reads; a last step may be refused."""
+    before = _free_runs(task, task.declared.plant)
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
     share, left, quiet = _explained(rounds)

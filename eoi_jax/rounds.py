@@ -1,7 +1,6 @@
 """One round of discovery: the search from one model, and what the held-out records say of it."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -102,13 +101,10 @@ class Round:
         ]
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
-
-        def on_grid(one: Placed) -> list[Atom]:
+        grid = []
+        for one in self.candidates:
             seen = seen_at(model, one, self.stretches, cutoff, peaks)
-            return atoms(model, one, one.effect.grid(seen), self.stretches)
-
-        with ThreadPoolExecutor() as pool:  # each compiles and runs outside Python
-            grid = [atom for some in pool.map(on_grid, self.candidates) for atom in some]
+            grid += atoms(model, one, one.effect.grid(seen), self.stretches)
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
             self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
