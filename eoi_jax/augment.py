@@ -47,6 +47,11 @@ class Placed:
         """Whether it acts on an internal state."""
         return isinstance(self.effect, AbstractInternalEffect)
 
+    @property
+    def output(self) -> int:
+        """Index of the output that it shows in: of inputs and internal states the first one."""
+        return 0 if self.on_input or self.on_state else self.channel
+
 
 def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
     """An effect at a channel, with parameter names that are free in the plant.
@@ -155,8 +160,7 @@ class _Dynamics:
         for one, z in _own_states(self.placed, x.z[self.nz :]):
             if isinstance(one.effect, AbstractTerm | AbstractInternalEffect):
                 gain, shape = _parameters(one, p)
-                j = 0 if one.on_state else one.channel
-                f = f.at[j].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
+                f = f.at[one.output].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
         return f
 
 
@@ -233,7 +237,7 @@ def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
 
 
 def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
-    y = x.y[:, 0 if one.on_input or one.on_state else one.channel]
+    y = x.y[:, one.output]
     rate = y[1] if x.y.shape[0] > 1 else jnp.zeros_like(y[0])
     # A plant may have no input at all.
     own = u[one.channel if one.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])

@@ -77,7 +77,7 @@ def seen_at(
     peaks: Float[np.ndarray, " peaks"],
 ) -> Seen:
     """What the records show at the channel of an effect."""
-    y = 0 if placed.on_input or placed.on_state else placed.channel
+    y = placed.output
     u = placed.channel if placed.on_input else 0
     rate = min(1, plant.relative_degree - 1)
     levels = [one.y[:, 0, y] for one in stretches]

@@ -4,7 +4,8 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 2. Every effect of the library, at every point of its shape grid, becomes columns of a regression
    on the modes of y^(r) - f (`modes`, `candidates`).
 3. `search` finds the set of effects that the residual justifies, all declared parameters free.
-4. An effect that makes the held-out error worse is refused.
+4. An effect that makes the held-out error worse is refused, and a set that leaves a product of
+   signals behind: what is hidden is then no effect of the library (`rounds`).
 5. The set is added (`augment`), and everything is fitted again by the estimator; then the search
    starts once more from there, until nothing is justified.
 6. Free runs on records that the fit did not see, before and after.
@@ -96,7 +97,7 @@ def _run(task: Task) -> Discovery:
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for _ in range(_ROUNDS):
         one = Round(task, model, placed)
-        one.search(rounds[0].lacking if rounds else one.lacking)
+        one.search(rounds[0].found.lacking if rounds else one.lacking)
         rounds.append(one)
         if not one.chosen.atoms:
             break

@@ -186,23 +186,22 @@ class Round:
     def _complete(self, fit: Fit) -> bool:
         """Whether no term that the library lacks takes most of what a set and one more leave.
 
-        Regression specification error test: an answer that is right leaves nothing in products of
-        signals. A gain that varies with position or time is nearly an offset or a disturbance
-        where signals vary little about their mean; the rest gives it away.
+        Regression specification error test (Ramsey 1969): an answer that is right leaves nothing in
+        products of signals. A gain that varies with position or time is nearly an offset or a
+        disturbance where signals vary little about their mean; the rest gives it away.
         """
         power, found = self.base.signal_power, self.found
         # What one more effect of the library takes is not held against the set.
         left = min(power(one.residual) for one in [fit, *found.extended(fit)[:_NEXT]])
-        for one in fit.atoms:
-            j = 0 if one.placed.on_input or one.placed.on_state else one.placed.channel
-            for term, shape in _products(one):
-                more = self._make(Placed(term, j, ()), np.reshape(shape, (1, -1)))
-                # Also against what products left of a better set: its twin is no better.
-                rest = power(found.fit([*fit.atoms, *more]).residual)
-                self._beside = min(rest, self._beside)
-                if left - self._beside > max(_MOST * left, _NOTABLE * found.lacking):
-                    self.refused[one.placed] = "a product of signals takes most of the rest"
-                    return False
+        held = {product: one.placed for one in reversed(fit.atoms) for product in _products(one)}
+        for (product, shape), refused in held.items():
+            more = self._make(product, np.reshape(shape, (1, -1)))
+            # Also against what products left of a better set: its twin is no better.
+            rest = power(found.fit([*fit.atoms, *more]).residual)
+            self._beside = min(rest, self._beside)
+            if left - self._beside > max(_MOST * left, _NOTABLE * found.lacking):
+                self.refused[refused] = "a product of signals takes most of the rest"
+                return False
         return True
 
     def _better(self, fit: Fit) -> bool:
@@ -232,13 +231,13 @@ class Round:
         return target - columns @ fit.theta
 
 
-def _products(one: Atom) -> list[tuple[AbstractTerm, tuple[float, ...]]]:
+def _products(one: Atom) -> list[tuple[Placed, tuple[float, ...]]]:
     """What is held against an effect, with its shape parameters."""
     pairs = (("u", "y"), ("u", "v"), ("y", "v"))
     held: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
     if isinstance(one.placed.effect, SinusoidalDisturbance):
         held += [(ModulatedSinusoid(by), one.shape) for by in ("y", "v", "u")]
-    return held
+    return [(Placed(term, one.placed.output, ()), shape) for term, shape in held]
 
 
 def in_step(stretches: Sequence[Stretch], omega: float) -> bool:
