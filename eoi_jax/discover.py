@@ -26,10 +26,10 @@ from eoi_jax.discovery import Added, Discovery, Evidence
 from eoi_jax.effects import standard
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base
-from eoi_jax.identify import Identification, identify
+from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records
+from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
 from eoi_jax.rounds import Round, Task, read_friction, values_of
 from eoi_jax.validate import Validation, validate
@@ -86,10 +86,11 @@ def discover(
     tried = _effects([effects] if isinstance(effects, str) else effects)
     check(0.0 < alpha < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     check(isinstance(most, int) and most >= 1, "most", "must be an integer ≥ 1", most)
-    declared = identify(plant, several, lowpass=lowpass)
+    prepared = ready(plant, several, lowpass)
+    declared = estimate(plant, prepared)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
-    return _run(Task(plant, several, held, tried, declared, alpha, most, window))
+    return _run(Task(plant, prepared, several, held, tried, declared, alpha, most, window))
 
 
 def _run(task: Task) -> Discovery:
@@ -117,7 +118,7 @@ def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     with the outputs where noise asks for it, which an input effect does not commute with. So
     the better of both in short free runs on the records of the fit is kept.
     """
-    found = identify(model, task.records, lowpass=task.declared.lowpass)
+    found = estimate(model, task.prepared)
     window = _window(task, task.records)
     if window is None or np.any(model.theta < model.lower) or np.any(model.theta > model.upper):
         return found

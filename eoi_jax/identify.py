@@ -25,18 +25,11 @@ from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_observer, check_records, constant, prepare
+from eoi_jax.prepare import Ready, check_observer, check_records, constant, prepare, ready
 from eoi_jax.regression.index import index as index_of
 from eoi_jax.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.results import Status
-from eoi_jax.tuning import (
-    default_lowpass,
-    default_observer,
-    default_smoothing,
-    default_substeps,
-    default_transient,
-    rate_noise,
-)
+from eoi_jax.tuning import default_observer, default_transient
 
 # A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
 _PROGRESS = 1e-2
@@ -166,40 +159,53 @@ def identify(
     if observer is not None:
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
-    reasons: list[str] = []
-    if lowpass is None:
-        lowpass, reason = default_lowpass(plant, several)
-        reasons.append(reason)
-    if smoothing is None:
-        smoothing, reason = default_smoothing(plant, several, lowpass.cutoff)
-        reasons += reason
-    noise = [rate_noise(record, smoothing) for record in several]
-    if smoothing:
-        several = tuple(record.smooth(smoothing) for record in several)
-    if substeps is None:
-        substeps, reason = (1, []) if explicit else default_substeps(several, lowpass.cutoff)
-        reasons += reason
-    fine = tuple(record.resample(substeps) for record in several)
+    prepared = ready(plant, several, lowpass, smoothing, substeps, explicit)
+    return estimate(plant, prepared, observer, passes, transient, callback)
+
+
+def estimate(
+    plant: Plant,
+    prepared: Ready,
+    observer: AbstractObserver | None = None,
+    passes: int = 10,
+    transient: float | None = None,
+    callback: Callable[[int, int, np.ndarray], None] | None = None,
+) -> Identification:
+    """`identify` on records that are ready: several models of the same outputs may share them.
+
+    Args:
+        plant: the model with its nominal parameters.
+        prepared: the records.
+        observer: in the form that they were made ready for.
+        passes: how many at most.
+        transient: time at the start of each record that is not scored [s].
+        callback: called after each pass.
+    """
+    lowpass, fine, explicit = prepared.lowpass, prepared.fine, prepared.explicit
+    reasons = prepared.reasons
     if observer is None:
-        observer, reason = default_observer(plant, fine, lowpass.cutoff, substeps)
-        reasons += reason
+        observer, chosen = default_observer(
+            plant, fine, prepared.inputs, lowpass.cutoff, prepared.substeps
+        )
+        reasons += chosen
     if transient is None:
-        transient = default_transient(several, lowpass, explicit)
+        transient = default_transient(prepared.records, lowpass, explicit)
     steps = prepare(
         plant,
         fine,
+        prepared.inputs,
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient,
         lowpass.memory,
-        noise,
+        prepared.rate_noise,
         explicit,
         _TAPER / lowpass.cutoff,
     )
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
-    notes = [f"{record.name}: {note}" for record in several for note in record.notes]
+    notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
     notes += _precision_note()
-    driver = _Driver(plant, observer, filters, steps, substeps, passes, callback)
-    return driver.run(several, lowpass, tuple(reasons), tuple(notes))
+    driver = _Driver(plant, observer, filters, steps, prepared.substeps, passes, callback)
+    return driver.run(prepared.records, lowpass, reasons, tuple(notes))
 
 
 @dataclass

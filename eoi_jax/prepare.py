@@ -1,9 +1,11 @@
 """Records made ready for a pass: which steps count, where the observer starts anew.
 
-All on the host, once for an estimate; the kernel then reads one rectangular batch.
+All on the host; the kernel then reads one rectangular batch. What depends on the records alone is
+done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import jax
 import numpy as np
@@ -11,10 +13,12 @@ from jaxtyping import Bool, Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
+from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant
+from eoi_jax.tuning import default_lowpass, default_smoothing, default_substeps, rate_noise
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
@@ -92,9 +96,76 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
             )
 
 
+@dataclass(frozen=True)
+class Ready:
+    """Records made ready for passes of any model with the same outputs.
+
+    Attributes:
+        records: smoothed, where noise asks for it.
+        fine: the same with sub-steps.
+        inputs: during each step of `fine`, one array (S, nu) per record.
+        rate_noise: standard deviation of the measured increment over one sample / h, per record.
+        lowpass: F.
+        substeps: per sample.
+        explicit: whether for an observer in explicit form.
+        reasons: for what was chosen.
+    """
+
+    records: tuple[Record, ...]
+    fine: tuple[Record, ...]
+    inputs: tuple[Float[np.ndarray, "_ nu"], ...]
+    rate_noise: tuple[Float[np.ndarray, " ny"], ...]
+    lowpass: LowPass
+    substeps: int
+    explicit: bool
+    reasons: tuple[str, ...]
+
+
+def ready(
+    plant: Plant,
+    records: tuple[Record, ...],
+    lowpass: LowPass | None = None,
+    smoothing: float | bool | None = None,
+    substeps: int | None = None,
+    explicit: bool = False,
+) -> Ready:
+    """Choose filter, smoothing and sub-steps where they are left out, and apply them.
+
+    Args:
+        plant: whose relative degrees count.
+        records: checked against the plant.
+        lowpass: F.
+        smoothing: its cut-off [rad/s], False for none.
+        substeps: per sample.
+        explicit: whether for an observer in explicit form.
+    """
+    reasons: list[str] = []
+    if lowpass is None:
+        lowpass, reason = default_lowpass(plant, records)
+        reasons.append(reason)
+    if smoothing is None:
+        smoothing, reason = default_smoothing(plant, records, lowpass.cutoff)
+        reasons += reason
+    noise = tuple(rate_noise(record, smoothing) for record in records)
+    if smoothing:
+        records = tuple(record.smooth(smoothing) for record in records)
+    if substeps is None:
+        substeps, reason = (1, []) if explicit else default_substeps(records, lowpass.cutoff)
+        reasons += reason
+    fine = tuple(record.resample(substeps) for record in records)
+    inputs = tuple(step_inputs(record, explicit) for record in fine)
+    return Ready(records, fine, inputs, noise, lowpass, substeps, explicit, tuple(reasons))
+
+
+def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:
+    """The inputs as an observer reads them: at the start of each step, or in its middle."""
+    return record.inputs[:-1] if explicit else record.midpoint_inputs()
+
+
 def prepare(
     plant: Plant,
     records: Sequence[Record],
+    inputs: Sequence[Float[np.ndarray, "_ nu"]],
     taps: int,
     transient: float,
     memory: float,
@@ -107,6 +178,7 @@ def prepare(
     Args:
         plant: whose dry friction decides which steps count.
         records: uniformly sampled.
+        inputs: during each step, see `step_inputs`.
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
         memory: of the filter [s]; scores further apart are independent.
@@ -120,7 +192,7 @@ def prepare(
     total = sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
     rows = []
-    for record, noise in zip(records, rate_noise, strict=True):
+    for record, u, noise in zip(records, inputs, rate_noise, strict=True):
         h = record.sample_period
         use, restart = _usable(record, taps, friction, noise * h)
         score = (use > 0).astype(float)
@@ -133,7 +205,7 @@ def prepare(
                 record.time[:-1] + (0.0 if explicit else 0.5 * h),
                 record.outputs[:-1],
                 record.outputs[1:],
-                _inputs(record, explicit),
+                u,
                 use,
                 score,
                 restart,
@@ -229,10 +301,6 @@ def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray
     for start in np.flatnonzero(restart):
         settled[start : start + count] = False
     return settled
-
-
-def _inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:
-    return record.inputs[:-1] if explicit else record.midpoint_inputs()
 
 
 def _pad(array: np.ndarray, length: int, hold: bool) -> np.ndarray:

@@ -24,7 +24,7 @@ from eoi_jax.identify import Identification
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import run_pass
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import prepare
+from eoi_jax.prepare import prepare, step_inputs
 from eoi_jax.regression.coloured import ORDER
 from eoi_jax.tuning import default_substeps, rate_noise
 
@@ -123,6 +123,7 @@ def _regressors(
     steps = prepare(
         plant,
         fine,
+        [step_inputs(record, explicit) for record in fine],
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         0.0,
         lowpass.memory,

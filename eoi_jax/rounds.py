@@ -24,6 +24,7 @@ from eoi_jax.identify import Identification
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
 from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
+from eoi_jax.prepare import Ready
 from eoi_jax.search import Search
 
 _BAND = 2.0  # of the modes over the cut-off of F
@@ -44,6 +45,7 @@ class Task:
     """One discovery: what is fixed during it."""
 
     plant: Plant
+    prepared: Ready  # for the estimator
     records: tuple[Record, ...]
     held: tuple[Record, ...]
     effects: tuple[AbstractEffect, ...]

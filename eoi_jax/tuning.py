@@ -66,10 +66,22 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
 
 
 def default_observer(
-    plant: Plant, records: Sequence[Record], cutoff: float, substeps: int = 1
+    plant: Plant,
+    records: Sequence[Record],
+    inputs: Sequence[Float[np.ndarray, "_ nu"]],
+    cutoff: float,
+    substeps: int = 1,
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
-    """An implicit observer for each relative degree of the plant, and the reasons for its gains."""
-    needed = _largest_injection(plant, records)
+    """An implicit observer for each relative degree of the plant, and the reasons for its gains.
+
+    Args:
+        plant: at its nominal parameters.
+        records: with sub-steps.
+        inputs: in the middle of each of their steps.
+        cutoff: of F [rad/s].
+        substeps: per sample.
+    """
+    needed = _largest_injection(plant, records, inputs)
     chosen, reasons = [], []
     for j, degree in enumerate(plant.degrees):
         relay = _RELAY * float(needed[j])
@@ -197,7 +209,9 @@ class Spectrum:
     def quiet_cutoff(self, share: float, order: int) -> float:
         """Highest cut-off [rad/s] whose filter passes noise below `share` of the signal (rms)."""
         cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
-        gain = 1.0 / (1.0 + (self.omega / cutoffs[:, None]) ** (2 * order))
+        # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
+        top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (self.omega, cutoffs))
+        gain = bottom[:, None] / (bottom[:, None] + top)
         good = gain @ self.noise <= share**2 * (gain @ self.signal)
         return float(cutoffs[np.flatnonzero(good)[-1]]) if np.any(good) else 0.0
 
@@ -231,12 +245,14 @@ def _above(power: Float[np.ndarray, " frequency"], floor: float) -> Bool[np.ndar
     return (total[last] - total[first]) / count > (1.0 + _CHANCE / np.sqrt(count)) * floor
 
 
-def _largest_injection(plant: Plant, records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
+def _largest_injection(
+    plant: Plant, records: Sequence[Record], inputs: Sequence[Float[np.ndarray, "_ nu"]]
+) -> Float[np.ndarray, " ny"]:
     """Bound on |y^(r) - f| at the nominal parameters: what differences show plus what f says."""
     bounds = []
-    for record in records:
+    for record, u in zip(records, inputs, strict=True):
         h, valid = record.sample_period, record.valid
-        model = np.abs(_model_along(plant, record))[valid[:-1] & valid[1:]]
+        model = np.abs(_model_along(plant, record, u))[valid[:-1] & valid[1:]]
         bound = np.max(np.where(np.isfinite(model), model, 0.0), axis=0, initial=0.0)
         for j, degree in enumerate(plant.degrees):
             good = np.convolve(valid, np.ones(degree + 1), "valid") > degree
@@ -246,7 +262,9 @@ def _largest_injection(plant: Plant, records: Sequence[Record]) -> Float[np.ndar
     return np.maximum(np.max(bounds, axis=0), 1e-12)
 
 
-def _model_along(plant: Plant, record: Record) -> Float[np.ndarray, "steps ny"]:
+def _model_along(
+    plant: Plant, record: Record, inputs: Float[np.ndarray, "steps nu"]
+) -> Float[np.ndarray, "steps ny"]:
     """f at the nominal parameters along the measured outputs and their differences."""
     h, r = record.sample_period, plant.relative_degree
     rows = [0.5 * (record.outputs[1:] + record.outputs[:-1])]
@@ -254,7 +272,7 @@ def _model_along(plant: Plant, record: Record) -> Float[np.ndarray, "steps ny"]:
         rate = np.diff(record.outputs, degree, axis=0) / h**degree
         rows.append(np.pad(rate, ((0, len(rows[0]) - len(rate)), (0, 0)), mode="edge"))
     states = np.stack(rows, axis=1)
-    return np.asarray(_evaluate(plant, record.time[:-1], states, record.midpoint_inputs()))
+    return np.asarray(_evaluate(plant, record.time[:-1], states, inputs))
 
 
 @eqx.filter_jit

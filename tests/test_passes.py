@@ -23,7 +23,7 @@ from eoi_jax.lowpass import LowPass
 from eoi_jax.observers import FirstOrder, SecondOrder
 from eoi_jax.passes import run_pass
 from eoi_jax.plants import Plant, level_tank, mass_spring_damper
-from eoi_jax.prepare import prepare
+from eoi_jax.prepare import prepare, step_inputs
 from eoi_jax.regression import least_squares, recursive_least_squares
 
 TRUE = mass_spring_damper(true=True).parameters
@@ -41,7 +41,8 @@ def steps_of(plant, records, observer, transient=0.2, memory=0.1, taper=0.02) ->
     noise = [np.zeros(len(plant.outputs))] * len(records)
     explicit = observer.scheme == "explicit"
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
-    return prepare(plant, records, taps, transient, memory, noise, explicit, taper)
+    inputs = [step_inputs(record, explicit) for record in records]
+    return prepare(plant, records, inputs, taps, transient, memory, noise, explicit, taper)
 
 
 def filters_of(records, lowpass=LOWPASS):

@@ -6,7 +6,7 @@ from problems import SWAY, grid
 
 from eoi_jax.data.record import Record
 from eoi_jax.plants import Plant, mass_spring_damper, pendulum
-from eoi_jax.prepare import check_records, moving, prepare
+from eoi_jax.prepare import check_records, moving, prepare, step_inputs
 
 H = 0.01
 ROUGH, SMOOTH = pendulum(), mass_spring_damper()
@@ -14,7 +14,8 @@ ROUGH, SMOOTH = pendulum(), mass_spring_damper()
 
 def made(plant, records, taps=2, transient=0.0, memory=1.0, noise=0.0, explicit=False, taper=0.0):
     rate_noise = [np.full(len(plant.outputs), noise)] * len(records)
-    return prepare(plant, records, taps, transient, memory, rate_noise, explicit, taper)
+    inputs = [step_inputs(record, explicit) for record in records]
+    return prepare(plant, records, inputs, taps, transient, memory, rate_noise, explicit, taper)
 
 
 def record_of(y, hold="linear", u=None, **kwargs):

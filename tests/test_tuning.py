@@ -77,9 +77,13 @@ def test_an_output_that_stands_still_still_gets_a_filter():
     assert 0.0 < cutoff_of(record) < np.inf
 
 
+def observer_for(plant, record):
+    return default_observer(plant, [record], [record.midpoint_inputs()], 30.0)
+
+
 def test_relay_is_twice_what_it_may_have_to_inject():
     record = made()
-    observer, (reason,) = default_observer(PLANT, [record], 30.0)
+    observer, (reason,) = observer_for(PLANT, record)
     assert isinstance(observer, SecondOrder)
     t = grid(8001, H)
     alpha, beta, rho = PLANT.theta
@@ -101,13 +105,13 @@ def test_relay_is_twice_what_it_may_have_to_inject():
 def test_relay_reaches_beyond_the_noise(noise):
     """In sliding while h² c3 is ten times the noise: differences of the noise are in the bound."""
     record = made(noise=noise)
-    observer, _ = default_observer(PLANT, [record], 30.0)
+    observer, _ = observer_for(PLANT, record)
     assert isinstance(observer, SecondOrder)
     assert H**2 * float(observer.c3[0]) > 8.0 * noise
 
 
 def test_linear_gains_follow_the_cutoff():
-    observer, _ = default_observer(PLANT, [made()], 30.0)
+    observer, _ = observer_for(PLANT, made())
     assert isinstance(observer, SecondOrder)
     assert float(observer.c1) == pytest.approx(1.4 * 30.0)
     assert float(observer.c2) == pytest.approx(30.0**2)
@@ -117,7 +121,7 @@ def test_linear_gains_follow_the_cutoff():
 def test_degree_one_gets_the_first_order_observer():
     t = grid(2001, H)
     record = Record.from_period(H, np.sin(t), 0.5 + 0.1 * np.sin(3.0 * t), hold="smooth")
-    observer, (reason,) = default_observer(level_tank(), [record], 30.0)
+    observer, (reason,) = observer_for(level_tank(), record)
     assert isinstance(observer, FirstOrder)
     assert reason.startswith("level: delta ")
 
@@ -127,12 +131,12 @@ def test_higher_and_mixed_degrees_get_their_own_observers():
     y = np.stack([SWAY(t), SWAY(t + 1.0), SWAY(t + 2.0)], axis=1)
     record = Record.from_period(H, np.sin(t), y, hold="smooth")
     mixed = Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, (1, 2, 3), outputs=("a", "b", "c"))
-    observer, reasons = default_observer(mixed, [record], 30.0)
+    observer, reasons = observer_for(mixed, record)
     assert isinstance(observer, PerOutput)
     assert [type(one) for one in observer.observers] == [FirstOrder, SecondOrder, HighOrder]
     assert [reason[:3] for reason in reasons] == ["a: ", "b: ", "c: "]
     same = Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, 3, outputs=("a", "b", "c"))
-    observer, _ = default_observer(same, [record], 30.0)
+    observer, _ = observer_for(same, record)
     assert isinstance(observer, HighOrder)
     assert np.shape(observer.bound) == (3,)
 
@@ -140,24 +144,24 @@ def test_higher_and_mixed_degrees_get_their_own_observers():
 def test_masked_samples_do_not_enter_the_bound():
     t = grid(2001, H)
     u, y = moved_mass_spring(t, TRUE)
-    clean, _ = default_observer(PLANT, [Record.from_period(H, u, y, hold="smooth")], 30.0)
+    clean, _ = observer_for(PLANT, Record.from_period(H, u, y, hold="smooth"))
     spoilt, hole = np.array(y), np.array(y)
     hole[900:1000] = np.nan
     with pytest.warns(UserWarning, match="not finite"):
         record = Record.from_period(H, u, hole, hold="smooth")
-    masked, _ = default_observer(PLANT, [record], 30.0)
+    masked, _ = observer_for(PLANT, record)
     assert isinstance(clean, SecondOrder)
     assert isinstance(masked, SecondOrder)
     assert float(masked.c3[0]) <= 1.01 * float(clean.c3[0])
     spoilt[950] += 1.0  # an outlier that is not masked does
-    outlier, _ = default_observer(PLANT, [Record.from_period(H, u, spoilt, hold="smooth")], 30.0)
+    outlier, _ = observer_for(PLANT, Record.from_period(H, u, spoilt, hold="smooth"))
     assert isinstance(outlier, SecondOrder)
     assert float(outlier.c3[0]) > 1e3 * float(clean.c3[0])
 
 
 def test_a_model_that_is_not_finite_somewhere_still_gets_a_finite_relay():
     plant = Plant(lambda t, x, u, p: -p.a * jnp.log(x.y[0]) + u, {"a": 1.0}, 2)
-    observer, _ = default_observer(plant, [made()], 30.0)
+    observer, _ = observer_for(plant, made())
     assert isinstance(observer, SecondOrder)
     assert np.all(np.isfinite(observer.c3))
 
