@@ -56,9 +56,9 @@ class Drive(eqx.Module):
     Several runs of one length stand side by side on leading axes.
     """
 
-    time: Float[Array, "*runs steps"]
-    step: Float[Array, "*runs"]
-    inputs: Float[Array, "*runs steps 3 nu"]
+    time: Float[Array | np.ndarray, "*runs steps"]
+    step: Float[Array | np.ndarray, "*runs"]
+    inputs: Float[Array | np.ndarray, "*runs steps 3 nu"]
     substeps: int = eqx.field(static=True)
 
 
@@ -162,9 +162,9 @@ def drive(
     period = (time[-1] - time[0]) / (len(time) - 1)
     steps = (len(time) - 1) * substeps
     return Drive(
-        jnp.asarray(time[0] + period / substeps * np.arange(steps)),
-        jnp.asarray(period / substeps),
-        jnp.asarray(stages.reshape(steps, 3, inputs.shape[1])),
+        time[0] + period / substeps * np.arange(steps),
+        np.asarray(period / substeps),
+        stages.reshape(steps, 3, inputs.shape[1]),
         substeps,
     )
 
@@ -209,14 +209,15 @@ def trajectory(
         solution leaves the finite numbers, so do they.
     """
     one_step = _sticking_step if any(friction) else _smooth_step
-    h = driven_by.step
+    h = jnp.asarray(driven_by.step)
 
     def body(x: State, now: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
         t, u = now
         x = one_step(_Problem(plant, theta, t, h, u, friction), x)
         return x, x
 
-    _, x = lax.scan(body, start, (driven_by.time, driven_by.inputs))
+    steps = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
+    _, x = lax.scan(body, start, steps)
     every = slice(driven_by.substeps - 1, None, driven_by.substeps)
     y, z = x.y[every], x.z[every]
     return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])

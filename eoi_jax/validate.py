@@ -206,7 +206,7 @@ def _free_runs(
     seen = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(whole, starts, first - 1)
     values = _initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
-    y = _runs(run.plant, theta, _parts(whole, starts, count), jnp.asarray(values), run.friction)
+    y = _runs(run.plant, theta, _parts(whole, starts, count), values, run.friction)
     return np.asarray(y, dtype=np.float64)
 
 
@@ -214,9 +214,8 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
     """What drives each run, runs first."""
     n = whole.substeps
     steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
-    time, inputs = np.asarray(whole.time)[steps], np.asarray(whole.inputs)[steps]
-    period = jnp.full(len(starts), whole.step)
-    return Drive(jnp.asarray(time), period, jnp.asarray(inputs), n)
+    period = np.full(len(starts), whole.step)
+    return Drive(whole.time[steps], period, whole.inputs[steps], n)
 
 
 @eqx.filter_jit
@@ -224,15 +223,15 @@ def _runs(
     plant: Plant,
     theta: Theta,
     drives: Drive,
-    values: Float[Array, "runs unknowns"],
+    values: Float[Array | np.ndarray, "runs unknowns"],
     friction: tuple[bool, ...],
 ) -> Float[Array, "runs time ny"]:
     def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
         return trajectory(plant, theta, driven_by, _unpack(plant, values), friction)[0][:, 0, :]
 
     if len(values) == 1:  # not side by side: dry friction then looks for stops only where one is
-        return one(jax.tree.map(lambda leaf: leaf[0], drives), values[0])[None]
-    return jax.vmap(one)(drives, values)
+        return one(jax.tree.map(lambda leaf: leaf[0], drives), jnp.asarray(values)[0])[None]
+    return jax.vmap(one)(drives, jnp.asarray(values))
 
 
 # -- the initial state --------------------------------------------------------------------
@@ -339,20 +338,14 @@ class _Heads:
         run, heads = self.run, self.heads
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
-        time, step, inputs = (np.asarray(x) for x in (heads.time, heads.step, heads.inputs))
         parts = []
         # Always so many runs at once, whatever the number of windows: one kernel for each plant.
         for first in range(0, len(lanes), _LANES):
             index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
             of = owner[index]
-            drives = Drive(
-                jnp.asarray(time[of]),
-                jnp.asarray(step[of]),
-                jnp.asarray(inputs[of]),
-                heads.substeps,
-            )
-            starts = jnp.asarray(lanes[index])
-            parts.append(np.asarray(_runs(run.plant, self.theta, drives, starts, run.friction)))
+            drives = Drive(heads.time[of], heads.step[of], heads.inputs[of], heads.substeps)
+            out = _runs(run.plant, self.theta, drives, lanes[index], run.friction)
+            parts.append(np.asarray(out))
         out = np.concatenate(parts)[: len(lanes)]
         return out.reshape(*values.shape[:2], *out.shape[1:])
 
@@ -425,14 +418,4 @@ def _record(record: Record, prediction: Samples) -> Record:
     bound = 1e3 * reach
     shown = np.clip(np.where(np.isfinite(prediction), prediction, np.inf), middle - bound,
                     middle + bound)  # fmt: skip
-    return Record(
-        record.time,
-        record.inputs,
-        shown,
-        f"{record.name} (free run)",
-        input_names=record.input_names,
-        output_names=record.output_names,
-        units=record.units,
-        hold=record.hold,
-        burn_in=record.burn_in,
-    )
+    return record.with_outputs(shown, f"{record.name} (free run)")

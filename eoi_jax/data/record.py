@@ -242,6 +242,13 @@ class Record:
         cut = round(float(fraction) * len(self))
         return self[:cut], self[cut:]
 
+    def with_outputs(self, outputs: Outputs, name: str) -> "Record":
+        """The same instants and inputs with other outputs, all valid: those of a simulation."""
+        new = self._changed(None)
+        new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
+        new._assign({"name": name, "notes": (), "_noise": None, "_quantum": None})
+        return new
+
     def segments(self) -> list[tuple[int, int]]:
         """Runs (start, stop) of consecutive valid samples."""
         return runs(self.valid)
