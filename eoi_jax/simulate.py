@@ -300,15 +300,21 @@ def _smooth_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step(problem: _Problem, x: State) -> State:
     """A step, cut wherever an output comes to rest."""
-    done = jnp.zeros_like(problem.step)
-    for _ in range(sum(problem.friction)):
-        x, done = _until_stop(problem, x, done)
-    direction = _direction(problem, x, done)
-    x = _advance(problem, x, done, jnp.ones_like(done), direction)
-    return _at_rest(x, direction * x.y[1] < 0)
+    most = sum(problem.friction)
+
+    def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
+        return now[1] < 1.0
+
+    def piece(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
+        x, done, cuts = now
+        return *_until_stop(problem, x, done, cuts < most), cuts + 1.0
+
+    # A loop, although nearly every step is one piece: the equations are then compiled once.
+    start = jnp.zeros_like(problem.step)
+    return lax.while_loop(unfinished, piece, (x, start, start))[0]
 
 
-def _until_stop(problem: _Problem, x: State, done: Scalar) -> tuple[State, Scalar]:
+def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
     direction = _direction(problem, x, done)
     whole = _advance(problem, x, done, jnp.ones_like(done), direction)
@@ -322,7 +328,10 @@ def _until_stop(problem: _Problem, x: State, done: Scalar) -> tuple[State, Scala
         landed = _advance(problem, x, done, to, direction)
         return _land(problem, landed, to, direction, stops & (first == jnp.min(first)))
 
-    return lax.cond(jnp.any(stops), cut, lambda: (whole, jnp.ones_like(done)))
+    def end() -> tuple[State, Scalar]:
+        return _at_rest(whole, stops), jnp.ones_like(done)
+
+    return lax.cond(may_stop & jnp.any(stops), cut, end)
 
 
 def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
