@@ -26,7 +26,15 @@ from eoi_jax.effects.effect import (
     Grid,
     Seen,
 )
-from eoi_jax.modes import Stretch, averaged, integrated, internal_along, model_rows, thinned
+from eoi_jax.modes import (
+    Stretch,
+    Values,
+    averaged,
+    integrated,
+    internal_along,
+    model_rows,
+    thinned,
+)
 from eoi_jax.plants.plant import Plant
 
 _OVERFLOW = 1e100
@@ -142,11 +150,9 @@ def _term_rows(
     assert isinstance(effect, AbstractTerm)
     parts = []
     for one in stretches:
-        h = jnp.asarray(one.sample_period)
+        h = np.asarray(one.sample_period)
         thin = (one.weight[j], one.kernel)
-        along = _term_along(
-            effect, plant.degrees[j], *_signals(one, j, 0), jnp.asarray(shapes), thin, h
-        )
+        along = _term_along(effect, plant.degrees[j], *_signals(one, j, 0), shapes, thin, h)
         own = one.rows(np.asarray(along))
         for k in range(len(plant.outputs)):
             parts.append(own if k == j else np.zeros_like(own))
@@ -159,8 +165,8 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
     changed = _input_along(
         placed.effect,
         *_signals(one, 0, placed.channel),
-        jnp.asarray(shapes),
-        jnp.asarray(one.sample_period),
+        shapes,
+        np.asarray(one.sample_period),
     )
     inputs = np.repeat(one.u[None], len(shapes), axis=0)
     inputs[:, :, placed.channel] = changed
@@ -169,7 +175,7 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
 
 @eqx.filter_jit
 def _input_along(
-    effect: AbstractInputEffect, signals: tuple, bend: tuple, shapes: Array, h: Array
+    effect: AbstractInputEffect, signals: tuple, bend: tuple, shapes: Values, h: Values
 ) -> Float[Array, "grid S"]:
     def one(shape: Array) -> Array:
         exact = effect.along(signals[0], signals[3], shape)
@@ -183,7 +189,7 @@ def _input_along(
         time, y, v, u = signals
         return jax.vmap(instant)(time, y, v, u, z)
 
-    return jax.vmap(one)(shapes)
+    return jax.vmap(one)(jnp.asarray(shapes))
 
 
 @eqx.filter_jit
@@ -192,9 +198,9 @@ def _term_along(
     degree: int,
     signals: tuple,
     bend: tuple,
-    shapes: Array,
+    shapes: Values,
     thin: tuple,
-    h: Array,
+    h: Values,
 ) -> Float[Array, "grid gains nodes"]:
     """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is."""
     time, y, v, u = signals
@@ -209,7 +215,7 @@ def _term_along(
 
         return thinned(averaged(degree, jax.vmap(instant)(time, y, v, u, z).T), *thin)
 
-    return jax.vmap(one)(shapes)
+    return jax.vmap(one)(jnp.asarray(shapes))
 
 
 def _signals(one: Stretch, output: int, channel: int) -> tuple[tuple, tuple]:
@@ -226,7 +232,7 @@ def _signals(one: Stretch, output: int, channel: int) -> tuple[tuple, tuple]:
 
 
 def _states_along(
-    effect: AbstractEffect, shape: Array, signals: tuple, bend: tuple, h: Array
+    effect: AbstractEffect, shape: Array, signals: tuple, bend: tuple, h: Values
 ) -> Array:
     """Own states in the middle of each step, from zero."""
     if not effect.states:

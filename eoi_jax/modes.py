@@ -51,6 +51,8 @@ _MOST_LOST = 0.5  # of the weight of all samples, to moments of rest
 _MOST_POWER = 0.99  # of y^(r), below the frequency half of the band
 
 Rows = Float[np.ndarray, "*batch modes"]
+# Arrays of the host go into kernels as they are: to hand each over first takes a kernel of its own.
+Values = Array | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     raw, smooth = record.resample(substeps), calm.resample(substeps)
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
-    slopes = _slopes(plant, jnp.asarray(plant.theta), (time, y, u))
+    slopes = _slopes(plant, plant.theta, (time, y, u))
     good = _usable(plant, raw, smooth, rate_noise(record, cutoff or False) * h, band)
     weight = _weights(plant, record, smooth, good, h, band)
     kernel = _thinning(band * h)
@@ -315,8 +317,9 @@ def _noise(
 
 
 @eqx.filter_jit
-def _slopes(plant: Plant, theta: Array, rows: tuple) -> Float[Array, "S ny r ny"]:
+def _slopes(plant: Plant, theta: Values, rows: tuple) -> Float[Array, "S ny r ny"]:
     """∂f/∂(y, ẏ, …) along a stretch."""
+    theta = jnp.asarray(theta)
     z = plant.internal_start(theta)
 
     def one(t: Array, y: Array, u: Array) -> Array:
@@ -381,12 +384,12 @@ def averaged(degree: int, values: Array) -> Array:
 @eqx.filter_jit
 def model_along(
     plant: Plant,
-    theta: Float[Array, " np"],
+    theta: Float[Values, " np"],
     one: tuple,
-    inputs: Array | np.ndarray,
+    inputs: Values,
     bend: tuple,
     thin: tuple,
-    h: Float[Array, ""],
+    h: Float[Values, ""],
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """f and ∂f/∂θ along a stretch (`time`, `y`), thinned, for several inputs (grid, S, nu).
 
@@ -478,12 +481,11 @@ def model_rows(
         inputs: for each stretch several inputs, shape (grid, S, nu), instead of the recorded one.
     """
     errors, slopes = [], []
-    theta = jnp.asarray(plant.theta)
     for i, one in enumerate(stretches):
         u = one.u[None] if inputs is None else inputs[i]
         u = _as_averaged(u, max(plant.degrees)) if one.held else u
-        h, thin = jnp.asarray(one.sample_period), (one.weight, one.kernel)
-        f, phi = model_along(plant, theta, (one.time, one.y), u, one.bend, thin, h)
+        h, thin = np.asarray(one.sample_period), (one.weight, one.kernel)
+        f, phi = model_along(plant, plant.theta, (one.time, one.y), u, one.bend, thin, h)
         for j in range(len(plant.outputs)):
             errors.append(one.rows(one.highest[j] - np.asarray(f[j])))
             slopes.append(one.rows(np.asarray(phi[j])))
