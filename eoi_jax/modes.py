@@ -113,8 +113,9 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     substeps = int(np.ceil(band * record.sample_period / _FINE))
     substeps = max(1, min(substeps, _MOST_SUBSTEPS))
     cutoff = quiet_band(plant, record)
-    calm = record if cutoff is None else record.smooth(cutoff)
-    raw, smooth = record.resample(substeps), calm.resample(substeps)
+    raw = record.resample(substeps)
+    calm = record if cutoff is None else record.without_inputs().smooth(cutoff)
+    smooth = raw if cutoff is None else calm.resample(substeps)
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
     slopes = _slopes(plant, plant.theta, (time, y, u))

@@ -211,9 +211,11 @@ class Spectrum:
         cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
         top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (self.omega, cutoffs))
-        gain = bottom[:, None] / (bottom[:, None] + top)
-        good = gain @ self.noise <= share**2 * (gain @ self.signal)
-        return float(cutoffs[np.flatnonzero(good)[-1]]) if np.any(good) else 0.0
+        for cutoff, power in zip(cutoffs[::-1], bottom[::-1], strict=True):
+            gain = power / (power + top)
+            if gain @ self.noise <= share**2 * (gain @ self.signal):
+                return float(cutoff)
+        return 0.0
 
 
 def spectrum(record: Record, output: int, degree: int) -> Spectrum:

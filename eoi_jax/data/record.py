@@ -249,6 +249,14 @@ class Record:
         new._assign({"name": name, "notes": (), "_noise": None, "_quantum": None})
         return new
 
+    def without_inputs(self) -> "Record":
+        """The outputs alone."""
+        new = self._changed(None)
+        none = np.zeros((len(self), 0))
+        new._set(none, self.outputs, self.valid, self.time, self.sample_period)
+        new._assign({"input_names": ()})
+        return new
+
     def segments(self) -> list[tuple[int, int]]:
         """Runs (start, stop) of consecutive valid samples."""
         return runs(self.valid)
