@@ -353,6 +353,25 @@ def held_oscillator(h: float, count: int) -> tuple[Record, float, float]:
     return Record.from_period(h, u, y), d, k
 
 
+def test_other_outputs_keep_instants_and_inputs_and_forget_noise_and_notes():
+    record = sine_record(name="run", burn_in=0.1).smooth(20.0)
+    new = record.with_outputs(np.zeros((N, 1)), "prediction")
+    assert (new.name, new.notes, new.burn_in, new.hold) == ("prediction", (), 0.1, "smooth")
+    np.testing.assert_array_equal(new.inputs, record.inputs)
+    np.testing.assert_array_equal(new.time, record.time)
+    assert new.valid.all()
+    assert new.noise == 0.0
+    assert np.all(record.noise > 0.0)
+
+
+def test_smoothing_the_outputs_alone_gives_the_same_outputs_and_noise():
+    record = sine_record()
+    alone, both = record.without_inputs().smooth(20.0), record.smooth(20.0)
+    assert alone.inputs.shape == (N, 0)
+    np.testing.assert_array_equal(alone.resample(3).outputs, both.resample(3).outputs)
+    np.testing.assert_array_equal(alone.noise, both.noise)
+
+
 def test_smoothing_leaves_the_plant_between_input_and_output_unchanged():
     record, d, k = held_oscillator(0.01, 3000)
     assert record.hold == "zero"
