@@ -3,11 +3,12 @@ r"""Which effects does the residual justify: a search over sets of atoms.
 A set is fitted with all declared parameters free, by weighted least squares over the modes, and
 scored by twice the log-likelihood gained less a penalty,
 
-    score = Σ (|R_0|² - |R|²)/S - (p - m) log n - 2 m log(M/α) - Σ rarity ,
+    score = Σ (|R_0|² - |R|²)/S - (p - m) log n - m q - Σ rarity ,
 
-p parameters added (shapes count), n modes, m effects, M candidates, α the level of false alarms:
-one parameter must pass a test at a level that knows how many names were tried, each further one
-costs what BIC asks for; `rarity` settles ties between twins. S(ω) is the power of what the best set
+p parameters added (shapes count), n modes, m effects, q the value that χ² with one degree of
+freedom exceeds with probability α/M, M candidates, α the level of false alarms: one parameter must
+pass a test at a level that knows how many names were tried (Bonferroni), each further one costs
+what BIC asks for; `rarity` settles ties between twins. S(ω) is the power of what the best set
 leaves (`noise_model`), so the search is repeated until S and the set agree.
 
 Three things keep it honest: sets of two are searched exhaustively on the grid (an effect may gain
@@ -90,8 +91,10 @@ class Search:
 
     def penalty(self, atoms: Sequence[Atom]) -> float:
         """What the parameters and the choice of a set cost."""
+        from scipy.special import chdtri  # only discovery needs it
+
         size = sum(len(one.placed.effect.parameters) for one in atoms)
-        tried = 2.0 * np.log(self.names / self.alpha)
+        tried = chdtri(1.0, self.alpha / self.names)
         prior = sum(one.placed.effect.rarity for one in atoms)
         extra = (size - len(atoms)) * np.log(len(self.base.target))
         return float(extra + len(atoms) * tried + prior)

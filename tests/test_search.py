@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -172,8 +173,8 @@ def test_pair_of_which_neither_gains_alone_is_found():
     parts = columns(2, 8)
     signal, common = parts[:, 2], parts[:, 3]
     pair = (
-        atom(effects.CubicStiffness(), 0.5 * signal + 20.0 * common),
-        atom(effects.QuadraticStiffness(), -0.5 * signal + 20.0 * common),
+        atom(effects.CubicStiffness(), 0.5 * signal + 40.0 * common),
+        atom(effects.QuadraticStiffness(), -0.5 * signal + 40.0 * common),
     )
     grid = [atom(one, parts[:, 4 + i]) for i, one in enumerate(OTHERS)] + list(pair)
     found, best = search(base(0.3 * signal, parts[:, :2]), grid)
@@ -274,12 +275,13 @@ def test_common_twin_is_preferred():
     assert names(best) == {"linear_stiffness"}
 
 
-def test_stricter_level_costs_more():
+def test_one_gain_costs_what_a_test_at_that_level_asks_for():
     parts = columns(11, 3)
     grid = [atom(effects.Drift(), parts[:, 2])]
     known = base(0.5 * parts[:, 2], parts[:, :2])
     costs = [search(known, grid, alpha=alpha)[0].penalty(grid) for alpha in (0.1, 0.001)]
-    assert costs[1] - costs[0] == pytest.approx(2.0 * np.log(100.0))
+    asked = [float(chi2.isf(alpha / 1, 1)) for alpha in (0.1, 0.001)]
+    assert costs[1] - costs[0] == pytest.approx(asked[1] - asked[0])
 
 
 # -- the noise model ------------------------------------------------------------------------------
