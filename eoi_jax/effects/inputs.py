@@ -9,6 +9,8 @@ import numpy as np
 
 from eoi_jax.effects.effect import AbstractInputEffect, At, Grid, Parameter, Seen, quantiles
 
+_ENTERED = 0.02  # share of the samples that must lie in a dead zone
+
 
 class InputDeadZone(AbstractInputEffect):
     """sign(u) max(|u| - g, 0)."""
@@ -23,7 +25,10 @@ class InputDeadZone(AbstractInputEffect):
     )
 
     def grid(self, seen: Seen) -> Grid:
-        return np.geomspace(0.005, 0.8, 12)[:, None] * np.max(np.abs(seen.u))
+        # Where the input never enters the zone, it is an offset.
+        size = np.abs(seen.u)
+        low, high = max(0.005 * np.max(size), np.quantile(size, _ENTERED)), 0.8 * np.max(size)
+        return np.geomspace(low, high, 12)[:, None] if 0 < low < high else np.zeros((0, 1))
 
     def changed(self, at: At, shape: Any) -> Any:
         return at.u - jnp.clip(at.u, -shape[0], shape[0])
