@@ -16,6 +16,7 @@ _STEP = 1e-3  # of the numerical derivative, in units of the distance on the gri
 _ENOUGH = 1e-3  # relative fall of the cost below which they end
 _SETTLING = 40  # evaluations of a model whose parameters are fitted once more
 _FAR = 1e6  # weighted error of a model that is not finite
+_TRACE = 1e-12  # of the largest eigenvalue: directions below it leave no trace
 _POINTS = 3  # on each side, when neighbours on the grid are far apart
 
 Theta = Float[np.ndarray, " np"]
@@ -285,10 +286,25 @@ def _physical(atoms: Sequence[Atom], theta: np.ndarray) -> bool:
 
 def solve(matrix: Float[np.ndarray, "rows columns"], target: Rows) -> Float[np.ndarray, " columns"]:
     """Least squares by normal equations of scaled columns; a direction without trace is left."""
-    gram, right = matrix.T @ matrix, matrix.T @ target
-    square = np.diagonal(gram)
+    return solve_normal(matrix.T @ matrix, matrix.T @ target)
+
+
+def solve_normal(
+    gram: Float[np.ndarray, "*batch columns columns"], right: Float[np.ndarray, "*batch columns"]
+) -> Float[np.ndarray, "*batch columns"]:
+    """Several normal equations, each solved in the directions that leave a trace."""
+    basis = eigenbasis(gram)
+    seen = np.swapaxes(basis, -1, -2) @ right[..., None]
+    return (basis @ seen)[..., 0]
+
+
+def eigenbasis(
+    gram: Float[np.ndarray, "*batch columns columns"],
+) -> Float[np.ndarray, "*batch columns columns"]:
+    """B with BᵀGB = 1 in the directions that leave a trace, and columns of zeros for the others."""
+    square = np.diagonal(gram, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(square > 0, square, 1.0))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    good = values > 1e-12 * values[-1]
-    inverse = np.where(good, 1.0 / np.where(good, values, 1.0), 0.0)
-    return vectors @ (inverse * (vectors.T @ (right / scale))) / scale
+    values, vectors = np.linalg.eigh(gram / (scale[..., :, None] * scale[..., None, :]))
+    good = values > _TRACE * values[..., -1:]
+    inverse = np.where(good, 1.0 / np.sqrt(np.where(good, values, 1.0)), 0.0)
+    return vectors * inverse[..., None, :] / scale[..., :, None]

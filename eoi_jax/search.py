@@ -28,9 +28,10 @@ from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom
 from eoi_jax.fit import Base, Fit, Make, Span, Spans, fitted, refined, system
 from eoi_jax.noise_model import fitted_power
+from eoi_jax.projections import Terms, changes
 
-_RANK = 1e-7  # a column that keeps less of its power beside the declared ones is one of them
 _BEAM = 5  # sets of one size that are refined
+_PAIRS = 400  # pairs of columns that are looked at
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
 _NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
@@ -61,7 +62,7 @@ class Search:
     names: int
     lacking: float
     power: Rows = field(init=False)
-    _columns: "_Columns" = field(init=False)
+    _columns: Terms = field(init=False)
     _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
     spans: Spans = field(init=False, default_factory=dict)
 
@@ -134,13 +135,14 @@ class Search:
     def known(self, placed: Placed) -> bool:
         """Whether an effect is in the span of the declared model already."""
         own = [i for i, one in enumerate(self._terms) if one.placed == placed]
-        _, kept = self._columns.gains(self.base.columns, self.base.target)
+        kept = self._columns.beside(self.base.columns, self.base.target).kept
         return bool(own) and not any(kept[self._columns.part(i)].any() for i in own)
 
     def _weigh(self, residual: Rows) -> None:
         base = self.base
         self.power = fitted_power(residual, base.noise, base.local, base.output)
-        self._columns = _Columns(self._terms, self.power)
+        self._columns = Terms(self._terms, self.power)
+        self._changes = changes(self._changing, base, self.power)
 
     # -- sets that are worth a look -------------------------------------------------------------
 
@@ -179,8 +181,7 @@ class Search:
         """The set with one more effect, at its best point of the grid; best first."""
         keys = {one.key for one in fit.atoms}
         target, matrix = system(self.base, fit.atoms)
-        gain, _ = self._columns.gains(matrix, target)
-        by_atom = self._columns.by_atom(gain)
+        by_atom = self._columns.by_atom(self._columns.beside(matrix, target))
         best: dict[Placed, Atom] = {}
         for i in np.argsort(by_atom)[::-1]:
             one = self._terms[i]
@@ -188,28 +189,26 @@ class Search:
                 best.setdefault(one.placed, one)
         tried = list(best.values())[: _TRIED if keys else None]
         if not any(one.target is not None for one in fit.atoms):
-            tried += [one for one in self._changing if one.key not in keys]
-        fits: dict[Placed, Fit] = {}
-        for one in tried:
-            new = self.fit([*fit.atoms, one])
-            old = fits.get(one.placed)
-            if old is None or self.value(new) < self.value(old):
-                fits[one.placed] = new
-        return sorted(fits.values(), key=self.value)
+            added = matrix[:, len(self.base.free) :]
+            for several in self._changes:
+                if several.atoms[0].key not in keys:
+                    tried.append(several.atoms[int(np.argmin(several.costs(added)))])
+        return sorted((self.fit([*fit.atoms, one]) for one in tried), key=self.value)
 
     def _pairs(self) -> list[Fit]:
         """Sets of two that gain most on the grid, all of them tried."""
-        terms, owner, found = self._terms, self._columns.owner, []
-        for gain, i, k in self._columns.pairs(self.base.columns, self.base.target):
-            found.append((gain, (terms[owner[i]], terms[owner[k]])))
+        terms, owner = self._terms, self._columns.owner
+        alone = self._columns.beside(self.base.columns, self.base.target)
+        found = [
+            (gain, (terms[owner[i]], terms[owner[k]]))
+            for gain, i, k in self._columns.pairs(alone, _PAIRS)
+        ]
         declared = float(self.fit([]).cost)
-        for one in self._changing:
-            alone = self.fit([one])
-            target, matrix = system(self.base, [one])
-            gain, _ = self._columns.gains(matrix, target)
-            by_atom = self._columns.by_atom(gain)
-            for i in np.argsort(by_atom)[::-1][:_TRIED]:
-                found.append((declared - alone.cost + by_atom[i], (one, terms[i])))
+        for several in self._changes:
+            left, beside = several.beside(self._columns)
+            gains = declared - left[:, None] + self._columns.by_atom(beside)
+            for one, gain in zip(several.atoms, gains, strict=True):
+                found += [(gain[i], (one, terms[i])) for i in np.argsort(gain)[::-1][:_TRIED]]
         found.sort(key=lambda pair: -pair[0])
         fits: dict[frozenset, Fit] = {}
         for _, pair in found:
@@ -221,78 +220,6 @@ class Search:
             if len(fits) >= _BEAM:
                 break
         return sorted(fits.values(), key=self.value)
-
-
-class _Columns:
-    """All columns of the terms, whitened, with their products: a quick look at many sets."""
-
-    def __init__(self, terms: Sequence[Atom], power: Rows):
-        self.weight = 1.0 / np.sqrt(power)
-        widths = [one.columns.shape[1] for one in terms]
-        self.owner = np.repeat(np.arange(len(terms)), widths)
-        self.first = np.concatenate([[0], np.cumsum(widths, dtype=int)])
-        stacked = np.concatenate([one.columns for one in terms], axis=1) if terms else None
-        rows = np.zeros((len(power), 0)) if stacked is None else stacked
-        self.white = rows * self.weight[:, None]
-        self.gram = self.white.T @ self.white
-
-    def part(self, atom: int) -> slice:
-        """Columns of one atom."""
-        return slice(self.first[atom], self.first[atom + 1])
-
-    def _left(self, columns: np.ndarray, target: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """After projecting `columns` out: their basis in our columns, ours on the rest, lengths."""
-        matrix = columns * self.weight[:, None]
-        length = np.linalg.norm(matrix, axis=0)
-        q, _ = np.linalg.qr(matrix / np.where(length > 0, length, 1.0))
-        white = target * self.weight
-        rest = white - q @ (q.T @ white)
-        inside = q.T @ self.white
-        square = np.diagonal(self.gram) - np.sum(inside**2, axis=0)
-        return inside, self.white.T @ rest, square
-
-    def gains(self, columns: np.ndarray, target: Rows) -> tuple[np.ndarray, np.ndarray]:
-        """ρ of each column (its square is what it takes away alone), and which columns count."""
-        inside, along, square = self._left(columns, target)
-        kept = square > _RANK * np.diagonal(self.gram)
-        rho = np.where(kept, along / np.sqrt(np.where(kept, square, 1.0)), 0.0)
-        self._inside, self._square = inside, np.where(kept, square, 1.0)
-        return rho, kept
-
-    def by_atom(self, rho: np.ndarray) -> np.ndarray:
-        """What each atom takes away: ρ² of one column, jointly of two."""
-        first, width = self.first[:-1], np.diff(self.first)
-        out = rho[first] ** 2
-        pair = width > 1
-        i, k = first[pair], first[pair] + 1
-        both = self.gram[i, k] - np.sum(self._inside[:, i] * self._inside[:, k], axis=0)
-        correlation = both / np.sqrt(self._square[i] * self._square[k])
-        out[pair] = _joint(rho[i], rho[k], correlation)
-        return out
-
-    def pairs(self, columns: np.ndarray, target: Rows) -> list[tuple[float, int, int]]:
-        """Pairs of columns that take away most together, and how much."""
-        rho, kept = self.gains(columns, target)
-        scale = np.sqrt(self._square)
-        correlation = (self.gram - self._inside.T @ self._inside) / np.outer(scale, scale)
-        gain = _joint(rho[:, None], rho[None, :], correlation)
-        gain = np.where(np.outer(kept, kept) & np.triu(np.ones_like(gain), 1).astype(bool), gain, 0)
-        flat = np.argsort(gain, axis=None)[::-1][:400]
-        rows, others = np.unravel_index(flat, gain.shape)
-        return [
-            (float(gain[i, k]), int(i), int(k))
-            for i, k in zip(rows, others, strict=True)
-            if self.owner[i] != self.owner[k]
-        ]
-
-
-def _joint(
-    a: np.ndarray | float, b: np.ndarray | float, correlation: np.ndarray | float
-) -> np.ndarray:
-    """ρ'R⁻¹ρ of two correlated columns; of twins what the better one takes."""
-    left = 1.0 - np.asarray(correlation) ** 2
-    joint = (a**2 + b**2 - 2.0 * a * b * correlation) / np.maximum(left, 1e-6)
-    return np.where(left > 1e-6, joint, np.maximum(a**2, b**2))
 
 
 def _spacings(grid: Sequence[Atom]) -> Spans:
