@@ -20,6 +20,7 @@ beside all others.
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -92,13 +93,17 @@ class Search:
 
     def penalty(self, atoms: Sequence[Atom]) -> float:
         """What the parameters and the choice of a set cost."""
-        from scipy.special import chdtri  # only discovery needs it
-
         size = sum(len(one.placed.effect.parameters) for one in atoms)
-        tried = chdtri(1.0, self.alpha / self.names)
         prior = sum(one.placed.effect.rarity for one in atoms)
         extra = (size - len(atoms)) * np.log(len(self.base.target))
-        return float(extra + len(atoms) * tried + prior)
+        return float(extra + len(atoms) * self._level + prior)
+
+    @cached_property
+    def _level(self) -> float:
+        """q of the score."""
+        from scipy.special import chdtri  # only discovery needs it
+
+        return float(chdtri(1.0, self.alpha / self.names))
 
     def value(self, fit: Fit) -> float:
         """Penalised cost: the smaller the better; infinite where a gain is not physical."""
