@@ -32,6 +32,7 @@ from eoi_jax.noise_model import fitted_power
 from eoi_jax.projections import Terms, changes
 
 _BEAM = 5  # sets of one size that are refined
+_LAST = 3  # that are refined once more under the power that the answer leaves
 _PAIRS = 400  # pairs of columns that are looked at
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
@@ -78,11 +79,13 @@ class Search:
         for _ in range(_ROUNDS):
             shown = self._once(chosen)
             best = next(one for one in shown if self.material(one))
-            same, chosen = best.keys == chosen.keys, best
-            self._weigh(chosen.residual)
+            same = best.keys == chosen.keys
+            self._weigh(best.residual)
+            chosen = self.fit(best.atoms)  # its cost under the new power
             if same:
                 break
-        sets = [self.fit(one.atoms) for one in shown]
+        sets = sorted((self.fit(one.atoms) for one in shown), key=self.value)
+        sets[:_LAST] = [self._refine(one) for one in sets[:_LAST]]
         return sorted(sets, key=lambda one: (not self.material(one), self.value(one)))
 
     # -- one set ------------------------------------------------------------------------------
@@ -178,9 +181,12 @@ class Search:
             fit = min(fit, self.fit(known), key=self.value)
         better = sum(self.value(other) < self.value(fit) for other in others)
         if better < (_BEAM if known is None else 2):
-            fit = refined(self.base, fit, self.power, self.spans, self.make)
+            fit = self._refine(fit)
             self._refined[fit.keys] = fit.atoms
         return fit
+
+    def _refine(self, fit: Fit) -> Fit:
+        return refined(self.base, fit, self.power, self.spans, self.make)
 
     def extended(self, fit: Fit) -> list[Fit]:
         """The set with one more effect, at its best point of the grid; best first."""

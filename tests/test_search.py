@@ -284,6 +284,25 @@ def test_one_gain_costs_what_a_test_at_that_level_asks_for():
     assert costs[1] - costs[0] == pytest.approx(asked[1] - asked[0])
 
 
+def test_shapes_are_those_of_the_power_that_the_answer_leaves():
+    """The first S is that of all that is lacking: under it half of the rows, noisy, count alike."""
+    random, time = np.random.default_rng(14), np.linspace(0.0, 10.0, ROWS)
+    effect = effects.Overflow()
+    deviation = np.where(np.arange(ROWS) % 2 == 0, 0.001, 0.5)
+
+    def make(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+        return [atom(effect, -np.sin(s * time), (float(s),)) for (s,) in shapes]
+
+    target = -np.sin(1.03 * time) + deviation * random.standard_normal(ROWS)
+    ones, one_output = np.full(ROWS, 4e-6), np.zeros(ROWS, int)
+    known = Base(target, columns(15, 2), np.arange(2), deviation**2, ones, one_output)
+    found, best = search(known, make(named(effect), np.linspace(0.5, 1.5, 6)[:, None]), make)
+    # Cramér-Rao: σ√12/(A T √(N/2)), about 3e-5 rad/s from the quiet rows.
+    assert best.atoms[0].shape[0] == pytest.approx(1.03, abs=1.5e-4)
+    exact = found.fit(make(named(effect), np.array([[1.03]])))
+    assert best.cost < exact.cost + 1.0
+
+
 # -- the noise model ------------------------------------------------------------------------------
 
 
