@@ -3,7 +3,8 @@
     y^(r) = f(t, x, ψ(u); θ) + Σ effect terms        ż = g(t, x, ψ(u); θ) + Σ effect terms
 
 The effects' own parameters are ordinary parameters of the new plant, their own states internal
-states behind the plant's; identify, validate, simulate take it like any other.
+states behind the plant's; identify, validate, simulate take it like any other. Delays and lags of
+an input come first, as the plant's actuator; what happens to it in an instant, in f and g.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,13 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.effects.effect import (
+    INPUT_EFFECTS,
+    AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
     AbstractTerm,
     At,
 )
-from eoi_jax.plants.plant import Dynamics, Plant, State, parameter_type
+from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State, parameter_type
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Placed:
     @property
     def on_input(self) -> bool:
         """Whether it acts on an input."""
-        return isinstance(self.effect, AbstractInputEffect)
+        return isinstance(self.effect, INPUT_EFFECTS)
 
     @property
     def on_state(self) -> bool:
@@ -106,6 +109,7 @@ def augmented(
             units[name] = unit(plant, one, parameter.unit)
     added = {name: float(values[name]) for one in several for name in one.names}
     moving = states + nz > 0
+    slow = any(isinstance(one.effect, AbstractActuator) for one in several)
     return Plant(
         _Dynamics(plant.dynamics, own, several, nz),
         {**plant.parameters, **added},
@@ -118,6 +122,7 @@ def augmented(
         fixed=plant.fixed,
         units=units,
         name=plant.name,
+        actuator=_Actuator(plant.actuator, own, several) if slow or plant.actuator else None,
     )
 
 
@@ -193,6 +198,22 @@ class _Internal:
             if isinstance(one.effect, AbstractInputEffect):
                 at_input = at_input.at[one.channel].set(one.effect.changed(at, shape))
         return jnp.concatenate(rates)
+
+
+@dataclass(frozen=True)
+class _Actuator:
+    """What inputs go through before f and g: the new effects, then the plant's own."""
+
+    base: Actuator | None
+    names: tuple[str, ...]
+    placed: tuple[Placed, ...]
+
+    def __call__(self, t: Any, u: Any, p: Any) -> Any:
+        for one in self.placed:
+            if isinstance(one.effect, AbstractActuator):
+                _, shape = _parameters(one, p)
+                u = u.at[:, one.channel].set(one.effect.along(t, u[:, one.channel], shape))
+        return u if self.base is None else self.base(t, u, _own(self.names, p))
 
 
 @dataclass(frozen=True)

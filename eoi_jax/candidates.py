@@ -18,6 +18,8 @@ from jaxtyping import Array, Float
 
 from eoi_jax.augment import Placed, augmented, own_states, place
 from eoi_jax.effects.effect import (
+    INPUT_EFFECTS,
+    AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
@@ -68,7 +70,7 @@ def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
     """Every effect at every channel that it fits."""
     placed = []
     for effect in effects:
-        if isinstance(effect, AbstractInputEffect):
+        if isinstance(effect, INPUT_EFFECTS):
             placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
         else:
             inner = isinstance(effect, AbstractInternalEffect)
@@ -161,7 +163,7 @@ def _term_rows(
 
 def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndarray, "grid S nu"]:
     """The inputs as the model gets them."""
-    assert isinstance(placed.effect, AbstractInputEffect)
+    assert isinstance(placed.effect, INPUT_EFFECTS)
     changed = _input_along(
         placed.effect,
         *_signals(one, 0, placed.channel),
@@ -175,16 +177,19 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
 
 @eqx.filter_jit
 def _input_along(
-    effect: AbstractInputEffect, signals: tuple, bend: tuple, shapes: Values, h: Values
+    effect: AbstractInputEffect | AbstractActuator,
+    signals: tuple,
+    bend: tuple,
+    shapes: Values,
+    h: Values,
 ) -> Float[Array, "grid S"]:
     def one(shape: Array) -> Array:
-        exact = effect.along(signals[0], signals[3], shape)
-        if exact is not None:
-            return exact
-        z = _states_along(effect, shape, signals, bend, h)
+        if isinstance(effect, AbstractActuator):
+            return effect.along(signals[0], signals[3], shape)
+        z, changed = _states_along(effect, shape, signals, bend, h), effect.changed
 
         def instant(t: Any, y: Any, v: Any, u: Any, z: Any) -> Any:
-            return effect.changed(At(t, y, v, u, z), shape)
+            return changed(At(t, y, v, u, z), shape)
 
         time, y, v, u = signals
         return jax.vmap(instant)(time, y, v, u, z)

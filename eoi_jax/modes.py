@@ -326,7 +326,8 @@ def _slopes(plant: Plant, theta: Values, rows: tuple) -> Float[Array, "S ny r ny
     def one(t: Array, y: Array, u: Array) -> Array:
         return jax.jacfwd(lambda y: plant.derivative(t, State(y, z), u, theta))(y)
 
-    return jax.vmap(one)(*rows)
+    time, y, u = (jnp.asarray(signal) for signal in rows)
+    return jax.vmap(one)(time, y, plant.driven(time, u, theta))
 
 
 # -- thinning -----------------------------------------------------------------------------
@@ -403,6 +404,7 @@ def model_along(
     (time, y), (weights, kernel) = one, thin
 
     def f(theta: Array, u: Array) -> tuple[Array, ...]:
+        u = plant.driven(time, u, theta)
         z = _internal(plant, theta, (time, y, u), bend, h)
         values = jax.vmap(lambda t, y, z, u: plant.derivative(t, State(y, z), u, theta))(
             time, y, z, u
@@ -440,7 +442,8 @@ def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
     """Internal states of a plant in the middle of each step, at its parameters."""
     theta = jnp.asarray(plant.theta)
     h = jnp.asarray(one.sample_period)
-    return np.asarray(_internal(plant, theta, (one.time, one.y, one.u), one.bend, h))
+    u = plant.driven(jnp.asarray(one.time), jnp.asarray(one.u), theta)
+    return np.asarray(_internal(plant, theta, (one.time, one.y, u), one.bend, h))
 
 
 def integrated(

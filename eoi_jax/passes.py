@@ -11,6 +11,7 @@ rest) enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds 
 margin is needed around it.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -92,6 +93,9 @@ class _Carry(eqx.Module):
     sums: Sums
 
 
+Shifted = Callable[[Theta], Array]  # inputs at a shift of θ
+
+
 @eqx.filter_jit
 def run_pass(
     plant: Plant,
@@ -143,9 +147,22 @@ class _Kernel(eqx.Module):
     def run(self, steps: Steps) -> tuple[Sums, Trace | None]:
         h = jnp.asarray(steps.sample_period)
         last, trace = jax.lax.scan(
-            lambda carry, row: self._step(carry, row, h), self._init(steps, h), _rows(steps)
+            lambda carry, row: self._step(carry, row, h),
+            self._init(steps, h),
+            (self._inputs(steps), *_rows(steps)),
         )
         return last.sums, trace
+
+    def _inputs(self, steps: Steps) -> tuple[Array, Array | None]:
+        """Inputs behind the actuators, and their derivative with θ, shape (S, nu, np)."""
+        time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
+        if self.plant.actuator is None:
+            return u, None
+        return _value_and_jacobian(
+            lambda shift: self.plant.driven(time, u, self.theta + shift),
+            self.theta.shape[0],
+            self.theta.dtype,
+        )
 
     def _init(self, steps: Steps, h: Scalar) -> _Carry:
         ny, size = len(self.plant.outputs), self.theta.shape[0]
@@ -185,17 +202,23 @@ class _Kernel(eqx.Module):
         return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
 
     def _step(self, carry: _Carry, row: tuple, h: Scalar) -> tuple[_Carry, Any]:
-        t, y, y_next, u, use, score, restart, *block = row
+        (u, slope), t, y, y_next, use, score, restart, *block = row
+
+        def shifted(shift: Theta) -> Array:
+            return u if slope is None else u + slope @ shift
+
         state = jax.tree.map(
             lambda new, old: jnp.where(restart, new, old), self._start(y, y_next, h), carry.observer
         )
         explicit = self.observer.scheme == "explicit"
         position = y if explicit else 0.5 * (y + y_next)
-        z, sensitivity, z_next, sensitivity_next = self._internal(carry, t, position, u, state, h)
+        z, sensitivity, z_next, sensitivity_next = self._internal(
+            carry, t, position, shifted, state, h
+        )
         predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
         drift = self.plant.derivative(t, predicted, u, self.theta)
         state, seen = self.observer.step(state, y, y_next, drift, h)
-        f, phi = self._model(t, position, seen, z, sensitivity, u)
+        f, phi = self._model(t, position, seen, z, sensitivity, shifted)
         history = ((f, phi), *carry.history)
         f, phi = self._averaged(history)
         signals = jnp.concatenate(
@@ -212,7 +235,7 @@ class _Kernel(eqx.Module):
         return new, shown
 
     def _internal(
-        self, carry: _Carry, t: Scalar, position: Output, u: Array, state: Any, h: Scalar
+        self, carry: _Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
     ) -> tuple[Array, Array, Array, Array]:
         """z in the middle and at the end of the step (Runge–Kutta of order four), with ∂z/∂θ."""
         if self.plant.internal is None:
@@ -224,7 +247,7 @@ class _Kernel(eqx.Module):
             z = carry.z + carry.sensitivity @ shift
 
             def rate(z: Array) -> Array:
-                return self.plant.internal_rate(t, State(y, z), u, theta)
+                return self.plant.internal_rate(t, State(y, z), u(shift), theta)
 
             first = rate(z)
             second = rate(z + 0.5 * h * first)
@@ -238,14 +261,20 @@ class _Kernel(eqx.Module):
         return middle, jacobian[0], end, jacobian[1]
 
     def _model(
-        self, t: Scalar, position: Output, seen: Observation, z: Array, sensitivity: Array, u: Array
+        self,
+        t: Scalar,
+        position: Output,
+        seen: Observation,
+        z: Array,
+        sensitivity: Array,
+        u: Shifted,
     ) -> tuple[Output, Regressor]:
         """f and φ = df/dθ, total: through the internal states too."""
         y = jnp.concatenate([position[None], seen.rates])
 
         def shifted(shift: Theta) -> Output:
             x = State(y, z + sensitivity @ shift)
-            return self.plant.derivative(t, x, u, self.theta + shift)
+            return self.plant.derivative(t, x, u(shift), self.theta + shift)
 
         return _value_and_jacobian(shifted, self.theta.shape[0], self.theta.dtype)
 
@@ -297,7 +326,6 @@ def _rows(steps: Steps) -> tuple:
         steps.time,
         steps.y,
         steps.y_next,
-        steps.u,
         steps.use,
         steps.score,
         steps.restart,

@@ -201,8 +201,11 @@ def _change(plant: Plant, time: Any, states: Any, inputs: Any, others: Any) -> A
         x = State(y, z)
         return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
 
-    along = jax.vmap(one)
-    return jax.vmap(lambda other: along(time, states, inputs, other))(others)
+    def along(u: Any) -> Any:
+        return plant.driven(jnp.asarray(time), jnp.asarray(u), theta)
+
+    given = along(inputs)
+    return jax.vmap(lambda other: jax.vmap(one)(time, states, given, along(other)))(others)
 
 
 def _late(
@@ -276,7 +279,8 @@ def _slopes(plant: Plant, time: Any, states: Any, inputs: Any) -> Any:
     def one(t: Any, y: Any, u: Any) -> Any:
         return jax.jacfwd(lambda value: plant.derivative(t, State(value, z), u, theta))(y)
 
-    return jax.vmap(one)(time, states, inputs)
+    u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)
+    return jax.vmap(one)(time, states, u)
 
 
 class _Gain(NamedTuple):

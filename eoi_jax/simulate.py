@@ -109,12 +109,16 @@ def simulate(
     theta = jnp.asarray(plant.theta)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
+        slow = plant.actuator is not None
+        rule = 'must be "fixed" for a plant with a delay or lag of its inputs'
+        check(not slow, "solver", rule, '"adaptive"')
         rule = 'must be "fixed" for a plant with dry friction'
         check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
         pieces = jnp.asarray(_input_pieces(u, used))
         y, _ = _adaptive(plant, theta, jnp.asarray(time), pieces, start)
     else:
-        y, _ = free_run(plant, theta, drive(time, u, used, substeps), start, frictional(plant))
+        driven_by = acted(plant, drive(time, u, used, substeps))
+        y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
     outputs = np.asarray(y[:, 0, :], dtype=np.float64)
     bad = ~np.all(np.isfinite(outputs), axis=1)
     when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
@@ -169,6 +173,27 @@ def drive(
     )
 
 
+def acted(plant: Plant, driven_by: Drive) -> Drive:
+    """The drive of a whole record behind the actuators of a plant, at its parameters.
+
+    Between the steps it is taken to be continuous: parabolas with the means over the steps.
+    """
+    if plant.actuator is None:
+        return driven_by
+    inputs = _acted(plant, driven_by.time, driven_by.step, driven_by.inputs)
+    return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
+
+
+@eqx.filter_jit
+def _acted(plant: Plant, time: Any, step: Any, inputs: Any) -> Float[Array, "steps 3 nu"]:
+    first, middle, last = jnp.moveaxis(jnp.asarray(inputs), 1, 0)
+    mean = (first + 4.0 * middle + last) / 6.0
+    mean = plant.driven(jnp.asarray(time) + 0.5 * step, mean, jnp.asarray(plant.theta))
+    ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
+    first, last = ends[:-1], ends[1:]
+    return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)
+
+
 def frictional(plant: Plant) -> tuple[bool, ...]:
     """For each output, whether it sticks: dry friction at relative degree 2.
 
@@ -200,7 +225,7 @@ def trajectory(
     Args:
         plant: the equations; its own parameter values are not used.
         theta: parameter values.
-        driven_by: inputs and steps, see `drive`.
+        driven_by: inputs and steps, see `drive`; behind the plant's actuators, see `acted`.
         start: state at the first sample.
         friction: which outputs stick, see `frictional`.
 

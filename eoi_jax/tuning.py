@@ -282,6 +282,5 @@ def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array,
     """f at every step, with the internal states where they start."""
     theta = jnp.asarray(plant.theta)
     z = plant.internal_start(theta)
-    return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, z), u, theta))(
-        time, states, inputs
-    )
+    u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)
+    return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, z), u, theta))(time, states, u)

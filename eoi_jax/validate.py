@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.simulate import Drive, drive, frictional, trajectory
+from eoi_jax.simulate import Drive, acted, drive, frictional, trajectory
 from eoi_jax.types import Theta
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -174,7 +174,7 @@ def _predict(
     count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
     prediction = np.full(record.outputs.shape, np.nan)
     score = np.zeros(total, dtype=bool)
-    whole = drive(record.time, record.inputs, record.hold, run.substeps)
+    whole = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
     diverged = None
     firsts = range(0, total - 1, count)
     # The last window reaches back, so that all have one length and run together.

@@ -148,27 +148,42 @@ def test_term_sees_the_input_as_recorded():
 
 
 def test_states_of_effects_stand_behind_those_of_the_plant():
-    lag, loop = effects.ActuatorLag(), effects.Hysteresis()
+    zone, loop = effects.InputDeadZone(), effects.Hysteresis()
     new = with_effects(
         LAGGED,
         (loop, 0, dict(zip(place(LAGGED, loop, 0).names, (2.0, 0.1, 0.5), strict=True))),
-        (lag, 0, {"actuator_lag": 0.2}),
+        (zone, 0, {"input_dead_zone": 1.5}),
     )
-    y, u, z = [[0.1], [1.0]], [3.0], [0.4, 0.25, 1.5]
+    y, u, z = [[0.1], [1.0]], [3.0], [0.4, 0.25]
     value, theta = at(new, y, u, z)
-    np.testing.assert_allclose(new.internal_start(theta), [0.7, 0.0, 0.0])
+    np.testing.assert_allclose(new.internal_start(theta), [0.7, 0.0])
     assert value == pytest.approx(0.4 - 0.5 * 1.0 - 2.0 * 0.25)
     state = eoi.State(jnp.asarray(y), jnp.asarray(z))
     rates = new.internal_rate(jnp.asarray(0.0), state, jnp.asarray(u), theta)
-    # The plant's own state is driven by the lagged input.
+    # The plant's own state is driven by the changed input.
     own, bouc_wen = (2.0 * 1.5 - 0.4) / 0.3, (1.0 - 0.25) / 0.1
-    np.testing.assert_allclose(rates, [own, bouc_wen, (3.0 - 1.5) / 0.2])
+    np.testing.assert_allclose(rates, [own, bouc_wen])
+
+
+def test_delay_and_lag_are_actuators_of_the_plant_and_come_one_after_the_other():
+    time, h = 0.05 + 0.1 * np.arange(40), 0.1
+    u = np.where(time > 1.0, 1.0, 0.0)[:, None]
+    lagged = with_effects(LAGGED, (effects.ActuatorLag(), 0, {"actuator_lag": 0.2}))
+    both = with_effects(lagged, (effects.InputDelay(), 0, {"input_delay": 0.5}))
+    assert len(both.internal_start(jnp.asarray(both.theta))) == 1
+    assert not both.is_affine
+    late = np.asarray(both.driven(jnp.asarray(time), jnp.asarray(u), jnp.asarray(both.theta)))
+    since = np.maximum(time + 0.5 * h - 1.5, 0.0)
+    before = np.maximum(since - h, 0.0)
+    # Mean over each step of 1 - exp(-(t - 1.5)/T).
+    mean = 1.0 - 0.2 / h * (np.exp(-before / 0.2) - np.exp(-since / 0.2))
+    np.testing.assert_allclose(late[:, 0], np.where(since > 1e-9, mean, 0.0), atol=1e-12)
 
 
 def test_effects_can_be_added_to_an_augmented_plant():
-    once = with_effects(LAGGED, (effects.ActuatorLag(), 0, {"actuator_lag": 0.2}))
+    once = with_effects(LAGGED, (effects.InputDeadZone(), 0, {"input_dead_zone": 0.2}))
     twice = with_effects(once, (effects.ConstantOffset(), 0, {"constant_offset": 0.3}))
-    y, u, z = [[0.1], [1.0]], [3.0], [0.4, 1.5]
+    y, u, z = [[0.1], [1.0]], [3.0], [0.4]
     assert at(twice, y, u, z)[0] == pytest.approx(float(at(once, y, u, z)[0][0]) + 0.3)
     assert twice.parameters == {**once.parameters, "constant_offset": 0.3}
 
@@ -188,17 +203,17 @@ def test_spill_leaves_the_state_and_its_share_reaches_the_first_output():
     )
     spill = effects.InternalOverflow()
     first = {"overflow_share_z1": 0.25, "overflow_rate_z1": 2.0, "overflow_level_z1": 0.5}
-    new = with_effects(plant, (effects.ActuatorLag(), 0, {"actuator_lag": 0.1}), (spill, 0, first))
+    zone = effects.InputDeadZone()
+    new = with_effects(plant, (zone, 0, {"input_dead_zone": 0.75}), (spill, 0, first))
     assert (own_states(plant), own_states(new)) == (2, 2)
     theta = jnp.asarray(new.theta)
     for level, lost in ((0.3, 0.0), (0.8, 0.6)):
-        state = eoi.State(jnp.zeros((1, 1)), jnp.array([level, 0.2, 0.0]))
+        state = eoi.State(jnp.zeros((1, 1)), jnp.array([level, 0.2]))
         f = new.derivative(jnp.zeros(()), state, jnp.ones(1), theta)
         np.testing.assert_allclose(f, [0.1 + 0.25 * lost], atol=1e-12)
         rates = new.internal_rate(jnp.zeros(()), state, jnp.ones(1), theta)
-        # The lag has not begun to let the input through.
-        own = [-0.5 * level - lost, 0.5 * (level - 0.2)]
-        np.testing.assert_allclose(rates, [*own, 10.0], atol=1e-12)
+        own = [0.25 - 0.5 * level - lost, 0.5 * (level - 0.2)]
+        np.testing.assert_allclose(rates, own, atol=1e-12)
 
 
 def test_bounds_of_an_effect_can_be_narrowed():

@@ -3,6 +3,8 @@
 from eoi_jax.effects.disturbance import ConstantOffset as ConstantOffset
 from eoi_jax.effects.disturbance import Drift as Drift
 from eoi_jax.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
+from eoi_jax.effects.effect import INPUT_EFFECTS as INPUT_EFFECTS
+from eoi_jax.effects.effect import AbstractActuator as AbstractActuator
 from eoi_jax.effects.effect import AbstractEffect as AbstractEffect
 from eoi_jax.effects.effect import AbstractInputEffect as AbstractInputEffect
 from eoi_jax.effects.effect import AbstractInternalEffect as AbstractInternalEffect

@@ -179,9 +179,29 @@ class AbstractInputEffect(AbstractEffect):
     def changed(self, at: At, shape: Any) -> Any:
         """The input that the model gets instead of `at.u`."""
 
+
+class AbstractActuator(AbstractEffect):
+    """An effect that one input goes through before anything else: known from past inputs alone."""
+
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return plant.inputs
+
+    @abstractmethod
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        """The same along a whole record, (S,), where that is exact without states; else None."""
-        del time, u, shape
+        """What comes of the input along a whole record.
+
+        Args:
+            time: middle of each step, shape (S,), uniform [s].
+            u: mean of the input over each step, shape (S,).
+            shape: the shape parameters.
+
+        Returns:
+            Mean of what the model gets over each step, shape (S,).
+        """
+
+
+# What acts on an input, in whichever way.
+INPUT_EFFECTS = (AbstractInputEffect, AbstractActuator)
 
 
 class AbstractInternalEffect(AbstractEffect):

@@ -7,7 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.effects.effect import AbstractInputEffect, At, Grid, Parameter, Seen, quantiles
+from eoi_jax.effects.effect import (
+    AbstractActuator,
+    AbstractInputEffect,
+    At,
+    Grid,
+    Parameter,
+    Seen,
+    quantiles,
+)
 
 _ENTERED = 0.02  # share of the samples that must lie in a dead zone
 
@@ -81,24 +89,17 @@ class InputQuadratic(AbstractInputEffect):
         return at.u + shape[0] * at.u * (jnp.abs(at.u) if self.odd else at.u)
 
 
-class ActuatorLag(AbstractInputEffect):
-    """T dz/dt = u - z; the plant gets z."""
+class ActuatorLag(AbstractActuator):
+    """T dz/dt = u - z; the plant gets z, which had settled before the record."""
 
     name = "actuator_lag"
     sentence = "a first-order lag of the actuator"
     shapes = (Parameter("", "s", lower=0.0),)
-    states = 1
     depends_on = "t"
     form = ("{u} → u/({0} s + 1)", r"{u} \to \frac{{1}}{{{0}\,s + 1}}\,{u}")
 
     def grid(self, seen: Seen) -> Grid:
         return _times(seen)
-
-    def rate(self, at: At, shape: Any) -> Any:
-        return (at.u - at.z) / shape[0]
-
-    def changed(self, at: At, shape: Any) -> Any:
-        return at.z[0]
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Exact for a staircase: z decays towards u in each step, and the mean over it is taken.
@@ -108,48 +109,28 @@ class ActuatorLag(AbstractInputEffect):
         def step(z: Any, u: Any) -> tuple[Any, Any]:
             return u + (z - u) * decay, u + (z - u) * (1.0 - decay) / ratio
 
-        return jax.lax.scan(step, jnp.zeros_like(u[0]), u)[1]
+        return jax.lax.scan(step, u[0], u)[1]
 
 
-# Padé approximant of order 4 of exp(-s τ), written as four states in real time scaled by τ:
-# the denominator is s⁴ + 20 s³ + 180 s² + 840 s + 1680, the numerator has alternating signs.
-# Phase error below 1e-3 rad up to ω τ = 3. The all-pass is u - 2 (odd part)/denominator.
-_A = np.array([20.0, 180.0, 840.0, 1680.0])
-_SCALE = 1680.0**0.25  # balances the states
-
-
-class InputDelay(AbstractInputEffect):
-    """u(t - τ).
-
-    In a plant it is the Padé approximant of order 4, so that τ is a parameter like any other; along
-    a record it is exact.
-    """
+class InputDelay(AbstractActuator):
+    """u(t - τ); before the record the input had been what it is at its start."""
 
     name = "input_delay"
     sentence = "a delay of the input"
     shapes = (Parameter("", "s", lower=0.0),)
-    states = 4
     depends_on = "t"
     form = ("{u} → {u}(t - {0})", r"{u} \to {u}(t - {0})")
 
     def grid(self, seen: Seen) -> Grid:
         return _times(seen)
 
-    def rate(self, at: At, shape: Any) -> Any:
-        # Companion form of time scaled by τ/scale: z' = [z₂, z₃, z₄, u - Σ a z].
-        a = _A / _SCALE ** np.arange(1, 5)
-        last = at.u - (a[0] * at.z[3] + a[1] * at.z[2] + a[2] * at.z[1] + a[3] * at.z[0])
-        moved = jnp.stack([at.z[1], at.z[2], at.z[3], last])
-        return moved * (_SCALE / shape[0])
-
-    def changed(self, at: At, shape: Any) -> Any:
-        # (even - odd)/(even + odd) = 1 - 2 odd/(even + odd), odd = 20 s³ + 840 s.
-        a = _A / _SCALE ** np.arange(1, 5)
-        return at.u - 2.0 * (a[0] * at.z[3] + a[2] * at.z[1])
-
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        # Means over steps: of a shifted staircase they are interpolated linearly.
-        return jnp.interp(time - shape[0], time, u)
+        # Means over steps: of a shifted staircase they are interpolated linearly, exactly.
+        steps = shape[0] / (time[1] - time[0])
+        whole = jnp.floor(steps)
+        late = jnp.arange(len(u)) - whole.astype(int)
+        after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
+        return after + (steps - whole) * (before - after)
 
 
 def _times(seen: Seen) -> Grid:

@@ -38,6 +38,7 @@ class State(eqx.Module):
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]
+Actuator = Callable[[Any, Any, Any], Any]
 
 
 class Plant(eqx.Module):
@@ -63,6 +64,9 @@ class Plant(eqx.Module):
         fixed: names that keep their nominal value.
         units: ``{name: unit}`` of parameters, inputs and outputs, for tables and figures.
         name: what to call it.
+        actuator: ``a(t, u, p)``, what inputs go through on their way: from their means over the
+            steps of a whole record, (S, nu), with the middles of the steps (S,), to those that f
+            and g get. For delays and lags, which depend on nothing but past inputs.
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
@@ -72,6 +76,7 @@ class Plant(eqx.Module):
     dynamics: Dynamics = eqx.field(static=True)
     internal: Dynamics | None = eqx.field(static=True)
     internal_initial: Any = eqx.field(static=True)
+    actuator: Actuator | None = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     theta: Float[np.ndarray | Array, " np"]
     lower: Float[np.ndarray | Array, " np"]
@@ -96,9 +101,11 @@ class Plant(eqx.Module):
         fixed: Sequence[str] = (),
         units: Mapping[str, str] | None = None,
         name: str | None = None,
+        actuator: Actuator | None = None,
     ):
         self.dynamics = dynamics
         self.internal = internal
+        self.actuator = actuator
         self.names = tuple(parameters)
         self.inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
         self.outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
@@ -201,6 +208,12 @@ class Plant(eqx.Module):
         value = jnp.asarray(self.internal(t, x, u, self.named(theta)))
         return jnp.reshape(value, x.z.shape)
 
+    def driven(
+        self, t: Float[Array, " S"], u: Float[Array, "S nu"], theta: Float[Array, " np"]
+    ) -> Float[Array, "S nu"]:
+        """The inputs that f and g get along a record: behind its actuators."""
+        return u if self.actuator is None else self.actuator(t, u, self.named(theta))
+
     def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
         """z at the start of a record."""
         start = self.internal_initial
@@ -237,7 +250,7 @@ class Plant(eqx.Module):
     @property
     def is_affine(self) -> bool:
         """Whether θ enters f linearly (plus a constant), so that one least squares suffices."""
-        if self.internal is not None:
+        if self.internal is not None or self.actuator is not None:
             return False
         bend, size = _bends(self, *_probes(self))
         rounding = 1e3 * jnp.finfo(bend.dtype).eps

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.discovery import Added, Discovery
-from eoi_jax.effects import AbstractInputEffect, AbstractInternalEffect
+from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
@@ -171,7 +171,7 @@ def _equation(discovery: Discovery) -> str:
 
 
 def _on_input(added: Added) -> bool:
-    return isinstance(added.effect, AbstractInputEffect)
+    return isinstance(added.effect, INPUT_EFFECTS)
 
 
 def _listed(parts: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.effects import AbstractInputEffect, AbstractInternalEffect
+from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.effects.effect import internal_names
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.expression import (
@@ -91,7 +91,7 @@ def _effects(
     terms: dict[str, list[str]] = {}
     changes: list[str] = []
     for one in added:
-        of_input = isinstance(one.effect, AbstractInputEffect)
+        of_input = isinstance(one.effect, INPUT_EFFECTS)
         output = plant.outputs[0] if of_input else one.output
         drive = one.output if of_input else (plant.inputs or ("u",))[0]
         names = [_named(name, value, numeric, in_latex) for name, value in one.parameters.items()]
