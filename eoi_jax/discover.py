@@ -97,7 +97,7 @@ def _run(task: Task) -> Discovery:
     """Rounds of search and refit, then the free runs."""
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for _ in range(_ROUNDS):
-        one = Round(task, model, placed)
+        one = Round(task, model, placed, rounds[-1] if rounds else None)
         one.search(rounds[0].found.lacking if rounds else one.lacking)
         rounds.append(one)
         if not one.chosen.atoms:

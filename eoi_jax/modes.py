@@ -97,7 +97,7 @@ class Stretch:
         """Modes of signals that are weighted and thinned, in the unit of y^(r) times √s."""
         from scipy.fft import dct  # only discovery needs it
 
-        modes = np.asarray(dct(np.asarray(thin), norm="ortho", axis=-1))
+        modes = np.asarray(dct(np.asarray(thin), norm="ortho", axis=-1, workers=-1))
         return modes[..., self.kept] * np.sqrt(self.sample_period / len(self.kernel))
 
 

@@ -63,15 +63,39 @@ class Task:
 
 
 class Round:
-    """One search from one model."""
+    """One search from one model, after an `earlier` one."""
 
-    def __init__(self, task: Task, model: Plant, placed: Sequence[Placed]):
+    def __init__(
+        self, task: Task, model: Plant, placed: Sequence[Placed], earlier: "Round | None" = None
+    ):
         self.task, self.model, self.placed = task, model, tuple(placed)
         self.stretches = [stretch(model, one, task.band) for one in task.records]
-        self.held = [stretch(model, one, task.band) for one in task.held]
+        self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
         self._beside = np.inf  # least that a set with a product leaves
+
+    @cached_property
+    def held(self) -> list[Stretch]:
+        """The held-out records."""
+        return [stretch(self.model, one, self.task.band) for one in self.task.held]
+
+    def _weighs_as(self, other: "Round") -> bool:
+        """Whether the same samples count: the columns of a term are then the same."""
+        return all(
+            np.array_equal(a, b)
+            for one, before in zip(self.stretches, other.stretches, strict=True)
+            for a, b in zip(one.weight, before.weight, strict=True)
+        )
+
+    @property
+    def terms(self) -> dict[Placed, list[Atom]]:
+        """The grid of each term that was searched."""
+        several: dict[Placed, list[Atom]] = {}
+        for one in self.found.grid:
+            if isinstance(one.placed.effect, AbstractTerm):
+                several.setdefault(one.placed, []).append(one)
+        return several
 
     @property
     def lacking(self) -> float:
@@ -106,7 +130,10 @@ class Round:
         grid = []
         for one in self.candidates:
             seen = seen_at(model, one, self.stretches, cutoff, peaks)
-            grid += atoms(model, one, one.effect.grid(seen), self.stretches)
+            shapes = one.effect.grid(seen)
+            known = self._known.get(one, [])
+            same = [atom.shape for atom in known] == [tuple(row) for row in shapes.tolist()]
+            grid += known if known and same else self._make(one, shapes)
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
             self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
@@ -208,7 +235,7 @@ class Round:
 
     def _better(self, fit: Fit) -> bool:
         """Each effect must lower the held-out error beside the others."""
-        if not self.held:
+        if not self.task.held:
             return True
         base = base_of(self.model, self.held)
         residual = self._held_residual(base, fit)

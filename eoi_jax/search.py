@@ -18,6 +18,7 @@ beside all others.
 """
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -32,8 +33,11 @@ from eoi_jax.noise_model import fitted_power
 from eoi_jax.projections import Terms, changes
 
 _BEAM = 5  # sets of one size that are refined
-_LAST = 3  # that are refined once more under the power that the answer leaves
+# Sets that are refined once more under the power that the answer leaves: so many at most, none
+# further behind the best one than this.
+_LAST, _CLOSE = 3, 50.0
 _PAIRS = 400  # pairs of columns that are looked at
+_TRIES = 3  # points of the grid at which a pair may turn out unphysical
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
 _NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
@@ -85,7 +89,8 @@ class Search:
             if same:
                 break
         sets = sorted((self.fit(one.atoms) for one in shown), key=self.value)
-        sets[:_LAST] = [self._refine(one) for one in sets[:_LAST]]
+        near = [one for one in sets[:_LAST] if self.value(one) < self.value(sets[0]) + _CLOSE]
+        sets[: len(near)] = [self._refine(one) for one in near]
         return sorted(sets, key=lambda one: (not self.material(one), self.value(one)))
 
     # -- one set ------------------------------------------------------------------------------
@@ -222,9 +227,12 @@ class Search:
                 found += [(gain[i], (one, terms[i])) for i in np.argsort(gain)[::-1][:_TRIED]]
         found.sort(key=lambda pair: -pair[0])
         fits: dict[frozenset, Fit] = {}
+        tries: Counter[frozenset] = Counter()
         for _, pair in found:
             placed = frozenset(one.placed for one in pair)
-            if len({one.key for one in pair}) == 2 and placed not in fits:
+            apart = len({one.key for one in pair}) == 2
+            if apart and placed not in fits and tries[placed] < _TRIES:
+                tries[placed] += 1
                 fit = self.fit(pair)
                 if fit.physical:
                     fits[placed] = fit
