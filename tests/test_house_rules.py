@@ -32,6 +32,7 @@ LAYERS = (
     ("modes", "noise_model"),
     ("candidates",),
     ("fit",),
+    ("projections",),
     ("search",),
     ("identify",),
     ("residual",),
