@@ -23,6 +23,8 @@ Theta = Float[np.ndarray, " np"]
 Free = Float[np.ndarray, " free"]
 Rows = Float[np.ndarray, " rows"]
 Make = Callable[[Placed, np.ndarray], list[Atom]]
+# Of each effect with shapes: atoms a little further on in each shape; none where there are none.
+Neighbours = dict[Placed, list[Atom]]
 
 
 @dataclass(frozen=True)
@@ -147,10 +149,16 @@ def refined(base: Base, fit: Fit, power: Rows, spans: Spans, make: Make) -> Fit:
     for placed in moving:
         for d in range(len(spans[placed].step)):
             fit = _best_of_grid(base, fit, power, placed, d, spans[placed], make)
+    near = {
+        one.placed: _with_neighbours(one, np.asarray(one.shape), spans[one.placed], make)[1]
+        for one in fit.atoms
+        if one.shape
+    }
     for _ in range(_STEPS if moving else 0):
-        new = _gauss_newton(base, fit, power, spans, make)
+        new, beside = _gauss_newton(base, fit, near, power, spans, make)
         done = new.cost > (1.0 - _ENOUGH) * fit.cost
-        fit = new if new.cost < fit.cost and (new.physical or not fit.physical) else fit
+        if new.cost < fit.cost and (new.physical or not fit.physical):
+            fit, near = new, beside
         if done:
             break
     return fit
@@ -168,52 +176,64 @@ def _best_of_grid(
     return min([fit, *trials], key=lambda trial: (not trial.physical, trial.cost))
 
 
-def _gauss_newton(base: Base, fit: Fit, power: Rows, spans: Spans, make: Make) -> Fit:
-    """One step of all shapes together; the gains follow by least squares."""
+def _gauss_newton(
+    base: Base, fit: Fit, near: Neighbours, power: Rows, spans: Spans, make: Make
+) -> tuple[Fit, Neighbours]:
+    """One step of all shapes together; the gains follow by least squares.
+
+    Returns:
+        The fit, and the neighbours of its atoms for the next step.
+    """
     target, matrix = system(base, fit.atoms)
+    moving = [one for one in fit.atoms if one.shape]
     slopes = [
         column
-        for one in fit.atoms
-        if one.shape
-        for column in _slopes(base, fit, one, _STEP * spans[one.placed].step, make)
+        for one in moving
+        for column in _slopes(base, fit, one, near[one.placed], _STEP * spans[one.placed].step)
     ]
     weight = (1.0 / np.sqrt(power))[:, None]
     columns = np.concatenate([matrix, np.stack(slopes, axis=1)], axis=1)
     if not np.all(np.isfinite(columns)):
-        return fit
+        return fit, near
     step = solve(columns * weight, target * weight[:, 0])[matrix.shape[1] :]
-    moved, first = [], 0
-    for one in fit.atoms:
-        size = len(one.shape)
-        if size:
-            span = spans[one.placed]
-            move = np.clip(step[first : first + size], -span.step, span.step)
-            new = np.clip(np.asarray(one.shape) + move, span.low, span.high)
-            made = make(one.placed, new[None])
-            one, first = (made or [one])[0], first + size
-        moved.append(one)
-    return fitted(base, moved, power)
+    moved, beside, first = {one.placed: one for one in fit.atoms}, dict(near), 0
+    for one in moving:
+        span, last = spans[one.placed], first + len(one.shape)
+        move = np.clip(step[first:last], -span.step, span.step)
+        new = np.clip(np.asarray(one.shape) + move, span.low, span.high)
+        moved[one.placed], beside[one.placed] = _with_neighbours(one, new, span, make)
+        first = last
+    return fitted(base, list(moved.values()), power), beside
+
+
+def _with_neighbours(
+    one: Atom, shape: Float[np.ndarray, " shapes"], span: Span, make: Make
+) -> tuple[Atom, list[Atom]]:
+    """An effect at a new shape, and a little further on in each of its shapes: in one call.
+
+    Where one of these cannot be evaluated it stays what and where it is, without neighbours.
+    """
+    made = make(one.placed, np.concatenate([shape[None], shape + np.diag(_STEP * span.step)]))
+    return (made[0], made[1:]) if len(made) == 1 + len(shape) else (one, [])
 
 
 def _slopes(
-    base: Base, fit: Fit, one: Atom, step: Float[np.ndarray, " shapes"], make: Make
+    base: Base, fit: Fit, one: Atom, near: list[Atom], step: Float[np.ndarray, " shapes"]
 ) -> list[Rows]:
     """∂f/∂s of the set, for each shape s of one effect, gains and declared parameters fixed."""
-    near = np.asarray(one.shape) + np.diag(step)
-    made = make(one.placed, near)
+    if not near:
+        return [np.zeros_like(base.target) for _ in step]
     own = _gains(fit.atoms, fit.theta)[fit.atoms.index(one)]
     columns = []
-    for d in range(len(step)):
-        if d >= len(made):  # could not be evaluated: stays where it is
-            columns.append(np.zeros_like(base.target))
-        else:
-            change = (made[d].columns - one.columns) @ own
-            if one.target is not None:
-                (_, moved), (_, still) = system(base, made[d : d + 1]), system(base, [one])
-                declared = slice(len(base.free))
-                change += one.target - made[d].target
-                change += (moved - still)[:, declared] @ fit.theta[declared]
-            columns.append(change / step[d])
+    for other, small in zip(near, step, strict=True):
+        change = (other.columns - one.columns) @ own
+        if one.target is not None:
+            assert other.target is not None
+            (_, moved), (_, still) = system(base, [other]), system(base, [one])
+            declared = slice(len(base.free))
+            change += one.target - other.target
+            change += (moved - still)[:, declared] @ fit.theta[declared]
+        columns.append(change / small)
     return columns
 
 
