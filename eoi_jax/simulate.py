@@ -1,20 +1,6 @@
-r"""Free run of a plant over time: fixed-step Runge-Kutta with dry friction that sticks.
+"""Free run of a plant over time, on a record's grid, and what drives it.
 
-The state is integrated by the classical fourth-order Runge-Kutta rule under one `lax.scan`. Where
-$f$ jumps as an output's velocity changes sign (dry friction), the velocity is never put through
-the jump. Over a step each such output is moving up, moving down or stuck, and that is decided once
-(a Filippov solution; event location as in Hairer, Nørsett, Wanner, *Solving Ordinary Differential
-Equations I*, section II.6):
-
-1. at rest, it sticks while $f(0^+) \le 0 \le f(0^-)$, else leaves the way the force points;
-2. moving, it sees $f$ with its velocity held on its own side of zero; stuck, it does not move;
-3. if its velocity would change sign, the step is cut at that instant, found from the parabola
-   through the velocity at both ends and the acceleration at the start, and sharpened by one Newton
-   step; its velocity is then exactly zero, and the rest of the step starts again from 1.
-
-Each output can stop at most once within a step (to stop again it would have to leave with a force
-that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
-plant has outputs with dry friction, and never more.
+Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent route.
 """
 
 import math
@@ -33,33 +19,13 @@ from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import HOLDS
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.types import Flags, Input, Output, Scalar, Theta
+from eoi_jax.trajectory import Drive, Internal, Motion, frictional, rate_of, trajectory
+from eoi_jax.types import Scalar, Theta
 
-# The velocity that a moving output shows to f at least, as in `Plant.at_rest`.
-_REST = 1e-9
-
-Motion = Float[Array, "time r ny"]
-Internal = Float[Array, "time nz"]
-Fraction = Scalar | float
 Pieces = Float[np.ndarray, "steps order nu"]
 
-
-class Drive(eqx.Module):
-    """What drives a run, on the grid of its steps; made by `drive`.
-
-    Attributes:
-        time: start of each step [s].
-        step: length of a step [s].
-        inputs: u at the start, the middle and the end of each step, shape (steps, 3, nu).
-        substeps: steps per sample.
-
-    Several runs of one length stand side by side on leading axes.
-    """
-
-    time: Float[Array | np.ndarray, "*runs steps"]
-    step: Float[Array | np.ndarray, "*runs"]
-    inputs: Float[Array | np.ndarray, "*runs steps 3 nu"]
-    substeps: int = eqx.field(static=True)
+# Compiled once for each plant and shape.
+free_run = eqx.filter_jit(trajectory)
 
 
 def simulate(
@@ -194,220 +160,6 @@ def _acted(plant: Plant, time: Any, step: Any, inputs: Any) -> Float[Array, "ste
     return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)
 
 
-def frictional(plant: Plant) -> tuple[bool, ...]:
-    """For each output, whether it sticks: dry friction at relative degree 2.
-
-    Raises:
-        ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
-            output of higher degree, which cannot stick; or in the acceleration of another output
-            (masses coupled by inertia), on which a stuck one would act through its reaction.
-    """
-    jumps = plant.jumps
-    flags = tuple(np.diagonal(jumps).tolist())
-    for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
-        if not flags[j]:
-            continue
-        rule = "must have relative degree 2 wherever f jumps with the sign of the velocity"
-        check(degree == 2, "plant", rule, f"degree {degree} of output {key}")
-        struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j]) if i != j]
-        rule = "must have dry friction that acts on its own output alone"
-        found = f"friction of {key} in the acceleration of {', '.join(struck)}"
-        advice = "Masses coupled by inertia cannot be simulated with dry friction."
-        check(not struck, "plant", rule, found, advice)
-    return flags
-
-
-def trajectory(
-    plant: Plant, theta: Theta, driven_by: Drive, start: State, friction: tuple[bool, ...]
-) -> tuple[Motion, Internal]:
-    """States at every sample, for use inside other JAX code (forward-mode derivatives, `vmap`).
-
-    Args:
-        plant: the equations; its own parameter values are not used.
-        theta: parameter values.
-        driven_by: inputs and steps, see `drive`; behind the plant's actuators, see `acted`.
-        start: state at the first sample.
-        friction: which outputs stick, see `frictional`.
-
-    Returns:
-        Outputs with their derivatives, shape (N, r, ny), and internal states (N, nz). Where the
-        solution leaves the finite numbers, so do they.
-    """
-    one_step = _sticking_step if any(friction) else _smooth_step
-    h = jnp.asarray(driven_by.step)
-
-    def body(x: State, now: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
-        t, u = now
-        x = one_step(_Problem(plant, theta, t, h, u, friction), x)
-        return x, x
-
-    steps = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
-    _, x = lax.scan(body, start, steps)
-    every = slice(driven_by.substeps - 1, None, driven_by.substeps)
-    y, z = x.y[every], x.z[every]
-    return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
-
-
-# The same, compiled once for each plant and shape.
-free_run = eqx.filter_jit(trajectory)
-
-
-# -- one step -----------------------------------------------------------------------------
-
-
-class _Problem(eqx.Module):
-    """What stays the same within a step."""
-
-    plant: Plant
-    theta: Theta
-    time: Scalar
-    step: Scalar
-    inputs: Float[Array, "3 nu"]
-    friction: tuple[bool, ...] = eqx.field(static=True)
-
-    def input_at(self, fraction: Fraction) -> Input:
-        """A parabola through start, middle and end: exact for held and linear inputs."""
-        first, middle, last = self.inputs
-        slope = 4.0 * middle - 3.0 * first - last
-        return first + fraction * (slope + fraction * (2.0 * (first - 2.0 * middle + last)))
-
-    def rate(self, t: Scalar, x: State, u: Input, direction: Output | None) -> State:
-        """dx/dt, with outputs that stick moving only the way of `direction`."""
-        if direction is None:
-            return _rate(self.plant, self.theta, t, x, u)
-        slope = _rate(self.plant, self.theta, t, self._frozen(x, direction), u)
-        # The chain sees the true velocity: `_frozen` is for f and g alone.
-        y = slope.y.at[0].set(jnp.where(np.asarray(self.friction), x.y[1], slope.y[0]))
-        stuck = np.asarray(self.friction) & (direction == 0)
-        return State(y.at[1].set(jnp.where(stuck, 0.0, y[1])), slope.z)
-
-    def _frozen(self, x: State, direction: Output) -> State:
-        """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
-        held = direction * jnp.maximum(direction * x.y[1], _REST)
-        return State(x.y.at[1].set(jnp.where(np.asarray(self.friction), held, x.y[1])), x.z)
-
-
-def _rate(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
-    """dx/dt: a chain of integrators for each output, with f at its end."""
-    f = plant.derivative(t, x, u, theta)
-    shifted = jnp.concatenate([x.y[1:], jnp.zeros_like(x.y[:1])])
-    last = np.arange(x.y.shape[0])[:, None] == np.asarray(plant.degrees)[None, :] - 1
-    y = jnp.where(last, f[None, :], shifted)
-    return State(y, plant.internal_rate(t, x, u, theta))
-
-
-def _add(x: State, scale: Fraction, slope: State) -> State:
-    return State(x.y + scale * slope.y, x.z + scale * slope.z)
-
-
-def _advance(
-    problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
-) -> State:
-    """One classical Runge-Kutta step between two fractions of the step, in fixed directions."""
-    fractions = (start, 0.5 * (start + end), end)
-    t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
-    u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
-    h = (end - start) * problem.step
-    k1 = problem.rate(t0, x, u0, direction)
-    k2 = problem.rate(t1, _add(x, 0.5 * h, k1), u1, direction)
-    k3 = problem.rate(t1, _add(x, 0.5 * h, k2), u1, direction)
-    k4 = problem.rate(t2, _add(x, h, k3), u2, direction)
-    slope = _add(_add(_add(k1, 2.0, k2), 2.0, k3), 1.0, k4)
-    return _add(x, h / 6.0, slope)
-
-
-def _smooth_step(problem: _Problem, x: State) -> State:
-    return _advance(problem, x, 0.0, 1.0, None)
-
-
-# -- dry friction -------------------------------------------------------------------------
-
-
-def _sticking_step(problem: _Problem, x: State) -> State:
-    """A step, cut wherever an output comes to rest."""
-    most = sum(problem.friction)
-
-    def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
-        return now[1] < 1.0
-
-    def piece(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
-        x, done, cuts = now
-        return *_until_stop(problem, x, done, cuts < most), cuts + 1.0
-
-    # A loop, although nearly every step is one piece: the equations are then compiled once.
-    start = jnp.zeros_like(problem.step)
-    return lax.while_loop(unfinished, piece, (x, start, start))[0]
-
-
-def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
-    """Advance from the fraction `done` to the first stop, or to the end of the step."""
-    direction = _direction(problem, x, done)
-    whole = _advance(problem, x, done, jnp.ones_like(done), direction)
-    stops = direction * whole.y[1] < 0
-
-    def cut() -> tuple[State, Scalar]:
-        length = (1.0 - done) * problem.step
-        slope = _slope(problem, x, done, direction)
-        first = _first_zero(x.y[1], length * slope.y[1], whole.y[1], direction, stops)
-        to = done + (1.0 - done) * jnp.min(first)
-        landed = _advance(problem, x, done, to, direction)
-        return _land(problem, landed, to, direction, stops & (first == jnp.min(first)))
-
-    def end() -> tuple[State, Scalar]:
-        return _at_rest(whole, stops), jnp.ones_like(done)
-
-    return lax.cond(may_stop & jnp.any(stops), cut, end)
-
-
-def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
-    """+1 moving up, −1 moving down, 0 stuck (or without dry friction)."""
-    t = problem.time + done * problem.step
-    above, below = problem.plant.at_rest(t, x, problem.input_at(done), problem.theta)
-    leaving = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
-    moving = jnp.where(x.y[1] == 0, leaving, jnp.sign(x.y[1]))
-    return jnp.where(np.asarray(problem.friction), moving, jnp.zeros_like(moving))
-
-
-def _slope(problem: _Problem, x: State, done: Scalar, direction: Output) -> State:
-    t = problem.time + done * problem.step
-    return problem.rate(t, x, problem.input_at(done), direction)
-
-
-def _first_zero(v0: Output, dv: Output, v1: Output, direction: Output, stops: Flags) -> Output:
-    """Where the parabola v0 + dv σ + (v1 − v0 − dv) σ² falls through zero, σ in [0, 1].
-
-    `dv` is the initial slope over the whole length. 1 where an output does not stop.
-    """
-    # Seen in the direction of motion: starts at v0 ≥ 0, ends below zero, so one root lies between.
-    v0, dv, v1 = direction * v0, direction * dv, direction * v1
-    bend = v1 - v0 - dv
-    root = jnp.sqrt(jnp.where(stops, jnp.maximum(dv * dv - 4.0 * bend * v0, 0.0), 1.0))
-    # The form of the root that does not cancel; each has a divisor ≠ 0 where it is used.
-    rising = stops & (dv > 0)
-    falling = stops & ~rising & (v0 > 0)
-    late = (dv + root) / jnp.where(rising, -2.0 * bend, 1.0)
-    early = 2.0 * v0 / jnp.where(falling, root - dv, 1.0)
-    zero = jnp.where(rising, late, jnp.where(falling, early, 0.0))
-    return jnp.where(stops, jnp.clip(zero, 0.0, 1.0), 1.0)
-
-
-def _land(
-    problem: _Problem, x: State, at: Scalar, direction: Output, stopped: Flags
-) -> tuple[State, Scalar]:
-    """One Newton step in time onto the exact zero of the velocity that stops here."""
-    slope = _slope(problem, x, at, direction)
-    which = jnp.argmax(stopped)
-    v, a = x.y[1][which], slope.y[1][which]
-    shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
-    # A grazing stop has next to no acceleration: never leave the step.
-    shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)
-    return _at_rest(_add(x, shift * problem.step, slope), stopped), at + shift
-
-
-def _at_rest(x: State, stopped: Flags) -> State:
-    return State(x.y.at[1].set(jnp.where(stopped, 0.0, x.y[1])), x.z)
-
-
 # -- inputs and starts --------------------------------------------------------------------
 
 
@@ -490,7 +242,7 @@ def _adaptive(
     def field(t: Any, x: State, args: Any) -> State:
         t0, t1, piece = args
         powers = ((t - t0) / (t1 - t0)) ** jnp.arange(piece.shape[0], dtype=piece.dtype)
-        return _rate(plant, theta, t, x, powers @ piece)
+        return rate_of(plant, theta, t, x, powers @ piece)
 
     term = diffrax.ODETerm(field)
 

@@ -18,7 +18,8 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.simulate import Drive, acted, drive, frictional, trajectory
+from eoi_jax.simulate import acted, drive
+from eoi_jax.trajectory import Drive, chained, frictional, trajectory
 from eoi_jax.types import Theta
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -206,8 +207,8 @@ def _free_runs(
     seen = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(whole, starts, first - 1)
     values = _initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
-    y = _runs(run.plant, theta, _parts(whole, starts, count), values, run.friction)
-    return np.asarray(y, dtype=np.float64)
+    begun = jax.vmap(lambda one: _unpack(run.plant, one))(jnp.asarray(values))
+    return chained(run.plant, theta, _parts(whole, starts, count), begun, run.friction)
 
 
 def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
@@ -226,11 +227,11 @@ def _runs(
     values: Float[Array | np.ndarray, "runs unknowns"],
     friction: tuple[bool, ...],
 ) -> Float[Array, "runs time ny"]:
+    """Short runs side by side."""
+
     def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
         return trajectory(plant, theta, driven_by, _unpack(plant, values), friction)[0][:, 0, :]
 
-    if len(values) == 1:  # not side by side: dry friction then looks for stops only where one is
-        return one(jax.tree.map(lambda leaf: leaf[0], drives), jnp.asarray(values)[0])[None]
     return jax.vmap(one)(drives, jnp.asarray(values))
 
 

@@ -23,6 +23,7 @@ LAYERS = (
     ("plants",),
     ("effects",),
     ("augment",),
+    ("trajectory",),
     ("simulate",),
     ("observers",),
     ("lowpass",),

@@ -14,7 +14,8 @@ from eoi_jax.plants import (
     pendulum,
     three_mass_spring_damper,
 )
-from eoi_jax.simulate import drive, free_run, frictional, simulate, trajectory
+from eoi_jax.simulate import drive, free_run, simulate
+from eoi_jax.trajectory import Drive, chained, frictional, trajectory
 
 
 def block_dynamics(t, x, u, p):
@@ -452,3 +453,27 @@ def test_divergence_names_the_first_time_that_is_not_finite():
         ValueError, match=r"must stay finite, got NaN or infinity from t = 1\.\d+ s"
     ):
         simulate(plant, time, np.zeros(501), 1.0)
+
+
+@pytest.mark.parametrize("inputs", [("u",), ()])
+def test_runs_in_one_chain_are_those_one_by_one(inputs: tuple[str, ...]):
+    """With dry friction; the length is rounded up, and each run starts where it is told."""
+    plant = Plant(
+        lambda t, x, u, p: -p.k * x.y[0] - p.c * jnp.sign(x.y[1]) + jnp.sum(u) + jnp.cos(3.0 * t),
+        {"k": 4.0, "c": 0.2},
+        relative_degree=2,
+        inputs=inputs,
+    )
+    runs, steps, theta = 3, 217, jnp.asarray(plant.theta)
+    random = np.random.default_rng(8)
+    push = np.repeat(random.standard_normal((runs, steps, 1, len(inputs))), 3, axis=2)
+    clock = 0.01 * np.arange(steps) + np.array([[0.0], [2.0], [5.0]])
+    drives = Drive(clock, np.full(runs, 0.01), push, 7)
+    starts = jax.vmap(State)(
+        jnp.asarray(random.standard_normal((runs, 2, 1))), jnp.zeros((runs, 0))
+    )
+    together = chained(plant, theta, drives, starts, (True,))
+    for i in range(runs):
+        alone, start = (jax.tree.map(lambda leaf: leaf[i], one) for one in (drives, starts))  # noqa: B023
+        y, _ = trajectory(plant, theta, alone, start, (True,))
+        np.testing.assert_allclose(together[i], y[:, 0], rtol=1e-12, atol=1e-12)

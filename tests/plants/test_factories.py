@@ -18,7 +18,8 @@ from eoi_jax.plants import (
     three_mass_spring_damper,
 )
 from eoi_jax.plants.level_tank import square_root
-from eoi_jax.simulate import drive, simulate, trajectory
+from eoi_jax.simulate import drive, simulate
+from eoi_jax.trajectory import trajectory
 from eoi_jax.validate import validate
 
 PAPER = (level_tank, mass_spring_damper, three_mass_spring_damper, pendulum)
