@@ -184,12 +184,7 @@ def test_offset_of_the_silverbox_does_not_hide_its_cubic_spring(data_directory: 
 def test_overflow_of_the_tank_that_nobody_measures_is_named(data_directory: Path):
     case = _case("cascaded_tanks", data_directory)
     found = eoi.discover(
-        case.plant,
-        case.records,
-        case.held_out,
-        ["overflow", "constant_offset", "leak"],
-        lowpass=case.lowpass,
-        window=case.window,
+        case.plant, case.records, case.held_out, lowpass=case.lowpass, window=case.window
     )
     assert found.status.code == "explained"
     assert "no other effect comes near" in found.status.message.lower()
