@@ -8,8 +8,8 @@ from eoi_jax.checks import RecordWarning as RecordWarning
 from eoi_jax.data import excitation as excitation
 from eoi_jax.data.readers import read_record as read_record
 from eoi_jax.data.record import Record as Record
-from eoi_jax.diagnose import Diagnosis as Diagnosis
 from eoi_jax.diagnose import diagnose as diagnose
+from eoi_jax.diagnosis import Diagnosis as Diagnosis
 from eoi_jax.discover import discover as discover
 from eoi_jax.discovery import Discovery as Discovery
 from eoi_jax.identify import Identification as Identification

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from eoi_jax.data.record import Record
-from eoi_jax.diagnose import Diagnosis
+from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant

@@ -11,7 +11,8 @@ from scipy.signal import butter, sosfilt
 
 import eoi_jax as eoi
 from eoi_jax.data.saturation import saturations
-from eoi_jax.diagnose import Diagnosis, diagnose
+from eoi_jax.diagnose import diagnose
+from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.regression.coloured import ljung_box, prediction_from, whitened
 from eoi_jax.report.diagnosis import findings
 

@@ -37,6 +37,7 @@ LAYERS = (
     ("search",),
     ("identify",),
     ("residual",),
+    ("diagnosis",),
     ("diagnose",),
     ("validate",),
     ("discovery",),
@@ -52,7 +53,9 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
-    (part, name) for part in ("identify", "diagnose", "discovery") for name in ("report", "store")
+    (part, name)
+    for part in ("identify", "diagnose", "diagnosis", "discovery")
+    for name in ("report", "store")
 }
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.diagnose import Cross, Diagnosis, Map
+from eoi_jax.diagnosis import Cross, Diagnosis, Map
 from eoi_jax.report.figures import _injection_unit
 from eoi_jax.report.tables import columns
 from eoi_jax.results import Status
