@@ -284,15 +284,20 @@ def _unrivalled(first: Round) -> bool:
     def without(one: Atom) -> float:
         return search.value(search.fit([other for other in chosen.atoms if other is not one]))
 
-    main = max(chosen.atoms, key=without).placed.effect.name
+    main = max(chosen.atoms, key=without).placed.effect
     empty, power = search.fit([]), search.base.signal_power
     taken: dict[bool, float] = {True: 0.0, False: 0.0}
     for fit in [*search.extended(empty), *first.sets]:
         if len(fit.atoms) == 1 and fit.physical:
-            own = fit.atoms[0].placed.effect.name == main
+            own = _akin(fit.atoms[0].placed.effect, main)
             share = power(empty.residual) - power(fit.residual)
             taken[own] = max(taken[own], share)
     return taken[False] < _RIVAL * taken[True]
+
+
+def _akin(one: AbstractEffect, other: AbstractEffect) -> bool:
+    """Whether two effects are one law with more or fewer terms: Coulomb and Stribeck friction."""
+    return bool({one.name, *one.contains} & {other.name, *other.contains})
 
 
 def _judged(

@@ -457,6 +457,9 @@ def test_dead_zone_that_the_input_never_enters_is_not_tried():
     tried = zone.grid(above)[:, 0]
     assert np.all(np.mean(np.abs(above.u) <= tried[:, None], axis=1) >= 0.02)
     assert np.min(zone.grid(across)) < 0.1 < 1.0 < np.max(zone.grid(across))
+    # One that jumps across the zone is shifted to both sides: no offset.
+    jumping = replace(seen(), u=5.0 * np.sign(seen().u))
+    assert np.min(zone.grid(jumping)) < 0.1
     assert len(zone.grid(replace(seen(), u=np.full(5000, 3.0)))) == 0
 
 

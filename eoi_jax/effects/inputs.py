@@ -17,7 +17,7 @@ from eoi_jax.effects.effect import (
     quantiles,
 )
 
-_ENTERED = 0.02  # share of the samples that must lie in a dead zone
+_ENTERED = 0.02  # share of the samples that must lie in a dead zone, or beyond zero
 
 
 class InputDeadZone(AbstractInputEffect):
@@ -33,9 +33,11 @@ class InputDeadZone(AbstractInputEffect):
     )
 
     def grid(self, seen: Seen) -> Grid:
-        # Where the input never enters the zone, it is an offset.
         size = np.abs(seen.u)
-        low, high = max(0.005 * np.max(size), np.quantile(size, _ENTERED)), 0.8 * np.max(size)
+        low, high = 0.005 * np.max(size), 0.8 * np.max(size)
+        if min(np.mean(seen.u > 0), np.mean(seen.u < 0)) < _ENTERED:
+            # Of an input of one sign, a zone that it never enters is an offset.
+            low = max(low, np.quantile(size, _ENTERED))
         return np.geomspace(low, high, 12)[:, None] if 0 < low < high else np.zeros((0, 1))
 
     def changed(self, at: At, shape: Any) -> Any:
