@@ -450,19 +450,6 @@ def test_gravity_is_not_tried_at_small_angles():
     assert len(gravity.grid(seen())) == 1
 
 
-def test_dead_zone_that_the_input_never_enters_is_not_tried():
-    """There it shifts the input, which is an offset."""
-    above, across = replace(seen(), u=5.0 + 0.1 * seen().u), replace(seen(), u=1.0 + seen().u)
-    zone = effects.InputDeadZone()
-    tried = zone.grid(above)[:, 0]
-    assert np.all(np.mean(np.abs(above.u) <= tried[:, None], axis=1) >= 0.02)
-    assert np.min(zone.grid(across)) < 0.1 < 1.0 < np.max(zone.grid(across))
-    # One that jumps across the zone is shifted to both sides: no offset.
-    jumping = replace(seen(), u=5.0 * np.sign(seen().u))
-    assert np.min(zone.grid(jumping)) < 0.1
-    assert len(zone.grid(replace(seen(), u=np.full(5000, 3.0)))) == 0
-
-
 def test_end_stop_below_pushes_up():
     at = somewhere(effects.EndStop())._replace(y=-1.0)
     assert effects.EndStop(-1).term(at, (3.0,), (-0.5,)) == pytest.approx(1.5)

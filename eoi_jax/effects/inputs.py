@@ -17,14 +17,13 @@ from eoi_jax.effects.effect import (
     quantiles,
 )
 
-_ENTERED = 0.02  # share of the samples that must lie in a dead zone, or beyond zero
-
 
 class InputDeadZone(AbstractInputEffect):
     """sign(u) max(|u| - g, 0)."""
 
     name = "input_dead_zone"
     sentence = "a dead zone of the input"
+    rarity = 1.0  # of an input of one sign, a zone that it never enters is an offset
     shapes = (Parameter("", "{u}", lower=0.0),)
     depends_on = "u"
     form = (
@@ -33,12 +32,7 @@ class InputDeadZone(AbstractInputEffect):
     )
 
     def grid(self, seen: Seen) -> Grid:
-        size = np.abs(seen.u)
-        low, high = 0.005 * np.max(size), 0.8 * np.max(size)
-        if min(np.mean(seen.u > 0), np.mean(seen.u < 0)) < _ENTERED:
-            # Of an input of one sign, a zone that it never enters is an offset.
-            low = max(low, np.quantile(size, _ENTERED))
-        return np.geomspace(low, high, 12)[:, None] if 0 < low < high else np.zeros((0, 1))
+        return np.geomspace(0.005, 0.8, 12)[:, None] * np.max(np.abs(seen.u))
 
     def changed(self, at: At, shape: Any) -> Any:
         return at.u - jnp.clip(at.u, -shape[0], shape[0])
