@@ -40,6 +40,8 @@ LAYERS = (
     ("diagnosis",),
     ("diagnose",),
     ("validate",),
+    ("output_error",),
+    ("refine",),
     ("discovery",),
     ("rounds",),
     ("discover",),
@@ -54,7 +56,7 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
     (part, name)
-    for part in ("identify", "diagnose", "diagnosis", "discovery")
+    for part in ("identify", "diagnose", "diagnosis", "refine", "discovery")
     for name in ("report", "store")
 }
 
