@@ -2,7 +2,7 @@ r"""Least squares of free runs over parameters and initial states: the kernel of
 
 Levenberg-Marquardt (optimistix; its first steps are all but Gauss-Newton) over forward-mode
 sensitivities of the fixed-step simulation, in which dry friction sticks. A run depends on no other
-run's initial state, so one sweep over all runs, side by side, gives all columns of the Jacobian,
+run's initial state, so one sweep over all runs gives all columns of the Jacobian,
 and the initial states are eliminated run by run: the matrix has the shape of an arrow, and QR of
 the rows of each run leaves a small triangle (Å. Björck, *Numerical Methods for Least Squares
 Problems*, section 6.3).
@@ -177,9 +177,8 @@ def _over_runs(problem: Problem, unknowns: Unknowns, function: Any) -> Any:
     runs = (problem.drives, problem.y, problem.weight, problem.declared)
     many = jnp.broadcast_to(unknowns.theta, (len(problem.y), len(problem.free)))
     x = jnp.concatenate([unknowns.starts, many], axis=1)
-    if len(x) == 1:  # not side by side: dry friction then looks for stops only where one is
-        one = function(jax.tree.map(lambda leaf: leaf[0], runs), x[0])
-        return jax.tree.map(lambda leaf: leaf[None], one)
+    if any(problem.friction):  # one after the other: then only the steps with a stop pay for it
+        return jax.lax.map(lambda one: function(*one), (runs, x))
     return jax.vmap(function)(runs, x)
 
 
