@@ -18,11 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.simulate import Drive, drive, frictional, trajectory
+from eoi_jax.simulate import acted, behind, drive
+from eoi_jax.trajectory import Drive, frictional, trajectory
 from eoi_jax.types import Scalar, Theta
 from eoi_jax.validate import _initial_states, _Run, _unpack
 
@@ -76,6 +77,10 @@ class Problem(eqx.Module):
 
     Attributes:
         theta: all parameters; those of `free` are replaced.
+        drives: what drives each run; its inputs are those before any actuator.
+        whole: of a plant with actuators, what drives each record: behind them its inputs change
+            with θ, and with all that came before a run. rows: steps of these, one after the other,
+            that each run takes.
         declared: whether the run starts a record, where internal states are the plant's own.
         weight: 1/σ of each output where scored, else 0.
     """
@@ -83,6 +88,8 @@ class Problem(eqx.Module):
     plant: Plant
     theta: Theta
     drives: Drive
+    whole: tuple[Drive, ...]
+    rows: Int[Array, "runs steps"]
     declared: Bool[Array, " runs"]
     y: Float[Array, "runs time ny"]
     weight: Float[Array, "runs time ny"]
@@ -107,10 +114,13 @@ def problem_of(
     mean = np.sum(use * y, axis=(0, 1)) / count
     spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
     free = np.flatnonzero(plant.free)
+    whole = _whole(records, substeps)
     return Problem(
         plant,
         jnp.asarray(plant.theta),
-        _drives(records, spans, longest, substeps),
+        _drives(whole, spans, longest),
+        () if plant.actuator is None else tuple(jax.tree.map(jnp.asarray, whole)),
+        jnp.asarray(_rows(whole, spans, longest)),
         jnp.asarray([span.first == 0 for span in spans]),
         jnp.asarray(y),
         jnp.asarray(use / np.where(spread > 0, spread, 1.0)),
@@ -121,17 +131,29 @@ def problem_of(
     )
 
 
-def _drives(records: Sequence[Record], spans: Sequence[Span], count: int, substeps: int) -> Drive:
-    """What drives each run, runs first; beyond the end of a record its last step, held."""
-    whole = [drive(one.time, one.inputs, one.hold, substeps) for one in records]
-    time, inputs = [], []
+def _whole(records: Sequence[Record], substeps: int) -> list[Drive]:
+    return [drive(one.time, one.inputs, one.hold, substeps) for one in records]
+
+
+def _rows(
+    whole: Sequence[Drive], spans: Sequence[Span], count: int
+) -> Int[np.ndarray, "runs steps"]:
+    """Steps of each run among those of all records; beyond the end of a record its last one."""
+    ends, rows = np.cumsum([len(one.time) for one in whole]), []
     for span in spans:
-        own = whole[span.record]
-        index = substeps * span.first + np.arange(substeps * count)
-        time.append(np.asarray(own.time[0]) + np.asarray(own.step) * index)
-        inputs.append(np.asarray(own.inputs)[np.minimum(index, len(own.time) - 1)])
-    step = jnp.asarray([np.asarray(whole[span.record].step) for span in spans])
-    return Drive(jnp.asarray(np.stack(time)), step, jnp.asarray(np.stack(inputs)), substeps)
+        n, length = whole[span.record].substeps, len(whole[span.record].time)
+        index = n * span.first + np.arange(n * count)
+        rows.append(ends[span.record] - length + np.minimum(index, length - 1))
+    return np.stack(rows)
+
+
+def _drives(whole: Sequence[Drive], spans: Sequence[Span], count: int) -> Drive:
+    """What drives each run, runs first; beyond the end of a record its last step, held."""
+    step = np.stack([np.asarray(whole[span.record].step) for span in spans])
+    begin = np.stack([whole[one.record].time[one.first * whole[0].substeps] for one in spans])
+    time = begin[:, None] + step[:, None] * np.arange(whole[0].substeps * count)
+    inputs = np.concatenate([one.inputs for one in whole])[_rows(whole, spans, count)]
+    return Drive(jnp.asarray(time), jnp.asarray(step), jnp.asarray(inputs), whole[0].substeps)
 
 
 def guessed_starts(
@@ -140,7 +162,8 @@ def guessed_starts(
     """Initial states fitted to the first samples of each run, at the starting parameters."""
     count = min([_HEAD, *(span.count for span in spans)])
     run = _Run(problem.plant, problem.friction, count, substeps)
-    heads = _drives(records, spans, count - 1, substeps)
+    whole = [acted(problem.plant, one) for one in _whole(records, substeps)]
+    heads = _drives(whole, spans, count - 1)
     y = np.asarray(problem.y[:, :count])
     valid = np.stack([records[one.record].valid[one.first : one.first + count] for one in spans])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
@@ -157,48 +180,53 @@ def start_of(plant: Plant, theta: Theta, values: Array, declared: Array) -> Stat
     return eqx.tree_at(lambda x: x.z, start, jnp.where(declared, own, start.z))
 
 
-def _one_run(problem: Problem, run: Any) -> Callable[[Array], Array]:
-    """The weighed error of one run as a function of its unknowns: start first, then θ."""
-    driven_by, y, weight, declared = run
-    shared = len(problem.free)
+@eqx.filter_custom_jvp
+def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
+    """Weighed errors of all runs, zero where not scored."""
+    return _errors(unknowns, problem)
 
-    def error(x: Float[Array, " unknowns"]) -> Float[Array, " rows"]:
-        values, own = x[:-shared], x[-shared:]
-        theta = problem.theta.at[np.asarray(problem.free)].set(own)
+
+def _errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
+    theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
+
+    def one(run: Any) -> Float[Array, " rows"]:
+        driven_by, y, weight, declared, values = run
         start = start_of(problem.plant, theta, values, declared)
         y_hat = trajectory(problem.plant, theta, driven_by, start, problem.friction)[0][:, 0, :]
         return jnp.where(weight > 0, weight * (y - y_hat), 0.0).ravel()
 
-    return error
-
-
-def _over_runs(problem: Problem, unknowns: Unknowns, function: Any) -> Any:
-    """`function` of one run and its unknowns, over all runs."""
-    runs = (problem.drives, problem.y, problem.weight, problem.declared)
-    many = jnp.broadcast_to(unknowns.theta, (len(problem.y), len(problem.free)))
-    x = jnp.concatenate([unknowns.starts, many], axis=1)
+    drives = _acted(problem, theta)
+    runs = (drives, problem.y, problem.weight, problem.declared, unknowns.starts)
     if any(problem.friction):  # one after the other: then only the steps with a stop pay for it
-        return jax.lax.map(lambda one: function(*one), (runs, x))
-    return jax.vmap(function)(runs, x)
+        return jax.lax.map(one, runs)
+    return jax.vmap(one)(runs)
+
+
+def _acted(problem: Problem, theta: Theta) -> Drive:
+    """What drives the runs behind the actuators: cut from whole records, as a function of θ."""
+    if problem.plant.actuator is None:
+        return problem.drives
+    inputs = jnp.concatenate([behind(problem.plant, theta, one) for one in problem.whole])
+    return eqx.tree_at(lambda drives: drives.inputs, problem.drives, inputs[problem.rows])
 
 
 def linearised(
     unknowns: Unknowns, problem: Problem
-) -> tuple[Float[Array, "runs rows"], Float[Array, "runs unknowns rows"]]:
+) -> tuple[Float[Array, "runs rows"], Float[Array, "unknowns runs rows"]]:
     """Weighed errors, and their derivatives with the unknowns of each run, its start first."""
 
-    def one(run: Any, x: Array) -> tuple[Array, Array]:
-        error, eye = _one_run(problem, run), jnp.eye(len(x), dtype=x.dtype)
-        along = jax.vmap(lambda d: jax.jvp(error, (x,), (d,)), out_axes=(None, 0))
-        return along(eye)
+    def along(direction: Unknowns) -> tuple[Array, Array]:
+        return jax.jvp(lambda at: _errors(at, problem), (unknowns,), (direction,))
 
-    return _over_runs(problem, unknowns, one)
+    return jax.vmap(along, out_axes=(None, 0))(_directions(unknowns))
 
 
-@eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
-    """Weighed errors of all runs, zero where not scored."""
-    return _over_runs(problem, unknowns, lambda run, x: _one_run(problem, run)(x))
+def _directions(unknowns: Unknowns) -> Unknowns:
+    """Each unknown by itself, starts first: those of all runs at once, which share no errors."""
+    runs, own = unknowns.starts.shape
+    eye = jnp.eye(own + len(unknowns.theta), dtype=unknowns.theta.dtype)
+    starts = jnp.broadcast_to(eye[:, None, :own], (len(eye), runs, own))
+    return Unknowns(eye[:, own:], starts)
 
 
 @errors.def_jvp
@@ -206,23 +234,15 @@ def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     """The whole Jacobian in one sweep; then products with it cost next to nothing."""
     unknowns, problem = primals
     moved, _ = tangents
-
     error, jacobian = linearised(unknowns, problem)
-    theta = jnp.broadcast_to(moved.theta, (len(error), len(problem.free)))
-    return error, jnp.einsum("iur,iu->ir", jacobian, jnp.concatenate([moved.starts, theta], axis=1))
+    own = unknowns.starts.shape[1]
+    along = jnp.einsum("uir,iu->ir", jacobian[:own], moved.starts)
+    return error, along + jnp.einsum("uir,u->ir", jacobian[own:], moved.theta)
 
 
 def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
     """Columns of the Jacobian of each run with its own unknowns, starts first."""
-    runs, own = unknowns.starts.shape
-    size = own + len(unknowns.theta)
-
-    def column(along: Float[Array, " unknowns"]) -> Float[Array, "runs rows"]:
-        starts = jnp.broadcast_to(along[:own], (runs, own))  # of all runs at once
-        return jacobian.mv(Unknowns(along[own:], starts))
-
-    columns = jax.vmap(column)(jnp.eye(size, dtype=unknowns.theta.dtype))
-    return jnp.moveaxis(columns, 0, -1)
+    return jnp.moveaxis(jax.vmap(jacobian.mv)(_directions(unknowns)), 0, -1)
 
 
 # -- the solver -------------------------------------------------------------------------------

@@ -146,15 +146,25 @@ def acted(plant: Plant, driven_by: Drive) -> Drive:
     """
     if plant.actuator is None:
         return driven_by
-    inputs = _acted(plant, driven_by.time, driven_by.step, driven_by.inputs)
+    inputs = behind(plant, jnp.asarray(plant.theta), driven_by)
     return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
 
 
 @eqx.filter_jit
-def _acted(plant: Plant, time: Any, step: Any, inputs: Any) -> Float[Array, "steps 3 nu"]:
-    first, middle, last = jnp.moveaxis(jnp.asarray(inputs), 1, 0)
+def behind(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
+    """Inputs behind the actuators of a plant, for use inside other JAX code.
+
+    Args:
+        plant: with an actuator; its own parameter values are not used.
+        theta: parameter values; derivatives with them are those of the actuator.
+        driven_by: of a whole record, from whose start on the past of the inputs is known.
+
+    Returns:
+        The inputs of `acted`, at the start, the middle and the end of each step.
+    """
+    first, middle, last = jnp.moveaxis(jnp.asarray(driven_by.inputs), 1, 0)
     mean = (first + 4.0 * middle + last) / 6.0
-    mean = plant.driven(jnp.asarray(time) + 0.5 * step, mean, jnp.asarray(plant.theta))
+    mean = plant.driven(jnp.asarray(driven_by.time) + 0.5 * driven_by.step, mean, theta)
     ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     first, last = ends[:-1], ends[1:]
     return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)

@@ -68,10 +68,10 @@ def test_derivatives_are_finite_differences_with_dry_friction_too(window):
         slope = np.asarray(flat(x + moved) - flat(x - moved)) / (2 * step)
         column = np.zeros_like(slope)
         if j < free:
-            column = np.asarray(jacobian[:, own + j])
+            column = np.asarray(jacobian[own + j])
         else:
             i, k = divmod(j - free, own)
-            column[i] = jacobian[i, k]
+            column[i] = jacobian[k, i]
         # Differences are off by the bend over their step, and by 1e-15 over it.
         assert np.linalg.norm(slope - column) < 1e-5 * np.linalg.norm(column), j
 
