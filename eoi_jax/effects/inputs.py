@@ -17,6 +17,8 @@ from eoi_jax.effects.effect import (
     quantiles,
 )
 
+_INSTANT = 1e-3  # time of a lag, in steps, at which a step leaves nothing of it: exp(-1000)
+
 
 class InputDeadZone(AbstractInputEffect):
     """sign(u) max(|u| - g, 0)."""
@@ -99,11 +101,13 @@ class ActuatorLag(AbstractActuator):
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Exact for a staircase: z decays towards u in each step, and the mean over it is taken.
-        ratio = (time[1] - time[0]) / shape[0]
-        decay = jnp.exp(-ratio)
+        period = time[1] - time[0]
+        # No lag at all has a slope as well: its z has settled within each step.
+        decay = jnp.exp(-period / jnp.maximum(shape[0], _INSTANT * period))
+        late = (1.0 - decay) * shape[0] / period
 
         def step(z: Any, u: Any) -> tuple[Any, Any]:
-            return u + (z - u) * decay, u + (z - u) * (1.0 - decay) / ratio
+            return u + (z - u) * decay, u + (z - u) * late
 
         return jax.lax.scan(step, u[0], u)[1]
 
