@@ -1,15 +1,12 @@
-r"""Least squares of free runs over parameters and initial states: the kernel of `refine`.
+r"""Errors of free runs over parameters and initial states, and their derivatives.
 
-Levenberg-Marquardt (optimistix; its first steps are all but Gauss-Newton) over forward-mode
-sensitivities of the fixed-step simulation, in which dry friction sticks. A run depends on no other
-run's initial state, so one sweep over all runs gives all columns of the Jacobian,
-and the initial states are eliminated run by run: the matrix has the shape of an arrow, and QR of
-the rows of each run leaves a small triangle (Å. Björck, *Numerical Methods for Least Squares
-Problems*, section 6.3).
+The runs of `refine`: fixed-step simulations, in which dry friction sticks, with forward-mode
+sensitivities. A run depends on no other run's initial state, so one sweep over all runs gives all
+columns of the Jacobian. The least squares over them is in `levenberg_marquardt.py`.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
@@ -28,11 +24,8 @@ from eoi_jax.types import Scalar, Theta
 from eoi_jax.validate import _initial_states, _Run, _unpack
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
-_LEAST = 8  # steps of a run, at least
-_DAMPING = 1e-2  # of the first step, relative to the squared length of each column
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
-_FLOOR = 1e-18  # mean square of weighed errors below which cost is rounding, divided by PROMISE
-_SHORTEST_STEP = 1e-4  # of the trust region, relative to the first
+_LEAST = 8  # steps of a run, at least
 
 
 # -- runs -------------------------------------------------------------------------------------
@@ -215,18 +208,22 @@ def linearised(
 ) -> tuple[Float[Array, "runs rows"], Float[Array, "unknowns runs rows"]]:
     """Weighed errors, and their derivatives with the unknowns of each run, its start first."""
 
-    def along(direction: Unknowns) -> tuple[Array, Array]:
-        return jax.jvp(lambda at: _errors(at, problem), (unknowns,), (direction,))
+    def slope(along: Array) -> tuple[Array, Array]:
+        moved = direction(unknowns, along)
+        return jax.jvp(lambda at: _errors(at, problem), (unknowns,), (moved,))
 
-    return jax.vmap(along, out_axes=(None, 0))(_directions(unknowns))
+    return jax.vmap(slope, out_axes=(None, 0))(each(unknowns))
 
 
-def _directions(unknowns: Unknowns) -> Unknowns:
-    """Each unknown by itself, starts first: those of all runs at once, which share no errors."""
-    runs, own = unknowns.starts.shape
-    eye = jnp.eye(own + len(unknowns.theta), dtype=unknowns.theta.dtype)
-    starts = jnp.broadcast_to(eye[:, None, :own], (len(eye), runs, own))
-    return Unknowns(eye[:, own:], starts)
+def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
+    """Directions along each unknown of a run alone, start first."""
+    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
+
+
+def direction(unknowns: Unknowns, along: Float[Array, " unknowns"]) -> Unknowns:
+    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
+    own = unknowns.starts.shape[1]
+    return Unknowns(along[own:], jnp.broadcast_to(along[:own], unknowns.starts.shape))
 
 
 @errors.def_jvp
@@ -238,127 +235,6 @@ def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     own = unknowns.starts.shape[1]
     along = jnp.einsum("uir,iu->ir", jacobian[:own], moved.starts)
     return error, along + jnp.einsum("uir,u->ir", jacobian[own:], moved.theta)
-
-
-def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
-    """Columns of the Jacobian of each run with its own unknowns, starts first."""
-    return jnp.moveaxis(jax.vmap(jacobian.mv)(_directions(unknowns)), 0, -1)
-
-
-# -- the solver -------------------------------------------------------------------------------
-
-
-class _Reduced(eqx.Module):
-    """The linearised problem at the last accepted point, with columns of length one.
-
-    Attributes:
-        triangles: R of [J | error] of each run: its start, θ, the error.
-        own, shared: lengths of the columns of starts and of θ (over all runs).
-        room: how far θ may go down and up.
-        promise: share of the cost that a step without damping would take away.
-    """
-
-    triangles: Float[Array, "runs size size"]
-    own: Float[Array, "runs unknowns"]
-    shared: Float[Array, " free"]
-    room: Float[Array, "2 free"]
-    promise: Scalar
-
-
-class _Arrow(optx.AbstractDescent):
-    """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept."""
-
-    lower: Float[Array, " free"]
-    upper: Float[Array, " free"]
-
-    def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
-        """Anything of the right shape."""
-        del f_info_struct
-        runs, own = y.starts.shape
-        size = own + len(y.theta) + 1
-        one = jnp.ones((), y.theta.dtype)
-        return _Reduced(
-            jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta,
-            jnp.stack([y.theta, y.theta]), one,
-        )  # fmt: skip
-
-    def query(self, y: Unknowns, f_info: Any, state: _Reduced) -> _Reduced:
-        """Linearise at an accepted point."""
-        del state
-        own = y.starts.shape[1]
-        columns, error = _columns(f_info.jac, y), f_info.residual
-        # On its bound, and the cost falls beyond it: not a direction to go.
-        slope = jnp.einsum("iru,ir->u", columns[..., own:], error)
-        stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
-        columns = columns.at[..., own:].multiply(jnp.where(stuck, 0.0, 1.0))
-        power = jnp.sum(columns**2, axis=1)
-        lengths = _length(power[:, :own]), _length(jnp.sum(power[:, own:], axis=0))
-        scale = jnp.concatenate(
-            [lengths[0], jnp.broadcast_to(lengths[1], (len(error), len(y.theta)))], axis=1
-        )
-        stacked = jnp.concatenate([columns / scale[:, None, :], error[..., None]], axis=-1)
-        triangles = jnp.linalg.qr(stacked, mode="r")
-        room = jnp.stack([self.lower - y.theta, self.upper - y.theta])
-        _, left = _shared_step(triangles, own, jnp.asarray(1e-12, error.dtype))
-        cost = jnp.sum(error**2)
-        promise = (cost - left) / jnp.maximum(cost, _FLOOR * error.size)
-        return _Reduced(triangles, *lengths, room, promise)
-
-    def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
-        """The step of damping inverse to `step_size`."""
-        damping, own = _DAMPING / step_size, state.own.shape[1]
-        theta, _ = _shared_step(state.triangles, own, damping)
-        theta = jnp.clip(theta / state.shared, state.room[0], state.room[1])
-        starts = _own_steps(state.triangles, own, damping, theta * state.shared) / state.own
-        return Unknowns(theta, starts), optx.RESULTS.successful
-
-
-def _length(power: Array) -> Array:
-    return jnp.where(power > 0, jnp.sqrt(jnp.where(power > 0, power, 1.0)), 1.0)
-
-
-def _damped(triangles: Array, own: int, damping: Scalar) -> Array:
-    """R of each run with damping rows on its start."""
-    rows = jnp.sqrt(damping) * jnp.eye(own, triangles.shape[-1], dtype=triangles.dtype)
-    rows = jnp.broadcast_to(rows, (len(triangles), *rows.shape))
-    return jnp.linalg.qr(jnp.concatenate([triangles, rows], axis=1), mode="r")
-
-
-def _shared_step(triangles: Array, own: int, damping: Scalar) -> tuple[Array, Scalar]:
-    """Step of scaled θ over what the starts of the runs leave, and the cost that is then left."""
-    left = _damped(triangles, own, damping)[:, own:, own:]
-    size = left.shape[-1] - 1
-    rows = jnp.sqrt(damping) * jnp.eye(size, size + 1, dtype=left.dtype)
-    whole = jnp.linalg.qr(jnp.concatenate([left.reshape(-1, size + 1), rows]), mode="r")
-    step = jax.scipy.linalg.solve_triangular(whole[:size, :size], -whole[:size, size])
-    return step, whole[size, size] ** 2
-
-
-def _own_steps(triangles: Array, own: int, damping: Scalar, theta: Array) -> Array:
-    """Steps of the scaled starts, given that of scaled θ."""
-    rows = _damped(triangles, own, damping)[:, :own]
-    rhs = rows[..., own:-1] @ theta + rows[..., -1]
-    return jax.vmap(jax.scipy.linalg.solve_triangular)(rows[..., :own], -rhs)
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """Optimistix's Levenberg-Marquardt, ended by what a step promises, not by its length."""
-
-    rtol: float
-    atol: float
-    norm: Callable[[Any], Scalar]
-    descent: _Arrow
-    search: optx.ClassicalTrustRegion
-    verbose: Callable[..., None]
-
-    def terminate(
-        self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
-    ) -> tuple[Array, optx.RESULTS]:
-        """Whether the cost is at its floor, or no step, however short, lowers it."""
-        del fn, y, args, options, tags
-        done = state.descent_state.promise < PROMISE
-        lost = state.search_state.step_size < _SHORTEST_STEP
-        return ~state.first_step & (done | lost), state.result
 
 
 class Outcome(eqx.Module):
@@ -377,25 +253,5 @@ class Outcome(eqx.Module):
     columns: Float[Array, "runs rows unknowns"]
     before: Float[Array, "runs rows"]
     promise: Scalar
-    steps: Array
+    steps: Int[Array, ""]
     exhausted: Bool[Array, ""]
-
-
-@eqx.filter_jit
-def solve(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
-    """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs."""
-    solver = _LevenbergMarquardt(
-        0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper),
-        optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None,
-    )  # fmt: skip
-    found = optx.least_squares(errors, solver, unknowns, problem, max_steps=max_steps, throw=False)
-    info = found.state.f_info
-    return Outcome(
-        found.value,
-        info.residual,
-        _columns(info.jac, found.value),
-        errors(unknowns, problem),
-        found.state.descent_state.promise,
-        found.stats["num_steps"],
-        found.result == optx.RESULTS.nonlinear_max_steps_reached,
-    )

@@ -5,7 +5,7 @@ the free parameters and the initial state of every run, $\sigma_j$ the rms resid
 A run is a whole record or a window of one (multiple shooting without continuity): short runs are
 easy to fit and forgive what the model lacks, long ones use the most of a model that lacks nothing.
 
-Least squares, sensitivities and solver are in `output_error.py`.
+Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marquardt.py`.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,6 @@ from eoi_jax.output_error import (
     Unknowns,
     guessed_starts,
     problem_of,
-    solve,
     spans_of,
     start_of,
 )
@@ -179,6 +178,9 @@ def _fitted(problem: Problem, unknowns: Unknowns, max_steps: int) -> "_Fit":
     Each lowers the sum of squares under weights that were the best ones before: alternating
     minimisation of the likelihood over the unknowns and σ, which never goes up.
     """
+    # Imported here: optimistix is heavy, and only a fit needs it.
+    from eoi_jax.levenberg_marquardt import solve
+
     one = solve(problem, unknowns, max_steps)
     fit = _Fit(problem, one, _unweighed(problem, one.before), int(one.steps))
     if problem.y.shape[2] == 1 or not np.all(np.isfinite(fit.before)):
@@ -210,6 +212,11 @@ class _Fit:
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
         """Which samples are scored."""
         return np.asarray(self.problem.weight) > 0
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether the free runs have derivatives where the fit ended."""
+        return bool(np.all(np.isfinite(np.asarray(self.outcome.columns))))
 
 
 def _unweighed(problem: Problem, error: Array) -> Float[np.ndarray, "runs time ny"]:
@@ -283,9 +290,12 @@ def _covariance(
 ) -> tuple[Float[np.ndarray, "np np"], list[str]]:
     """Sandwich over blocks of samples, and combinations of parameters without a trace.
 
-    The columns of θ are taken beside those of the starts, which are estimated too.
+    NaN where there are no derivatives. The columns of θ are taken beside those of the starts,
+    which are estimated too.
     """
     columns, error = np.asarray(fit.outcome.columns), np.asarray(fit.outcome.error)
+    if not fit.differentiable:
+        return np.full((len(plant.names), len(plant.names)), np.nan), []
     own = columns.shape[2] - len(fit.problem.free)
     names = [plant.names[i] for i in fit.problem.free]
     shared = columns[..., own:] * np.asarray([name not in bound for name in names])
@@ -310,6 +320,8 @@ def _covariance(
 
 def _status(fit: _Fit, lost: Sequence[str]) -> Status:
     outcome, promise = fit.outcome, float(fit.outcome.promise)
+    if not fit.differentiable:
+        return Status("diverged", _ROUGH)
     if lost:
         return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
     if promise < PROMISE:
@@ -335,6 +347,10 @@ _NO_DATA = "no sample is left to score: the records are masked, or shorter than 
 _DIVERGED = (
     "the free run from the starting parameters does not stay finite: start from other parameters, "
     "or fit shorter runs with `window`"
+)
+_ROUGH = (
+    "the free run has derivatives that are not finite where the fit ended: a function of the model "
+    "has none there (a root at zero). Keep its parameters off that point with `bounds`"
 )
 _UNTRACED = (
     "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "

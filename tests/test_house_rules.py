@@ -41,6 +41,7 @@ LAYERS = (
     ("diagnose",),
     ("validate",),
     ("output_error",),
+    ("levenberg_marquardt",),
     ("refine",),
     ("discovery",),
     ("rounds",),

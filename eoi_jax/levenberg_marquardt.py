@@ -1,0 +1,170 @@
+r"""Levenberg-Marquardt for many runs that share parameters and start each on its own.
+
+Optimistix's solver; its first steps are all but Gauss-Newton. The Jacobian has the shape of an
+arrow: the initial states are eliminated run by run, for QR of the rows of each run leaves a small
+triangle (Å. Björck, *Numerical Methods for Least Squares Problems*, section 6.3).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from eoi_jax.output_error import PROMISE, Outcome, Problem, Unknowns, direction, each, errors
+from eoi_jax.types import Scalar
+
+_DAMPING = 1e-2  # of the first step, relative to the squared length of each column
+_FLOOR = 1e-18  # mean square of weighed errors below which cost is rounding, divided by PROMISE
+_SHORTEST_STEP = 1e-4  # of the trust region, relative to the first
+
+
+class _Reduced(eqx.Module):
+    """The linearised problem at the last accepted point, with columns of length one.
+
+    Attributes:
+        triangles: R of [J | error] of each run: its start, θ, the error.
+        own, shared: lengths of the columns of starts and of θ (over all runs).
+        room: how far θ may go down and up.
+        promise: share of the cost that a step without damping would take away.
+    """
+
+    triangles: Float[Array, "runs size size"]
+    own: Float[Array, "runs unknowns"]
+    shared: Float[Array, " free"]
+    room: Float[Array, "2 free"]
+    promise: Scalar
+
+
+class _Arrow(optx.AbstractDescent):
+    """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept."""
+
+    lower: Float[Array, " free"]
+    upper: Float[Array, " free"]
+
+    def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
+        """Anything of the right shape."""
+        del f_info_struct
+        runs, own = y.starts.shape
+        size = own + len(y.theta) + 1
+        one = jnp.ones((), y.theta.dtype)
+        return _Reduced(
+            jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta,
+            jnp.stack([y.theta, y.theta]), one,
+        )  # fmt: skip
+
+    def query(self, y: Unknowns, f_info: Any, state: _Reduced) -> _Reduced:
+        """Linearise at an accepted point."""
+        del state
+        own = y.starts.shape[1]
+        columns, error = _columns(f_info.jac, y), f_info.residual
+        # On its bound, and the cost falls beyond it: not a direction to go.
+        slope = jnp.einsum("iru,ir->u", columns[..., own:], error)
+        stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
+        columns = columns.at[..., own:].multiply(jnp.where(stuck, 0.0, 1.0))
+        power = jnp.sum(columns**2, axis=1)
+        lengths = _length(power[:, :own]), _length(jnp.sum(power[:, own:], axis=0))
+        scale = jnp.concatenate(
+            [lengths[0], jnp.broadcast_to(lengths[1], (len(error), len(y.theta)))], axis=1
+        )
+        stacked = jnp.concatenate([columns / scale[:, None, :], error[..., None]], axis=-1)
+        triangles = jnp.linalg.qr(stacked, mode="r")
+        room = jnp.stack([self.lower - y.theta, self.upper - y.theta])
+        _, left = _shared_step(triangles, own, jnp.asarray(1e-12, error.dtype))
+        cost = jnp.sum(error**2)
+        promise = (cost - left) / jnp.maximum(cost, _FLOOR * error.size)
+        return _Reduced(triangles, *lengths, room, promise)
+
+    def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
+        """The step of damping inverse to `step_size`."""
+        damping, own = _DAMPING / step_size, state.own.shape[1]
+        theta, _ = _shared_step(state.triangles, own, damping)
+        theta = jnp.clip(theta / state.shared, state.room[0], state.room[1])
+        starts = _own_steps(state.triangles, own, damping, theta * state.shared) / state.own
+        return Unknowns(theta, starts), optx.RESULTS.successful
+
+
+def _length(power: Array) -> Array:
+    return jnp.where(power > 0, jnp.sqrt(jnp.where(power > 0, power, 1.0)), 1.0)
+
+
+def _damped(triangles: Array, own: int, damping: Scalar) -> Array:
+    """R of each run with damping rows on its start."""
+    rows = jnp.sqrt(damping) * jnp.eye(own, triangles.shape[-1], dtype=triangles.dtype)
+    rows = jnp.broadcast_to(rows, (len(triangles), *rows.shape))
+    return jnp.linalg.qr(jnp.concatenate([triangles, rows], axis=1), mode="r")
+
+
+def _shared_step(triangles: Array, own: int, damping: Scalar) -> tuple[Array, Scalar]:
+    """Step of scaled θ over what the starts of the runs leave, and the cost that is then left."""
+    left = _damped(triangles, own, damping)[:, own:, own:]
+    size = left.shape[-1] - 1
+    rows = jnp.sqrt(damping) * jnp.eye(size, size + 1, dtype=left.dtype)
+    whole = jnp.linalg.qr(jnp.concatenate([left.reshape(-1, size + 1), rows]), mode="r")
+    step = jax.scipy.linalg.solve_triangular(whole[:size, :size], -whole[:size, size])
+    return step, whole[size, size] ** 2
+
+
+def _own_steps(triangles: Array, own: int, damping: Scalar, theta: Array) -> Array:
+    """Steps of the scaled starts, given that of scaled θ."""
+    rows = _damped(triangles, own, damping)[:, :own]
+    rhs = rows[..., own:-1] @ theta + rows[..., -1]
+    return jax.vmap(jax.scipy.linalg.solve_triangular)(rows[..., :own], -rhs)
+
+
+class _LevenbergMarquardt(optx.AbstractGaussNewton):
+    """Optimistix's Levenberg-Marquardt, ended by what a step promises, not by its length."""
+
+    rtol: float
+    atol: float
+    norm: Callable[[Any], Scalar]
+    descent: _Arrow
+    search: optx.ClassicalTrustRegion
+    verbose: Callable[..., None]
+    most: Int[Array, ""]
+
+    def terminate(
+        self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
+    ) -> tuple[Array, optx.RESULTS]:
+        """Whether the cost is at its floor, no step, however short, lowers it, or time is up."""
+        del fn, y, args, options, tags
+        done = state.descent_state.promise < PROMISE
+        end = done | _lost(state) | (state.num_steps >= self.most)
+        return ~state.first_step & end, state.result
+
+
+def _lost(state: Any) -> Array:
+    return state.search_state.step_size < _SHORTEST_STEP
+
+
+def solve(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
+    """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs."""
+    return _solve(problem, unknowns, jnp.asarray(max_steps))
+
+
+@eqx.filter_jit
+def _solve(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
+    solver = _LevenbergMarquardt(
+        0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper),
+        optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most,
+    )  # fmt: skip
+    found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
+    info, steps = found.state.f_info, found.stats["num_steps"]
+    return Outcome(
+        found.value,
+        info.residual,
+        _columns(info.jac, found.value),
+        errors(unknowns, problem),
+        found.state.descent_state.promise,
+        steps,
+        (steps >= most) & ~_lost(found.state),
+    )
+
+
+def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
+    """Columns of the Jacobian of each run with its own unknowns, starts first."""
+    columns = jax.vmap(lambda along: jacobian.mv(direction(unknowns, along)))(each(unknowns))
+    return jnp.moveaxis(columns, 0, -1)
