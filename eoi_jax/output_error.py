@@ -203,6 +203,7 @@ def _acted(problem: Problem, theta: Theta) -> Drive:
     return eqx.tree_at(lambda drives: drives.inputs, problem.drives, inputs[problem.rows])
 
 
+@eqx.filter_jit  # traced once, wherever a solver asks for it
 def linearised(
     unknowns: Unknowns, problem: Problem
 ) -> tuple[Float[Array, "runs rows"], Float[Array, "unknowns runs rows"]]:
