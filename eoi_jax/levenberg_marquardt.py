@@ -157,7 +157,6 @@ def _solve(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcom
         found.value,
         info.residual,
         _columns(info.jac, found.value),
-        errors(unknowns, problem),
         found.state.descent_state.promise,
         steps,
         (steps >= most) & ~_lost(found.state),

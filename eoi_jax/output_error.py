@@ -173,12 +173,6 @@ def start_of(plant: Plant, theta: Theta, values: Array, declared: Array) -> Stat
     return eqx.tree_at(lambda x: x.z, start, jnp.where(declared, own, start.z))
 
 
-@eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
-    """Weighed errors of all runs, zero where not scored."""
-    return _errors(unknowns, problem)
-
-
 def _errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
     theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
 
@@ -227,6 +221,12 @@ def direction(unknowns: Unknowns, along: Float[Array, " unknowns"]) -> Unknowns:
     return Unknowns(along[own:], jnp.broadcast_to(along[:own], unknowns.starts.shape))
 
 
+@eqx.filter_custom_jvp
+def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
+    """Weighed errors of all runs, zero where not scored."""
+    return _errors(unknowns, problem)
+
+
 @errors.def_jvp
 def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     """The whole Jacobian in one sweep; then products with it cost next to nothing."""
@@ -243,7 +243,7 @@ class Outcome(eqx.Module):
 
     Attributes:
         unknowns: the best ones.
-        error: weighed errors there. before: at the start.
+        error: weighed errors there.
         columns: derivatives of `error` with the unknowns of each run, its start first.
         promise: share of the cost that least squares still promises to take away.
         steps: simulations with sensitivities. exhausted: whether there were too few.
@@ -252,7 +252,6 @@ class Outcome(eqx.Module):
     unknowns: Unknowns
     error: Float[Array, "runs rows"]
     columns: Float[Array, "runs rows unknowns"]
-    before: Float[Array, "runs rows"]
     promise: Scalar
     steps: Int[Array, ""]
     exhausted: Bool[Array, ""]

@@ -181,8 +181,10 @@ def _fitted(problem: Problem, unknowns: Unknowns, max_steps: int) -> "_Fit":
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve
 
+    # The first step is only an evaluation, by the code that is compiled for all of them.
+    before = _unweighed(problem, solve(problem, unknowns, 1).error)
     one = solve(problem, unknowns, max_steps)
-    fit = _Fit(problem, one, _unweighed(problem, one.before), int(one.steps))
+    fit = _Fit(problem, one, before, int(one.steps))
     if problem.y.shape[2] == 1 or not np.all(np.isfinite(fit.before)):
         return fit
     for _ in range(_ROUNDS):
