@@ -73,7 +73,8 @@ class _Arrow(optx.AbstractDescent):
         stacked = jnp.concatenate([columns / scale[:, None, :], error[..., None]], axis=-1)
         triangles = jnp.linalg.qr(stacked, mode="r")
         room = jnp.stack([self.lower - y.theta, self.upper - y.theta])
-        _, left = _shared_step(triangles, own, jnp.asarray(1e-12, error.dtype))
+        least = jnp.asarray(1e-12, error.dtype)
+        _, left = _shared_step(_damped(triangles, own, least), own, least)
         cost = jnp.sum(error**2)
         promise = (cost - left) / jnp.maximum(cost, _FLOOR * error.size)
         return _Reduced(triangles, *lengths, room, promise)
@@ -81,9 +82,10 @@ class _Arrow(optx.AbstractDescent):
     def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
         """The step of damping inverse to `step_size`."""
         damping, own = _DAMPING / step_size, state.own.shape[1]
-        theta, _ = _shared_step(state.triangles, own, damping)
+        rows = _damped(state.triangles, own, damping)
+        theta, _ = _shared_step(rows, own, damping)
         theta = jnp.clip(theta / state.shared, state.room[0], state.room[1])
-        starts = _own_steps(state.triangles, own, damping, theta * state.shared) / state.own
+        starts = _own_steps(rows[:, :own], theta * state.shared) / state.own
         return Unknowns(theta, starts), optx.RESULTS.successful
 
 
@@ -98,9 +100,9 @@ def _damped(triangles: Array, own: int, damping: Scalar) -> Array:
     return jnp.linalg.qr(jnp.concatenate([triangles, rows], axis=1), mode="r")
 
 
-def _shared_step(triangles: Array, own: int, damping: Scalar) -> tuple[Array, Scalar]:
+def _shared_step(damped: Array, own: int, damping: Scalar) -> tuple[Array, Scalar]:
     """Step of scaled θ over what the starts of the runs leave, and the cost that is then left."""
-    left = _damped(triangles, own, damping)[:, own:, own:]
+    left = damped[:, own:, own:]
     size = left.shape[-1] - 1
     rows = jnp.sqrt(damping) * jnp.eye(size, size + 1, dtype=left.dtype)
     whole = jnp.linalg.qr(jnp.concatenate([left.reshape(-1, size + 1), rows]), mode="r")
@@ -108,9 +110,9 @@ def _shared_step(triangles: Array, own: int, damping: Scalar) -> tuple[Array, Sc
     return step, whole[size, size] ** 2
 
 
-def _own_steps(triangles: Array, own: int, damping: Scalar, theta: Array) -> Array:
+def _own_steps(rows: Array, theta: Array) -> Array:
     """Steps of the scaled starts, given that of scaled θ."""
-    rows = _damped(triangles, own, damping)[:, :own]
+    own = rows.shape[1]
     rhs = rows[..., own:-1] @ theta + rows[..., -1]
     return jax.vmap(jax.scipy.linalg.solve_triangular)(rows[..., :own], -rhs)
 

@@ -139,6 +139,15 @@ def test_lag_of_an_actuator_is_refined_to_the_truth(lagged):
     np.testing.assert_allclose(result.plant.theta, true.theta, rtol=1e-7)
 
 
+def test_lag_that_is_not_there_is_refined_to_zero():
+    """Its bound, on which the lag has a slope like anywhere else."""
+    true = LAGGED.with_parameters({"actuator_lag": 0.0, "mass": 0.6})
+    result = refine(LAGGED, run(true, [0.02, -0.1]), window=1.0)
+    assert result.status.ok
+    assert 0.0 <= result.parameters["actuator_lag"] < 1e-9
+    assert result.parameters["mass"] == pytest.approx(0.6, rel=1e-7)
+
+
 def test_windows_start_one_after_the_other_each_from_its_own_state(lagged):
     true, result = lagged
     assert [one.time for one in result.starts] == [0, 1, 2, 3, 4]
