@@ -31,13 +31,12 @@ from eoi_jax.effects.effect import (
 from eoi_jax.modes import (
     Stretch,
     Values,
-    averaged,
     integrated,
     internal_along,
     model_rows,
-    thinned,
 )
 from eoi_jax.plants.plant import Plant
+from eoi_jax.thinning import averaged, thinned
 
 _OVERFLOW = 1e100
 

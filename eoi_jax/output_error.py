@@ -21,7 +21,7 @@ from eoi_jax.plants.plant import Plant, State
 from eoi_jax.simulate import acted, behind, drive
 from eoi_jax.trajectory import Drive, frictional, trajectory
 from eoi_jax.types import Scalar, Theta
-from eoi_jax.validate import _initial_states, _Run, _unpack
+from eoi_jax.validate import Run, initial_states, unpacked
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
@@ -154,13 +154,13 @@ def guessed_starts(
 ) -> Float[np.ndarray, "runs unknowns"]:
     """Initial states fitted to the first samples of each run, at the starting parameters."""
     count = min([_HEAD, *(span.count for span in spans)])
-    run = _Run(problem.plant, problem.friction, count, substeps)
+    run = Run(problem.plant, problem.friction, count, substeps)
     whole = [acted(problem.plant, one) for one in _whole(records, substeps)]
     heads = _drives(whole, spans, count - 1)
     y = np.asarray(problem.y[:, :count])
     valid = np.stack([records[one.record].valid[one.first : one.first + count] for one in spans])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return _initial_states(run, problem.theta, heads, y, valid)
+        return initial_states(run, problem.theta, heads, y, valid)
 
 
 # -- residuals and their Jacobian -------------------------------------------------------------
@@ -168,7 +168,7 @@ def guessed_starts(
 
 def start_of(plant: Plant, theta: Theta, values: Array, declared: Array) -> State:
     """Initial state from its unknowns; internal states by the plant where it declares them."""
-    start = _unpack(plant, values)
+    start = unpacked(plant, values)
     own = plant.internal_start(theta)
     return eqx.tree_at(lambda x: x.z, start, jnp.where(declared, own, start.z))
 

@@ -106,7 +106,7 @@ def validate(
     check(len(records) > 0, "records", "must hold at least one record", "none")
     for record in records:
         _check_record(plant, record, initial_samples, window)
-    run = _Run(plant, frictional(plant), initial_samples, substeps)
+    run = Run(plant, frictional(plant), initial_samples, substeps)
     notes: list[str] = []
     predicted, scored = [], []
     for record in records:
@@ -158,7 +158,7 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
     """What all runs share."""
 
     plant: Plant
@@ -168,7 +168,7 @@ class _Run:
 
 
 def _predict(
-    run: _Run, record: Record, window: float | None, notes: list[str]
+    run: Run, record: Record, window: float | None, notes: list[str]
 ) -> tuple[Samples, Bool[np.ndarray, " time"]]:
     """Free runs along a record, one or one a window: prediction, and which samples count."""
     total = len(record)
@@ -199,15 +199,15 @@ def _predict(
 
 
 def _free_runs(
-    run: _Run, record: Record, whole: Drive, starts: Sequence[int], count: int
+    run: Run, record: Record, whole: Drive, starts: Sequence[int], count: int
 ) -> Float[np.ndarray, "runs time ny"]:
     """Runs of `count` steps from samples `starts`, each from its own estimated initial state."""
     theta = jnp.asarray(run.plant.theta)
     first = min(run.initial_samples, count + 1)
     seen = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(whole, starts, first - 1)
-    values = _initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
-    begun = jax.vmap(lambda one: _unpack(run.plant, one))(jnp.asarray(values))
+    values = initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
+    begun = jax.vmap(lambda one: unpacked(run.plant, one))(jnp.asarray(values))
     return chained(run.plant, theta, _parts(whole, starts, count), begun, run.friction)
 
 
@@ -230,7 +230,7 @@ def _runs(
     """Short runs side by side."""
 
     def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
-        return trajectory(plant, theta, driven_by, _unpack(plant, values), friction)[0][:, 0, :]
+        return trajectory(plant, theta, driven_by, unpacked(plant, values), friction)[0][:, 0, :]
 
     return jax.vmap(one)(drives, jnp.asarray(values))
 
@@ -238,8 +238,8 @@ def _runs(
 # -- the initial state --------------------------------------------------------------------
 
 
-def _initial_states(
-    run: _Run, theta: Theta, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
+def initial_states(
+    run: Run, theta: Theta, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
 ) -> Starts:
     """Least squares of each free run over its first samples, by damped Gauss-Newton."""
     period = float(heads.step[0]) * heads.substeps
@@ -297,7 +297,7 @@ def _descend(
 class _Heads:
     """The first samples of all runs, to which start states are fitted."""
 
-    run: _Run
+    run: Run
     theta: Theta
     heads: Drive
     y: Float[np.ndarray, "runs time ny"]
@@ -358,7 +358,8 @@ def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def _unpack(plant: Plant, values: Float[Array, " unknowns"]) -> State:
+def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
+    """The state of which `values` are what is unknown: outputs and derivatives, then z."""
     rows, columns = _owned(plant)
     empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
     return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])

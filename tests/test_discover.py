@@ -11,7 +11,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.candidates import Atom
-from eoi_jax.discover import _ambiguous
+from eoi_jax.discover import _akin, _ambiguous
 from eoi_jax.effects.effect import AbstractTerm, Parameter
 from eoi_jax.fit import Base, Fit
 from eoi_jax.rounds import Round
@@ -427,3 +427,10 @@ def test_stribeck_friction_that_cannot_be_excluded_is_said_beside_coulomb():
 
 def test_stribeck_friction_of_no_rise_is_not_said_beside_coulomb():
     assert undecided(rise=0.05) == ()
+
+
+def test_laws_that_contain_each_other_are_no_rivals():
+    coulomb, stribeck = effects.CoulombFriction(), effects.StribeckFriction()
+    assert _akin(coulomb, stribeck)
+    assert _akin(effects.AsymmetricFriction(), stribeck)
+    assert not _akin(coulomb, effects.QuadraticDrag())

@@ -30,6 +30,7 @@ LAYERS = (
     ("regression",),
     ("passes",),
     ("prepare", "tuning"),
+    ("thinning",),
     ("modes", "noise_model"),
     ("candidates",),
     ("fit",),

@@ -477,3 +477,15 @@ def test_runs_in_one_chain_are_those_one_by_one(inputs: tuple[str, ...]):
         alone, start = (jax.tree.map(lambda leaf: leaf[i], one) for one in (drives, starts))  # noqa: B023
         y, _ = trajectory(plant, theta, alone, start, (True,))
         np.testing.assert_allclose(together[i], y[:, 0], rtol=1e-12, atol=1e-12)
+
+
+def test_adaptive_solver_refuses_a_plant_behind_an_actuator():
+    plant = Plant(lambda t, x, u, p: -p.k * x.y[0] + u, {"k": 1.0}, actuator=lambda t, u, p: u)
+    time = np.linspace(0.0, 1.0, 50)
+    with pytest.raises(ValueError, match='must be "fixed" for a plant with a delay or lag'):
+        simulate(plant, time, np.zeros(50), solver="adaptive")
+
+
+def test_actuator_of_a_wrong_shape_is_found_when_the_plant_is_made():
+    with pytest.raises(ValueError, match="`actuator` must return as many inputs as it gets"):
+        Plant(lambda t, x, u, p: p.k * u, {"k": 1.0}, actuator=lambda t, u, p: u[:, 0])

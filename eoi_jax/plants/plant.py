@@ -296,6 +296,15 @@ class Plant(eqx.Module):
             f"{', '.join(self.outputs)}",
             f"shape {shape}",
         )
+        if self.actuator is not None:
+            line = (
+                jax.ShapeDtypeStruct((3,), theta.dtype),
+                jax.ShapeDtypeStruct((3, nu), theta.dtype),
+            )
+            act = self.actuator
+            given = jax.eval_shape(lambda t, u, p: act(t, u, self.named(p)), *line, theta).shape
+            rule = "must return as many inputs as it gets, a row for each step"
+            check(given == (3, nu), "actuator", rule, f"shape {given} for {(3, nu)}")
         if self.internal is not None:
             shape = shapes(self.internal)
             check(
