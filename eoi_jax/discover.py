@@ -31,10 +31,9 @@ from eoi_jax.lowpass import LowPass
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
-from eoi_jax.rounds import Round, Task, read_friction, values_of
+from eoi_jax.rounds import TOLD_APART, Round, Task, read_friction, values_of
 from eoi_jax.validate import Validation, validate
 
-_AMBIGUOUS = 10.0  # twice the log-likelihood by which sets are told apart
 _BEYOND = 0.5  # of an effect: what another one that contains it would add to it
 _ROUNDS = 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
@@ -438,7 +437,7 @@ def _ambiguous(first: Round, kept: Sequence[str]) -> tuple[str, ...]:
             pairs = zip(fit.atoms, fit.gains, strict=True)
             close = any(one.placed.effect.beyond(gains) > _BEYOND for one, gains in pairs)
         else:
-            close = search.value(fit) - search.value(chosen) < _AMBIGUOUS
+            close = search.value(fit) - search.value(chosen) < TOLD_APART
         if close:
             names += [name for name in sorted(theirs - own) if name not in names]
     level_and_offset = ["coulomb_friction", "constant_offset"]

@@ -1,6 +1,6 @@
 """One round of discovery: the search from one model, and what the held-out records say of it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -37,6 +37,7 @@ _IN_STEP, _HARMONICS = 0.95, 4
 _MOST, _NOTABLE = 0.5, 0.005
 _NEXT = 3  # extensions of a set that are looked at
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
+TOLD_APART = 10.0  # twice the log-likelihood by which sets are told apart
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
 
@@ -204,13 +205,44 @@ class Round:
         return np.asarray(list(islice(free, _PEAKS)))
 
     def _first_accepted(self) -> Fit:
-        for fit in self.sets:
+        for i, fit in enumerate(self.sets):
             if not fit.atoms:
                 return fit
-            worth = fit.physical and self.found.material(fit)
-            if worth and self._complete(fit) and self._better(fit):
-                return fit
+            if self._accepted(fit):
+                return self._preferred(fit, self.sets[i + 1 :])
         return self.found.fit([])
+
+    def _accepted(self, fit: Fit) -> bool:
+        worth = fit.physical and self.found.material(fit)
+        return worth and self._complete(fit) and self._better(fit)
+
+    def _preferred(self, fit: Fit, others: Sequence[Fit]) -> Fit:
+        """Of sets that the records do not tell apart, another one if the held-out records do.
+
+        A dead zone that is never entered is an offset, until it is entered in another record.
+        """
+        search = self.found
+        near = [
+            one
+            for one in others
+            if 0 < len(one.atoms) <= len(fit.atoms)
+            and search.value(one) - search.value(fit) < TOLD_APART
+        ]
+        if not near or not self.task.held:
+            return fit
+        base = base_of(self.model, self.held)
+        own = self._held_residual(base, fit)
+        power = fitted_power(own, base.noise, base.local, base.output)
+
+        def cost(one: Fit) -> float:
+            return float(np.sum(self._held_residual(base, one) ** 2 / power))
+
+        best = min(near, key=cost)
+        if cost(best) > float(np.sum(own**2 / power)) - TOLD_APART or not self._accepted(best):
+            return fit
+        for placed in fit.keys - best.keys:
+            self.refused[placed] = f"the held-out records prefer {_named(best.keys - fit.keys)}"
+        return best
 
     def _complete(self, fit: Fit) -> bool:
         """Whether no term that the library lacks takes most of what a set and one more leave.
@@ -258,6 +290,10 @@ class Round:
         ]
         target, columns = system(base, made)
         return target - columns @ fit.theta
+
+
+def _named(several: Iterable[Placed]) -> str:
+    return " and ".join(sorted({one.effect.name for one in several}))
 
 
 def _products(one: Atom) -> list[tuple[Placed, tuple[float, ...]]]:
