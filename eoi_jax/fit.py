@@ -56,6 +56,11 @@ class Base:
         return float(np.sum(self._signal * self.noise))
 
     @property
+    def whole_power(self) -> float:
+        """What y^(r) itself contributes to `signal_power`."""
+        return self.signal_power(np.sqrt(self.local))
+
+    @property
     def _signal(self) -> Rows:
         local = np.maximum(self.local, 1e-300)
         return np.clip(1.0 - self.noise / local, 0.0, 1.0) ** 2

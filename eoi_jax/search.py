@@ -41,7 +41,9 @@ _TRIES = 3  # points of the grid at which a pair may turn out unphysical
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
 _NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
-_MATERIAL = 0.015  # share of the declared model's residual that an effect must take, power
+# Shares, power: what an effect must take of the declared model's residual, or else of what is left
+# without it; and what it must take of y^(r) in any case.
+_MATERIAL, _MOSTLY, _TRACE = 0.015, 0.9, 1e-6
 
 Rows = Float[np.ndarray, " rows"]
 
@@ -120,13 +122,16 @@ class Search:
     def material(self, fit: Fit) -> bool:
         """Whether each effect takes, beside the others, a share of the residual that matters.
 
-        No model of a rig is exact, and enough samples make any term significant. An effect that
+        No model of a rig is exact, and enough samples make any term significant. A small effect
+        beside a large one matters where it takes nearly all that the other leaves. An effect that
         contains a simpler one must be worth something beside that too.
         """
         base, own = self.base, self.base.signal_power(fit.residual)
         for one in fit.atoms:
             others = [other for other in fit.atoms if other is not one]
-            if base.signal_power(self.fit(others).residual) - own < _MATERIAL * self.lacking:
+            without = base.signal_power(self.fit(others).residual)
+            least = min(_MATERIAL * self.lacking, _MOSTLY * without)
+            if without - own < max(least, _TRACE * base.whole_power):
                 return False
             present = {other.placed.effect.name for other in others}
             for simple in self._contained(one):
