@@ -200,7 +200,11 @@ def _gauss_newton(
     columns = np.concatenate([matrix, np.stack(slopes, axis=1)], axis=1)
     if not np.all(np.isfinite(columns)):
         return fit, near
-    step = solve(columns * weight, target * weight[:, 0])[matrix.shape[1] :]
+    whole = solve(columns * weight, target * weight[:, 0])
+    promised = float(np.sum((target - columns @ whole) ** 2 / power))
+    if promised > (1.0 - _ENOUGH) * fit.cost:  # new columns would cost more than they gain
+        return fit, near
+    step = whole[matrix.shape[1] :]
     moved, beside, first = {one.placed: one for one in fit.atoms}, dict(near), 0
     for one in moving:
         span, last = spans[one.placed], first + len(one.shape)

@@ -74,6 +74,7 @@ class Round:
         self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
+        self._made: dict[tuple[Placed, bytes], list[Atom]] = {}
         self._beside = np.inf  # least that a set with a product leaves
 
     @cached_property
@@ -187,7 +188,10 @@ class Round:
         return bounds
 
     def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
-        return atoms(self.model, placed, shapes, self.stretches)
+        key = (placed, shapes.tobytes())
+        if key not in self._made:  # sets that share an effect ask for the same shapes
+            self._made[key] = atoms(self.model, placed, shapes, self.stretches)
+        return self._made[key]
 
     def _peaks(self) -> Float[np.ndarray, " peaks"]:
         """Frequencies at which the residual of the declared model stands out."""
