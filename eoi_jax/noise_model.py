@@ -1,17 +1,18 @@
 r"""The power of what is left, mode by mode: measurement noise and all that no model explains.
 
-    S(ω) = a N(ω) + c + d Y(ω) + ε² Y(ω)
+    S(ω) = a N(ω) + c + d Y(ω) + ε² Y(ω) + δ² Ȳ
 
 N is the power of the measurement noise that the record predicts, r-fold differentiated; c is flat;
 Y is the local power of y^(r) itself (errors in proportion: jitter, interpolation). a, c, d ≥ 0 are
-found by maximum likelihood (Whittle: modes are independent, each with variance S). The last term is
-a floor: no model of a real plant is taken to be right to better than ε.
+found by maximum likelihood (Whittle: modes are independent, each with variance S). The last terms
+are a floor: no model of a real plant is taken to be right to better than ε, nor are modes in which
+hardly anything happens to better than δ of the mean Ȳ of all: they show the errors of the others.
 """
 
 import numpy as np
 from jaxtyping import Float, Int
 
-_FLOOR = 2e-3  # ε
+_FLOOR, _FLAT = 2e-3, 1e-4  # ε, δ
 _ROUNDS = 60
 _REACH = 12  # modes on each side over which Y is averaged
 
@@ -50,11 +51,11 @@ def fitted_power(
 
 def known_power(noise: Rows, local: Rows) -> Rows:
     """What the record itself predicts: measurement noise and the floor."""
-    return noise + _FLOOR**2 * local
+    return noise + _floor(local)
 
 
 def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
-    floor = _FLOOR**2 * local + 1e-30 * (1.0 + np.max(local))
+    floor = _floor(local) + 1e-30  # a plant at rest has no power at all
     basis = np.stack([noise, np.ones_like(noise), local])
     basis = basis[np.max(basis, axis=1) > 0]
     level = np.mean(square)
@@ -64,3 +65,7 @@ def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
         up, down = basis @ (square / power**2), basis @ (1.0 / power)
         weights = weights * np.sqrt(up / down)
     return weights @ basis + floor
+
+
+def _floor(local: Rows) -> Rows:
+    return _FLOOR**2 * local + _FLAT**2 * np.mean(local)

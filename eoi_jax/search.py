@@ -43,7 +43,7 @@ _ROUNDS = 4  # of power and set
 _NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
 # Shares, power: what an effect must take of the declared model's residual, or else of what is left
 # without it; and what it must take of y^(r) in any case.
-_MATERIAL, _MOSTLY, _TRACE = 0.015, 0.9, 1e-6
+_MATERIAL, _MOSTLY, _TRACE = 0.015, 0.9, 1e-8
 
 Rows = Float[np.ndarray, " rows"]
 
