@@ -42,8 +42,8 @@ _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
 _NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
 # Shares, power: what an effect must take of the declared model's residual, or else of what is left
-# without it; and what it must take of y^(r) in any case.
-_MATERIAL, _MOSTLY, _TRACE = 0.015, 0.9, 1e-8
+# without it, above the noise and with it; and what it must take of y^(r) in any case.
+_MATERIAL, _MOSTLY, _HALF, _TRACE = 0.015, 0.9, 0.5, 1e-8
 
 Rows = Float[np.ndarray, " rows"]
 
@@ -130,7 +130,8 @@ class Search:
         for one in fit.atoms:
             others = [other for other in fit.atoms if other is not one]
             without = base.signal_power(self.fit(others).residual)
-            least = min(_MATERIAL * self.lacking, _MOSTLY * without)
+            rest = max(_MOSTLY * (without - base.noise_power), _HALF * without)
+            least = min(_MATERIAL * self.lacking, rest)
             if without - own < max(least, _TRACE * base.whole_power):
                 return False
             present = {other.placed.effect.name for other in others}
