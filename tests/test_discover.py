@@ -64,9 +64,9 @@ SAMPLES, PERIOD = 8000, 5e-3
 RELATIVE = 1e-4  # noise, of rms(y)
 
 
-def measured(plant: eoi.Plant, seed: int, samples: int = SAMPLES) -> eoi.Record:
+def measured(plant: eoi.Plant, seed: int, samples: int = SAMPLES, bias: float = 0.0) -> eoi.Record:
     time = PERIOD * np.arange(samples)
-    drive = eoi.excitation.multisine(time, 3.0, (0.1, 3.0), 16, seed=seed)
+    drive = bias + eoi.excitation.multisine(time, 3.0, (0.1, 3.0), 16, seed=seed)
     clean = eoi.simulate(plant, time, drive, substeps=2, hold="linear").outputs
     noise = RELATIVE * np.std(clean) * np.random.default_rng(seed).standard_normal(clean.shape)
     return eoi.Record(
@@ -275,6 +275,22 @@ def test_effect_that_the_held_out_records_contradict_is_refused():
     assert answer.status.code == "unexplained"
     remarks = {one.effect: one.remark for one in answer.ranking}
     assert remarks["cubic_stiffness"] == "held-out error grows"
+
+
+@pytest.mark.parametrize(
+    ("bias", "name", "other"),
+    [(6.0, "input_dead_zone", "constant_offset"), (12.0, "constant_offset", "input_dead_zone")],
+)
+def test_held_out_record_tells_a_dead_zone_from_an_offset(bias: float, name: str, other: str):
+    """The force of the record of the fit is never small; that of the other is at times."""
+    plant = hiding({effects.InputDeadZone(): (0.6,)})
+    fit = measured(plant, 1, bias=12.0)
+    assert np.min(fit.inputs) > 0.6
+    answer = eoi.discover(MASS, fit, measured(plant, 2, bias=bias), (*FEW, "input_dead_zone"))
+    assert answer.effects == (name,)
+    assert answer.ambiguous_with == (other,)
+    remark = next(one.remark for one in answer.ranking if one.effect == other)
+    assert remark == ("the held-out records prefer input_dead_zone" if bias < 12.0 else "")
 
 
 class CrossedDamping(AbstractTerm):

@@ -267,6 +267,29 @@ def test_significant_effect_that_does_not_matter_is_left_out():
     assert not found.material(both)
 
 
+def test_small_effect_that_takes_all_of_the_rest_is_found():
+    """One per cent of the power, but ten times the noise: without it the answer is wrong."""
+    parts = columns(8, 4)
+    grid = [atom(effects.Drift(), parts[:, 2]), atom(effects.CubicStiffness(), parts[:, 3])]
+    _, best = search(base(3.0 * parts[:, 2] + 0.3 * parts[:, 3], parts[:, :2]), grid)
+    assert names(best) == {"drift", "cubic_stiffness"}
+
+
+def test_trace_of_an_effect_is_left_out_however_exact_the_rest():
+    parts = columns(8, 4)
+    grid = [atom(effects.Drift(), parts[:, 2])]
+    trace = 1e-4  # of y^(r), whose power in each row is 4: a quarter of the least that matters
+    target = trace * parts[:, 2]
+    known = Base(
+        target, parts[:, :2], np.arange(2), np.full(ROWS, 1e-20), np.full(ROWS, 4.0),
+        np.zeros(ROWS, int),
+    )  # fmt: skip
+    found, best = search(known, grid)
+    assert names(best) == set()
+    assert not found.material(found.fit(grid))
+    assert found.fit(grid).residual == pytest.approx(np.zeros(ROWS), abs=1e-12)
+
+
 def test_common_twin_is_preferred():
     """The same column under two names: rarity decides."""
     parts = columns(10, 3)
@@ -321,8 +344,16 @@ def test_power_of_the_residual_is_recovered():
 def test_power_never_falls_below_the_floor():
     local = np.linspace(1.0, 100.0, 500)
     found = fitted_power(np.zeros(500), np.full(500, 1e-12), local, np.zeros(500, int))
-    assert np.all(found >= (2e-3) ** 2 * local)
-    assert np.all(known_power(np.full(500, 0.3), local) == 0.3 + (2e-3) ** 2 * local)
+    floor = (2e-3) ** 2 * local + (1e-4) ** 2 * 50.5
+    assert np.all(found >= floor)
+    np.testing.assert_allclose(known_power(np.full(500, 0.3), local), 0.3 + floor)
+
+
+def test_modes_in_which_nothing_happens_do_not_rule_the_fit():
+    """Their errors are those of the others, in proportion to these and not to themselves."""
+    local = np.where(np.arange(600) < 400, 1.0, 1e-8)
+    found = fitted_power(1e-5 * np.sqrt(local), np.zeros(600), local, np.zeros(600, int))
+    assert np.max(found) < 1000.0 * np.min(found)
 
 
 def test_outputs_have_their_own_power():
