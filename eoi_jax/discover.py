@@ -12,6 +12,7 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +44,9 @@ _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answ
 _MAINLY, _RIVAL, _CONFIRMED = 0.5, 0.2, 2.0 / 3.0
 _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
+
+Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
+FreeRuns = tuple[Validation, Validation | None]  # whole, in windows
 
 
 def discover(
@@ -94,6 +98,14 @@ def discover(
 
 def _run(task: Task) -> Discovery:
     """Rounds of search and refit, then the free runs."""
+    with ThreadPoolExecutor(1) as aside:  # the search does not wait for the free runs before it
+        before = aside.submit(_free_runs, task, task.declared.plant)
+        steps, rounds = _searched(task)
+        return _answer(task, steps, rounds, before.result())
+
+
+def _searched(task: Task) -> tuple[list[Step], list[Round]]:
+    """Rounds of search and refit until nothing is justified; the steps are those that added."""
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for _ in range(_ROUNDS):
         one = Round(task, model, placed, rounds[-1] if rounds else None)
@@ -107,7 +119,7 @@ def _run(task: Task) -> Discovery:
         steps.append((model, tuple(placed), tuple(rounds)))
         if one.exhausted:
             break
-    return _answer(task, steps, rounds)
+    return steps, rounds
 
 
 def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
@@ -140,7 +152,7 @@ def _window(task: Task, records: Sequence[Record]) -> float | None:
     return None if samples > shortest // 2 else samples * records[0].sample_period
 
 
-def _free_runs(task: Task, plant: Plant) -> tuple[Validation, Validation | None]:
+def _free_runs(task: Task, plant: Plant) -> FreeRuns:
     """On the held-out records, whole and in windows."""
     records = task.held or task.records
     window = _window(task, records)
@@ -196,11 +208,11 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 
 def _answer(
     task: Task,
-    steps: Sequence[tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]],
+    steps: Sequence[Step],
     rounds: Sequence[Round],
+    before: FreeRuns,
 ) -> Discovery:
     """From the rounds of the search to what the user reads; a last step may be refused."""
-    before = _free_runs(task, task.declared.plant)
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
     share, left, quiet = _explained(rounds)
@@ -350,9 +362,7 @@ def _notes(task: Task) -> list[str]:
     return notes
 
 
-def _holds(
-    before: tuple[Validation, Validation | None], after: tuple[Validation, Validation | None]
-) -> bool:
+def _holds(before: FreeRuns, after: FreeRuns) -> bool:
     """Whether the free run is better, whole or in windows: one lightly damped drifts in phase."""
     short = after[0] if after[1] is None else after[1]
     if np.all(short.nrmse > 1.0):
@@ -366,9 +376,7 @@ def _holds(
     return not better or min(better) < 0.0
 
 
-def _confirmed(
-    before: tuple[Validation, Validation | None], after: tuple[Validation, Validation | None]
-) -> bool:
+def _confirmed(before: FreeRuns, after: FreeRuns) -> bool:
     """Whether all free runs, whole and in windows, lose a good part of their error."""
     pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
     return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in pairs)

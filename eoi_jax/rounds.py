@@ -1,9 +1,11 @@
 """One round of discovery: the search from one model, and what the held-out records say of it."""
 
+import os
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Float
@@ -129,13 +131,17 @@ class Round:
         ]
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
-        grid = []
-        for one in self.candidates:
+
+        def gridded(one: Placed) -> list[Atom]:
             seen = seen_at(model, one, self.stretches, cutoff, peaks)
             shapes = one.effect.grid(seen)
             known = self._known.get(one, [])
             same = [atom.shape for atom in known] == [tuple(row) for row in shapes.tolist()]
-            grid += known if known and same else self._make(one, shapes)
+            return known if known and same else self._make(one, shapes)
+
+        # Each effect is a kernel of its own: their compilers run side by side.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            grid = list(chain.from_iterable(pool.map(gridded, self.candidates)))
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
             self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
