@@ -129,14 +129,18 @@ def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     with the outputs where noise asks for it, which an input effect does not commute with. So
     the better of both in short free runs on the records of the fit is kept.
     """
-    found = estimate(model, task.prepared)
     window = _window(task, task.records)
-    if window is None or np.any(model.theta < model.lower) or np.any(model.theta > model.upper):
-        return found
-    ours, theirs = (
-        float(np.sum(np.log(validate(one, task.records, window=window).rmse + 1e-300)))
-        for one in (model, found.plant)
-    )
+    bounded = bool(np.all((model.lower <= model.theta) & (model.theta <= model.upper)))
+    if window is None or not bounded:
+        return estimate(model, task.prepared)
+
+    def error(plant: Plant) -> float:
+        return float(np.sum(np.log(validate(plant, task.records, window=window).rmse + 1e-300)))
+
+    with ThreadPoolExecutor(1) as aside:
+        searched = aside.submit(error, model)
+        found = estimate(model, task.prepared)
+        ours, theirs = searched.result(), error(found.plant)
     if not ours < theirs:
         return found
     notes.append("parameters are those of the search: in free runs better than the refit's")
