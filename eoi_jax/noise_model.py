@@ -6,7 +6,8 @@ N is the power of the measurement noise that the record predicts, r-fold differe
 Y is the local power of y^(r) itself (errors in proportion: jitter, interpolation). a, c, d ≥ 0 are
 found by maximum likelihood (Whittle: modes are independent, each with variance S). The last terms
 are a floor: no model of a real plant is taken to be right to better than ε, nor are modes in which
-hardly anything happens to better than δ of the mean Ȳ of all: they show the errors of the others.
+hardly anything happens to better than δ of the mean Ȳ of all modes of the same output: they show
+the errors of the others.
 """
 
 import numpy as np
@@ -49,9 +50,13 @@ def fitted_power(
     return power
 
 
-def known_power(noise: Rows, local: Rows) -> Rows:
-    """What the record itself predicts: measurement noise and the floor."""
-    return noise + _floor(local)
+def known_power(noise: Rows, local: Rows, output: Int[np.ndarray, " rows"]) -> Rows:
+    """What the record itself predicts, output by output: measurement noise and the floor."""
+    power = np.empty_like(noise)
+    for j in np.unique(output):
+        own = output == j
+        power[own] = noise[own] + _floor(local[own])
+    return power
 
 
 def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
@@ -68,4 +73,5 @@ def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
 
 
 def _floor(local: Rows) -> Rows:
+    """ε² Y + δ² Ȳ of one output: the unit of another one is another."""
     return _FLOOR**2 * local + _FLAT**2 * np.mean(local)

@@ -148,11 +148,12 @@ class Round:
         )
         self.sets = self.found.run()
         self.chosen = self._first_accepted()
+        self._made.clear()  # a round is kept to the end, what it tried is not
 
     @property
     def exhausted(self) -> bool:
         """Whether the chosen set leaves no more than noise."""
-        power = known_power(self.base.noise, self.base.local)
+        power = known_power(self.base.noise, self.base.local, self.base.output)
         return float(np.mean(self.chosen.residual**2 / power)) < _NOISE_LIKE
 
     def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:

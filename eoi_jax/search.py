@@ -40,10 +40,10 @@ _PAIRS = 400  # pairs of columns that are looked at
 _TRIES = 3  # points of the grid at which a pair may turn out unphysical
 _TRIED = 8  # effects that are fitted exactly after the quick ranking
 _ROUNDS = 4  # of power and set
-_NESTED = 0.0005  # the same, of an effect beside a simpler one that it contains
 # Shares, power: what an effect must take of the declared model's residual, or else of what is left
 # without it, above the noise and with it; and what it must take of y^(r) in any case.
 _MATERIAL, _MOSTLY, _HALF, _TRACE = 0.015, 0.9, 0.5, 1e-8
+_NESTED = 0.0005  # like the first, of an effect beside a simpler one that it contains
 
 Rows = Float[np.ndarray, " rows"]
 

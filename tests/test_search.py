@@ -346,7 +346,18 @@ def test_power_never_falls_below_the_floor():
     found = fitted_power(np.zeros(500), np.full(500, 1e-12), local, np.zeros(500, int))
     floor = (2e-3) ** 2 * local + (1e-4) ** 2 * 50.5
     assert np.all(found >= floor)
-    np.testing.assert_allclose(known_power(np.full(500, 0.3), local), 0.3 + floor)
+    np.testing.assert_allclose(
+        known_power(np.full(500, 0.3), local, np.zeros(500, int)), 0.3 + floor
+    )
+
+
+def test_floor_of_an_output_does_not_know_the_unit_of_another():
+    """One in metres, the other in micrometres: each as if it stood alone."""
+    local = np.linspace(1.0, 100.0, 500)
+    output = np.repeat([0, 1], 500)
+    both = known_power(np.zeros(1000), np.concatenate([local, 1e12 * local]), output)
+    alone = known_power(np.zeros(500), local, np.zeros(500, int))
+    np.testing.assert_allclose(both, np.concatenate([alone, 1e12 * alone]))
 
 
 def test_modes_in_which_nothing_happens_do_not_rule_the_fit():
