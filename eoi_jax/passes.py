@@ -83,7 +83,31 @@ class Trace(eqx.Module):
     Phi: Float[Array, "*steps ny np"] | None
 
 
-class _Carry(eqx.Module):
+class Step(eqx.Module):
+    """One step of a record as the loop reads it (or all, leading axis); others as in `Steps`.
+
+    Attributes:
+        u: inputs behind the actuators, shape (nu,).
+        slope: their derivative with θ, shape (nu, np); None without actuators.
+        emphasis: factor on `score`; how often a bootstrap drew the step, for example.
+    """
+
+    u: Float[Array, "*steps nu"]
+    slope: Float[Array, "*steps nu np"] | None
+    time: Float[Array, "*steps"]
+    y: Float[Array, "*steps ny"]
+    y_next: Float[Array, "*steps ny"]
+    use: Float[Array, "*steps ny"]
+    score: Float[Array, "*steps ny"]
+    restart: Bool[Array, "*steps"]
+    block_weight: Float[Array, "*steps"]
+    block_end: Bool[Array, "*steps"]
+    emphasis: Float[Array, "*steps"] | None = None
+
+
+class Carry(eqx.Module):
+    """What the loop carries from step to step; nothing else is kept of a record."""
+
     observer: Any
     z: Float[Array, " nz"]
     sensitivity: Float[Array, "nz np"]
@@ -118,7 +142,7 @@ def run_pass(
         increment: Δθ with which `Trace.explained` = F[φ] Δθ and the scores are formed; or zero.
         weights: of each output in the scores, shape (ny,); or one.
         store: ``"nothing"``, ``"signals"`` (injection and explained part), or
-            ``"regressors"`` (F[φ] too).
+            ``"regressors"`` (F[φ] too); or ``"scores"``: only their covariance, `Sums.meat`.
 
     Returns:
         Sums and traces, each with the records as leading axis.
@@ -127,14 +151,14 @@ def run_pass(
     weights = jnp.ones(len(plant.outputs), theta.dtype) if weights is None else weights
 
     def one(lowpass: DiscreteFilter, steps: Steps) -> tuple[Sums, Trace | None]:
-        kernel = _Kernel(plant, observer, lowpass, theta, increment, weights, store)
+        kernel = Kernel(plant, observer, lowpass, theta, increment, weights, store)
         return kernel.run(steps)
 
     return jax.vmap(one)(lowpass, steps)
 
 
-class _Kernel(eqx.Module):
-    """The scan of one record; fields as in `run_pass`."""
+class Kernel(eqx.Module):
+    """The loop over one record: a carry and a step; fields as in `run_pass`."""
 
     plant: Plant
     observer: AbstractObserver
@@ -144,14 +168,41 @@ class _Kernel(eqx.Module):
     weights: Output
     store: str = eqx.field(static=True)
 
-    def run(self, steps: Steps) -> tuple[Sums, Trace | None]:
+    def run(
+        self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None
+    ) -> tuple[Sums, Trace | None]:
+        """The whole record under `lax.scan`.
+
+        Args:
+            steps: of one record.
+            emphasis: factor on the scores of each of its blocks; ones if left out.
+        """
         h = jnp.asarray(steps.sample_period)
-        last, trace = jax.lax.scan(
-            lambda carry, row: self._step(carry, row, h),
-            self._init(steps, h),
-            (self._inputs(steps), *_rows(steps)),
-        )
+        rows = self.rows(steps, emphasis)
+        start = self.init(jnp.asarray(steps.y)[0], jnp.asarray(steps.y_next)[0], h)
+        last, trace = jax.lax.scan(lambda carry, row: self.step(carry, row, h), start, rows)
         return last.sums, trace
+
+    def rows(self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None) -> Step:
+        """All steps of a record, each field with a leading axis (S,)."""
+        u, slope = self._inputs(steps)
+        each = None
+        if emphasis is not None:
+            ends = jnp.asarray(steps.block_end)
+            each = emphasis[jnp.cumsum(ends) - ends]
+        return Step(
+            u=u,
+            slope=slope,
+            time=jnp.asarray(steps.time),
+            y=jnp.asarray(steps.y),
+            y_next=jnp.asarray(steps.y_next),
+            use=jnp.asarray(steps.use),
+            score=jnp.asarray(steps.score),
+            restart=jnp.asarray(steps.restart),
+            block_weight=jnp.asarray(steps.block_weight),
+            block_end=jnp.asarray(steps.block_end),
+            emphasis=each,
+        )
 
     def _inputs(self, steps: Steps) -> tuple[Array, Array | None]:
         """Inputs behind the actuators, and their derivative with θ, shape (S, nu, np)."""
@@ -164,7 +215,8 @@ class _Kernel(eqx.Module):
             self.theta.dtype,
         )
 
-    def _init(self, steps: Steps, h: Scalar) -> _Carry:
+    def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
+        """Before the first step, whose ends are given."""
         ny, size = len(self.plant.outputs), self.theta.shape[0]
         zeros, dtype = jnp.zeros, self.theta.dtype
         z, sensitivity = _value_and_jacobian(
@@ -183,8 +235,8 @@ class _Kernel(eqx.Module):
             each,
             zeros((size, size), dtype),
         )
-        return _Carry(
-            self._start(steps.y[0], steps.y_next[0], h),
+        return Carry(
+            self._start(y, y_next, h),
             z,
             sensitivity,
             ((each, phi),) * (taps - 1),
@@ -201,14 +253,17 @@ class _Kernel(eqx.Module):
             rates = rates.at[0].set((y_next - y) / h)
         return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
 
-    def _step(self, carry: _Carry, row: tuple, h: Scalar) -> tuple[_Carry, Any]:
-        (u, slope), t, y, y_next, use, score, restart, *block = row
+    def step(self, carry: Carry, now: Step, h: Scalar) -> tuple[Carry, Any]:
+        """One step, and what is shown of it."""
+        u, t, y, y_next = now.u, now.time, now.y, now.y_next
 
         def shifted(shift: Theta) -> Array:
-            return u if slope is None else u + slope @ shift
+            return u if now.slope is None else u + now.slope @ shift
 
         state = jax.tree.map(
-            lambda new, old: jnp.where(restart, new, old), self._start(y, y_next, h), carry.observer
+            lambda new, old: jnp.where(now.restart, new, old),
+            self._start(y, y_next, h),
+            carry.observer,
         )
         explicit = self.observer.scheme == "explicit"
         position = y if explicit else 0.5 * (y + y_next)
@@ -226,16 +281,17 @@ class _Kernel(eqx.Module):
             1,
         )
         # A model that is undefined where it does not count (√ of a negative level) must not spread.
-        signals = jnp.where(use[:, None] > 0, use[:, None] * signals, 0.0)
+        counted = now.use[:, None]
+        signals = jnp.where(counted > 0, counted * signals, 0.0)
         filtered = self.lowpass.step(carry.filtered, signals)
-        sums, block, shown = self._add(carry, filtered[0], seen, score, *block)
-        new = _Carry(
+        sums, block, shown = self._add(carry, filtered[0], seen, now)
+        new = Carry(
             state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
         )
         return new, shown
 
     def _internal(
-        self, carry: _Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
+        self, carry: Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
     ) -> tuple[Array, Array, Array, Array]:
         """z in the middle and at the end of the step (Runge–Kutta of order four), with ∂z/∂θ."""
         if self.plant.internal is None:
@@ -287,22 +343,21 @@ class _Kernel(eqx.Module):
 
     def _add(
         self,
-        carry: _Carry,
+        carry: Carry,
         output: Float[Array, "ny columns"],
         seen: Observation,
-        score: Output,
-        block_weight: Scalar,
-        block_end: Array,
+        now: Step,
     ) -> tuple[Sums, Array, Any]:
         injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
+        score = now.score if now.emphasis is None else now.score * now.emphasis
         explained = phi @ self.increment
         old = carry.sums
         weighted = score[:, None] * phi
         block, meat = carry.block, old.meat
         if self.store != "nothing":
-            block = block + block_weight * (self.weights * (injection - explained)) @ weighted
-            meat = meat + jnp.where(block_end, jnp.outer(block, block), 0.0)
-            block = jnp.where(block_end, 0.0, block)
+            block = block + now.block_weight * (self.weights * (injection - explained)) @ weighted
+            meat = meat + jnp.where(now.block_end, jnp.outer(block, block), 0.0)
+            block = jnp.where(now.block_end, 0.0, block)
         sums = Sums(
             old.information + weighted[:, :, None] * phi[:, None, :],
             old.rhs + weighted * injection[:, None],
@@ -315,23 +370,11 @@ class _Kernel(eqx.Module):
         )
         shown = {
             "nothing": None,
+            "scores": None,
             "signals": Trace(injection, explained, weight, None),
             "regressors": Trace(injection, explained, weight, phi),
         }[self.store]
         return sums, block, shown
-
-
-def _rows(steps: Steps) -> tuple:
-    return (
-        steps.time,
-        steps.y,
-        steps.y_next,
-        steps.use,
-        steps.score,
-        steps.restart,
-        steps.block_weight,
-        steps.block_end,
-    )
 
 
 def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:

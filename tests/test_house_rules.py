@@ -29,6 +29,7 @@ LAYERS = (
     ("lowpass",),
     ("regression",),
     ("passes",),
+    ("engines",),
     ("prepare", "tuning"),
     ("thinning",),
     ("modes", "noise_model"),

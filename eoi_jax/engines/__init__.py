@@ -1,0 +1,5 @@
+"""Engines: who compiles the loop of a pass over many lanes, and for what machine."""
+
+from eoi_jax.engines.engine import AbstractEngine as AbstractEngine
+from eoi_jax.engines.engine import Lanes as Lanes
+from eoi_jax.engines.scan import Scan as Scan
