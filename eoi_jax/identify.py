@@ -1,11 +1,6 @@
 r"""The estimator: passes over the records, the one with the smallest index is the answer.
 
-Section 4 of the paper. Pass i runs the observer with θ_i, recovers the equivalent injection,
-solves (11) for Δθ_i, scores P_i (14), and updates θ_{i+1} = θ_i + Δθ_i. The estimate is the θ_k
-whose pass has the smallest index, θ_0 + Σ_{j<k} Δθ_j; P need not converge.
-
-Outputs with different units are weighed by 1/P_j, the index of each: the weights of maximum
-likelihood when each output has noise of its own. The smallest index is then that of Σ_j log P_j.
+Section 4 of the paper, around the compiled pass of `passes.py`: `iteration.py` is its rule.
 """
 
 import warnings
@@ -21,25 +16,16 @@ from jaxtyping import Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
+from eoi_jax.iteration import Iterations, iterate, mean, sandwich
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import Ready, check_observer, check_records, constant, prepare, ready
-from eoi_jax.regression.index import index as index_of
-from eoi_jax.regression.least_squares import Solution, least_squares, untraced
+from eoi_jax.regression.least_squares import untraced
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer, default_transient
 
-# A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
-_PROGRESS = 1e-2
-_PATIENCE = 2
-# An increment whose effect is below this share of the observed derivative changes nothing.
-_ROUNDING = 1e-10
-# A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
-# that went wrong, and how many such passes in a row end the run.
-_DAMPING = 0.1
-_RETRIES = 5
 # Weights rise over this many time constants of F beside steps that do not count.
 _TAPER = 2.0
 # Up to so many values every pass stores its signals, which the first and the best need anyway:
@@ -209,39 +195,8 @@ def estimate(
 
 
 @dataclass
-class _Pass:
-    theta: np.ndarray
-    sums: Sums
-    index: np.ndarray
-    weights: np.ndarray
-    solution: Solution
-    increment: np.ndarray
-
-    @property
-    def cost(self) -> float:
-        """Σ_j log P_j over the outputs that were scored; the smallest is the best pass."""
-        power = self.index[self.sums.count > 0]
-        if not np.all(np.isfinite(power)):
-            return np.inf
-        return float(np.sum(np.log(np.maximum(power, np.finfo(float).tiny))))
-
-    @property
-    def promise(self) -> float:
-        """Share of the index that Δθ takes away if φ does not change: Δθᵀ Σφᵀu_eq / Σu_eq²."""
-        gain = self.weights @ self.sums.rhs @ self.increment
-        return float(gain / max(self.weights @ self.sums.square, np.finfo(float).tiny))
-
-    @property
-    def settled(self) -> bool:
-        """Whether Δθ moves F[f] by less than rounding shows in F[y^(r)]."""
-        moved = np.abs(self.increment) * np.asarray(self.solution.scale)
-        size = np.sqrt(self.weights @ np.asarray(self.sums.observed_square))
-        return bool(np.all(moved <= _ROUNDING * size))
-
-
-@dataclass
 class _Driver:
-    """The iteration of section 4: plain Python around one compiled pass."""
+    """One lane of `iterate`, and what is kept of it."""
 
     plant: Plant
     observer: AbstractObserver
@@ -251,36 +206,35 @@ class _Driver:
     passes: int
     callback: Callable[[int, int, np.ndarray], None] | None
 
-    def __post_init__(self):
-        self._affine = self.plant.is_affine
-
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
         done, first = self._iterate()
-        best = int(np.argmin([one.cost for one in done]))
-        chosen = done[best]
-        sums, trace = self._pass(chosen.theta, "signals", chosen.increment, chosen.weights)
-        covariance = self._covariance(chosen, sums)
-        plant = self.plant.with_parameters(chosen.theta)
-        observed = np.sqrt(_mean(chosen.sums.observed_square, chosen.sums.weight))
-        sliding = _mean(chosen.sums.sliding, chosen.sums.count)
+        one, number = done.best, int(done.best_pass[0])
+        theta, increment, index = one.theta[0], one.increment[0], one.index[0]
+        sums, trace = self._pass(theta, "signals", increment, one.weights[0])
+        meat = np.asarray(sums.meat)[None]
+        covariance = sandwich(self.plant.free, one, meat, [self.steps])[0]
+        plant = self.plant.with_parameters(theta)
+        observed = np.sqrt(mean(one.sums.observed_square[0], one.sums.weight[0]))
+        sliding = mean(one.sums.sliding[0], one.sums.count[0])
+        taken = slice(int(done.passes[0]))
         return Identification(
             parameters=plant.parameters,
             standard_errors=self._standard_errors(covariance),
-            index=np.stack([one.index for one in done]),
-            increments=np.stack([one.increment for one in done]),
-            parameter_history=np.stack([one.theta for one in done]),
-            best_pass=best,
+            index=done.index[0, taken],
+            increments=done.increment[0, taken],
+            parameter_history=done.theta[0, taken],
+            best_pass=number,
             plant=plant,
             nominal=self.plant,
             injection=self._per_sample(trace.injection, trace.weight, records),
             first_injection=self._per_sample(first.injection, first.weight, records),
             residual=self._per_sample(trace.injection - trace.explained, trace.weight, records),
             sliding_fraction=sliding,
-            unexplained=np.sqrt(chosen.index) / np.where(observed > 0, observed, 1.0),
+            unexplained=np.sqrt(index) / np.where(observed > 0, observed, 1.0),
             covariance=covariance,
-            status=self._status(done, best, records),
+            status=self._status(done, records),
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
@@ -288,38 +242,23 @@ class _Driver:
             records=records,
         )
 
-    def _iterate(self) -> tuple[list[_Pass], Any]:
-        theta = np.asarray(self.plant.theta, dtype=float)
-        done: list[_Pass] = []
-        first, stale, best, damping = None, 0, None, 0.0
-        for number in range(self.passes):
+    def _iterate(self) -> tuple[Iterations, Any]:
+        first = None
+
+        def run(which: Any, theta: np.ndarray, number: int) -> Sums:
+            nonlocal first
+            del which
             store = "nothing" if number and self.steps.use.size > _SHORT else "signals"
-            sums, trace = self._pass(theta, store)
-            one = self._solve(theta, sums)
-            if number == 0:
-                first = trace
+            sums, trace = self._pass(theta[0], store)
+            first = trace if number == 0 else first
+            return jax.tree.map(lambda leaf: leaf[None], sums)
+
+        def watch(number: int, passes: int, index: np.ndarray) -> None:
             if self.callback is not None:
-                self.callback(number + 1, self.passes, one.index)
-            done.append(one)
-            if best is None or one.cost < best.cost - _PROGRESS:
-                best, stale = one, 0
-                damping = damping / 10.0 if damping > _DAMPING else 0.0
-                one.increment = self._solve(theta, sums, damping).increment
-            else:
-                stale += 1
-                if one.cost > best.cost and not self._affine:
-                    # Gauss–Newton overshot: from the best pass again, a shorter step.
-                    damping = max(10.0 * damping, _DAMPING)
-                    one.increment = self._solve(best.theta, best.sums, damping).increment
-                    one.increment += best.theta - one.theta
-            if one.settled:
-                break
-            if stale >= (_PATIENCE if damping == 0.0 else _RETRIES):
-                break
-            if not np.all(np.isfinite(one.increment)):
-                break
-            theta = theta + one.increment
-        return done, first
+                self.callback(number, passes, index[0])
+
+        start = np.asarray(self.plant.theta, dtype=float)[None]
+        return iterate(run, self.plant, start, self.passes, watch), first
 
     def _pass(
         self, theta: np.ndarray, store: str, increment: Any = None, weights: Any = None
@@ -337,39 +276,6 @@ class _Driver:
             store,
         )
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
-
-    def _solve(self, theta: np.ndarray, sums: Sums, damping: float = 0.0) -> _Pass:
-        power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.weight)))
-        size = _mean(sums.observed_square, sums.weight)
-        # Rounding bounds how small an index can mean anything; it also keeps weights finite.
-        floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
-        weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
-        weights = weights / max(np.max(weights), np.finfo(float).tiny)
-        information = np.einsum("j,jab->ab", weights, sums.information)
-        solution = least_squares(
-            jnp.asarray(information),
-            jnp.asarray(weights @ sums.rhs),
-            jnp.asarray(self.plant.free),
-            damping,
-        )
-        moved = np.clip(theta + np.asarray(solution.increment), self.plant.lower, self.plant.upper)
-        return _Pass(theta, sums, power, weights, solution, moved - theta)
-
-    def _covariance(self, one: _Pass, scored: Sums) -> np.ndarray:
-        r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory.
-
-        NaN where the records hold less than three blocks: too short to tell.
-        """
-        counted = np.any(self.steps.score > 0, axis=2)
-        inside = counted & (self.steps.block_weight > 0)
-        share = np.sum(inside) / max(np.sum(self.steps.block_weight > 0), 1)
-        blocks = int(share * np.sum(self.steps.block_end))
-        inverse = np.asarray(one.solution.inverse)
-        if blocks < 3:
-            return np.where(np.outer(self.plant.free, self.plant.free) > 0, np.nan, 0.0)
-        # One for the estimate, at which the scores of all samples sum to zero.
-        scale = np.sum(counted) / np.sum(inside) * blocks / (blocks - 1)
-        return scale * inverse @ scored.meat @ inverse
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
@@ -393,24 +299,26 @@ class _Driver:
             )
         return arrays
 
-    def _status(self, done: list[_Pass], best: int, records: tuple[Record, ...]) -> Status:
-        if np.all(done[0].sums.count == 0):
+    def _status(self, done: Iterations, records: tuple[Record, ...]) -> Status:
+        code, number, passes = str(done.codes[0]), int(done.best_pass[0]) + 1, int(done.passes[0])
+        if code == "no_data":
             still = all(np.all(constant(record)) for record in records)
             names = ", ".join(self.plant.outputs)
-            return Status("no_data", _STILL.format(names) if still else _NO_DATA)
-        if not np.isfinite(done[best].cost):
-            return Status("diverged", _DIVERGED)
-        lost = untraced(done[best].solution, self.plant.names, self.plant.free)
-        if lost:
-            return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
-        number = best + 1
-        if len(done) == 1:
-            return Status("passes_exhausted", "one pass only: the nominal values were scored")
-        if done[best].promise > _PROGRESS and len(done) == self.passes:
-            return Status("passes_exhausted", _MORE.format(number))
-        if done[best].promise <= _PROGRESS or self._affine:
-            return Status("converged", f"the index is smallest in pass {number} of {len(done)}")
-        return Status("stalled", _STALLED.format(number, done[best].promise))
+            return Status(code, _STILL.format(names) if still else _NO_DATA)
+        if code == "diverged":
+            return Status(code, _DIVERGED)
+        if code == "unidentifiable":
+            solution = jax.tree.map(lambda leaf: leaf[0], done.best.solution)
+            lost = untraced(solution, self.plant.names, self.plant.free)
+            return Status(code, _UNTRACED.format("; ".join(lost)))
+        if passes == 1:
+            return Status(code, "one pass only: the nominal values were scored")
+        messages = {
+            "passes_exhausted": _MORE.format(number),
+            "converged": f"the index is smallest in pass {number} of {passes}",
+            "stalled": _STALLED.format(number, float(done.best.promise[0])),
+        }
+        return Status(code, messages[code])
 
 
 _STILL = (
@@ -435,12 +343,6 @@ _UNTRACED = (
     "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
     "parameters, or excite the plant so that they differ"
 )
-
-
-def _mean(total: Any, weight: Any) -> np.ndarray:
-    """Total over weight; 0 where nothing was added up."""
-    weight = np.asarray(weight)
-    return np.where(weight > 0, np.asarray(total) / np.where(weight > 0, weight, 1.0), 0.0)
 
 
 def _stacked(filters: list[DiscreteFilter]) -> DiscreteFilter:

@@ -37,6 +37,7 @@ LAYERS = (
     ("fit",),
     ("projections",),
     ("search",),
+    ("iteration",),
     ("identify",),
     ("residual",),
     ("diagnosis",),

@@ -9,6 +9,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -47,9 +48,8 @@ class Lanes(eqx.Module):
 
     def kernel(self, plant: Plant, lowpass: DiscreteFilter, store: str) -> Kernel:
         """The loop of one lane; of a single one, or inside `vmap`."""
-        return Kernel(
-            plant, self.observer, lowpass, self.theta, self.increment, self.weights, store
-        )
+        theta, increment, weights = map(jnp.asarray, (self.theta, self.increment, self.weights))
+        return Kernel(plant, self.observer, lowpass, theta, increment, weights, store)
 
 
 class AbstractEngine(abc.ABC):

@@ -86,7 +86,8 @@ def _tiles(
         plant = eqx.combine(plain, structure)
 
         def lane(one: Lanes) -> Sums:
-            return one.kernel(plant, lowpass, store).run(steps, one.emphasis)[0]
+            emphasis = None if one.emphasis is None else jnp.asarray(one.emphasis)
+            return one.kernel(plant, lowpass, store).run(steps, emphasis)[0]
 
         def tile(i: jax.Array, done: Sums) -> Sums:
             here = jax.tree.map(lambda leaf: leaf[i], lanes)

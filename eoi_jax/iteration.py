@@ -1,0 +1,281 @@
+r"""The iteration of section 4 of the paper, for many lanes at once.
+
+A lane is one estimate: pass i runs its observer with θ_i, recovers the equivalent injection, solves
+(11) for Δθ_i, scores P_i (14), and updates θ_{i+1} = θ_i + Δθ_i. The estimate is the θ_k whose pass
+has the smallest index, θ_0 + Σ_{j<k} Δθ_j; P need not converge. Lanes do not know of each other: a
+lane that ends, or goes wrong, leaves the rest as they are.
+
+Outputs with different units are weighed by 1/P_j, the index of each: the weights of maximum
+likelihood when each output has noise of its own. The smallest index is then that of Σ_j log P_j.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from eoi_jax.passes import Steps, Sums
+from eoi_jax.plants.plant import Plant
+from eoi_jax.regression.index import index as index_of
+from eoi_jax.regression.least_squares import Solution, least_squares
+
+# A pass must lower Σ log P by this share to count as progress; two in a row without end the run.
+PROGRESS = 1e-2
+_PATIENCE = 2
+# An increment whose effect is below this share of the observed derivative changes nothing.
+_ROUNDING = 1e-10
+# A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
+# that went wrong, and how many such passes in a row end the run.
+_DAMPING = 0.1
+_RETRIES = 5
+
+Thetas = Float[np.ndarray, "lanes np"]
+Watch = Callable[[int, int, np.ndarray], None]
+Run = Callable[[Int[np.ndarray, " some"], Float[np.ndarray, "some np"], int], Sums]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass of every lane, and where it leads.
+
+    Attributes:
+        theta: at which it ran, shape (lanes, np).
+        sums: that it added up.
+        index: P, shape (lanes, ny).
+        weights: of the outputs, shape (lanes, ny).
+        solution: of (11).
+        increment: Δθ, shape (lanes, np).
+    """
+
+    theta: Thetas
+    sums: Sums
+    index: Float[np.ndarray, "lanes ny"]
+    weights: Float[np.ndarray, "lanes ny"]
+    solution: Solution
+    increment: Thetas
+
+    @property
+    def cost(self) -> Float[np.ndarray, " lanes"]:
+        """Σ_j log P_j over the outputs that were scored; the smallest is the best pass."""
+        scored = self.sums.count > 0
+        power = np.where(scored, self.index, 1.0)
+        finite = np.all(np.isfinite(power), axis=1)
+        safe = np.where(np.isfinite(power), power, 1.0)
+        logs = np.log(np.maximum(safe, np.finfo(float).tiny))
+        return np.where(finite, np.sum(logs, axis=1), np.inf)
+
+    @property
+    def promise(self) -> Float[np.ndarray, " lanes"]:
+        """Share of the index that Δθ takes away if φ does not change: Δθᵀ Σφᵀu_eq / Σu_eq²."""
+        gain = np.einsum("lj,lja,la->l", self.weights, self.sums.rhs, self.increment)
+        power = np.einsum("lj,lj->l", self.weights, self.sums.square)
+        return gain / np.maximum(power, np.finfo(float).tiny)
+
+    @property
+    def settled(self) -> Bool[np.ndarray, " lanes"]:
+        """Whether Δθ moves F[f] by less than rounding shows in F[y^(r)]."""
+        moved = np.abs(self.increment) * self.solution.scale
+        size = np.sqrt(np.einsum("lj,lj->l", self.weights, self.sums.observed_square))
+        return np.all(moved <= _ROUNDING * size[:, None], axis=1)
+
+    @property
+    def lost(self) -> Bool[np.ndarray, " lanes"]:
+        """Whether some direction of θ left no trace."""
+        return ~np.all(np.asarray(self.solution.identified), axis=1)
+
+
+@dataclass(frozen=True)
+class Iterations:
+    """Every lane's passes; NaN after its last.
+
+    Attributes:
+        theta: of each pass, shape (lanes, passes, np).
+        index: P of each pass, shape (lanes, passes, ny).
+        increment: Δθ of each pass, shape (lanes, passes, np); that of the last is not applied.
+        passes: how many each lane took, shape (lanes,).
+        best_pass: the one of the smallest index, shape (lanes,).
+        best: that pass.
+        seen: whether the first pass scored anything, shape (lanes,).
+        affine: whether the plant is.
+    """
+
+    theta: Float[np.ndarray, "lanes passes np"]
+    index: Float[np.ndarray, "lanes passes ny"]
+    increment: Float[np.ndarray, "lanes passes np"]
+    passes: Int[np.ndarray, " lanes"]
+    best_pass: Int[np.ndarray, " lanes"]
+    best: Pass
+    seen: Bool[np.ndarray, " lanes"]
+    affine: bool
+
+    @property
+    def codes(self) -> np.ndarray:
+        """How each lane ended: codes of `results.Status`, shape (lanes,)."""
+        promise = self.best.promise
+        spent = self.passes == self.index.shape[1]
+        ends = (
+            (~self.seen, "no_data"),
+            (~np.isfinite(self.best.cost), "diverged"),
+            (self.best.lost, "unidentifiable"),
+            (self.passes == 1, "passes_exhausted"),
+            ((promise > PROGRESS) & spent, "passes_exhausted"),
+            ((promise <= PROGRESS) | self.affine, "converged"),
+        )
+        return np.select([one for one, _ in ends], [name for _, name in ends], "stalled")
+
+
+def iterate(
+    run: Run, plant: Plant, start: Thetas, passes: int, watch: Watch | None = None
+) -> Iterations:
+    """Passes until the index no longer falls.
+
+    Args:
+        run: one pass: of which lanes, at which θ, the number of the pass from 0; its sums.
+        plant: whose bounds hold, and whose fixed parameters stay.
+        start: θ_0, shape (lanes, np).
+        passes: how many at most.
+        watch: called after each pass with its number from 1, `passes` and its index (lanes, ny).
+    """
+    lanes, affine = len(start), plant.is_affine
+    every, theta, active = np.arange(lanes), start, np.ones(lanes, bool)
+    stale, damping, count = np.zeros(lanes, int), np.zeros(lanes), np.zeros(lanes, int)
+    now = reference = least = seen = None
+    best_pass, history = np.zeros(lanes, int), []
+    for number in range(passes):
+        which = every[active]
+        sums = run(which, theta[which], number)
+        now = _placed(now, which, sums)
+        one = _solve(plant, theta, now, np.zeros(lanes))
+        if reference is None or least is None:
+            reference, least, seen = one, one, np.any(sums.count > 0, axis=1)
+        if watch is not None:
+            watch(number + 1, passes, one.index)
+        better = active & ((number == 0) | (one.cost < reference.cost - PROGRESS))
+        worse = active & ~better & (one.cost > reference.cost) & (not affine)
+        stale = np.where(better, 0, stale + active)
+        eased = np.where(damping > _DAMPING, damping / 10.0, 0.0)
+        damping = np.where(better, eased, damping)
+        # Gauss–Newton overshot: from the best pass again, a shorter step.
+        damping = np.where(worse, np.maximum(10.0 * damping, _DAMPING), damping)
+        damped = (better | worse) & (damping > 0)
+        if np.any(damped):
+            base = _chosen(worse, reference, one)
+            again = _solve(plant, base.theta, base.sums, damping)
+            moved = again.increment + base.theta - theta
+            increment = np.where(damped[:, None], moved, one.increment)
+            one = Pass(one.theta, one.sums, one.index, one.weights, one.solution, increment)
+        lower = active & ((number == 0) | (one.cost < least.cost))
+        reference, least = _chosen(better, one, reference), _chosen(lower, one, least)
+        best_pass = np.where(lower, number, best_pass)
+        count += active
+        history.append([np.where(active[:, None], v, np.nan) for v in _shown(one)])
+        finite = np.all(np.isfinite(one.increment), axis=1)
+        limit = np.where(damping == 0.0, _PATIENCE, _RETRIES)
+        active = active & ~one.settled & (stale < limit) & finite
+        if not np.any(active):
+            break
+        theta = np.where(active[:, None], theta + one.increment, theta)
+    assert least is not None
+    assert seen is not None
+    shown = [_stretched(np.stack(part, axis=1), passes) for part in zip(*history, strict=True)]
+    theta, index, increment = shown
+    return Iterations(theta, index, increment, count, best_pass, least, seen, affine)
+
+
+def sandwich(
+    free: Float[np.ndarray, " np"],
+    one: Pass,
+    meat: Float[np.ndarray, "lanes np np"],
+    several: Iterable[Steps],
+) -> Float[np.ndarray, "lanes np np"]:
+    r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory.
+
+    NaN where the records hold less than three blocks: too short to tell.
+
+    Args:
+        free: 1 for an estimated parameter.
+        one: pass of the estimate.
+        meat: S, of a pass with the increment and the weights of that one.
+        several: steps of all records of the estimate.
+    """
+    counted = inside = blocks = weighed = 0.0
+    for steps in several:
+        scored = np.any(np.asarray(steps.score) > 0, axis=-1)
+        in_block = np.asarray(steps.block_weight) > 0
+        counted, inside = counted + np.sum(scored), inside + np.sum(scored & in_block)
+        weighed, blocks = weighed + np.sum(in_block), blocks + np.sum(steps.block_end)
+    number = int(inside / max(weighed, 1) * blocks)
+    if number < 3:
+        unknown = np.where(np.outer(free, free) > 0, np.nan, 0.0)
+        return np.broadcast_to(unknown, meat.shape)
+    # One for the estimate, at which the scores of all samples sum to zero.
+    scale = counted / inside * number / (number - 1)
+    inverse = np.asarray(one.solution.inverse)
+    return scale * inverse @ meat @ inverse
+
+
+def _shown(one: Pass) -> tuple[np.ndarray, ...]:
+    return one.theta, one.index, one.increment
+
+
+def _stretched(values: np.ndarray, passes: int) -> np.ndarray:
+    missing = passes - values.shape[1]
+    return np.pad(values, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
+
+
+def _placed(old: Sums | None, which: Int[np.ndarray, " some"], new: Sums) -> Sums:
+    """Sums of all lanes, those that ran brought up to date."""
+    if old is None:
+        return jax.tree.map(np.asarray, new)
+
+    def leaf(old: np.ndarray, new: Any) -> np.ndarray:
+        whole = old.copy()
+        whole[which] = new
+        return whole
+
+    return jax.tree.map(leaf, old, new)
+
+
+def _chosen(mask: Bool[np.ndarray, " lanes"], yes: Pass, no: Pass) -> Pass:
+    """Lane by lane from one pass or the other."""
+    if np.all(mask) or np.all(~mask):
+        return yes if np.all(mask) else no
+
+    def leaf(a: Any, b: Any) -> np.ndarray:
+        return np.where(mask.reshape(-1, *(1,) * (np.ndim(a) - 1)), a, b)
+
+    return Pass(*(jax.tree.map(leaf, a, b) for a, b in zip(_fields(yes), _fields(no), strict=True)))
+
+
+def _fields(one: Pass) -> tuple:
+    return one.theta, one.sums, one.index, one.weights, one.solution, one.increment
+
+
+_least_squares = jax.jit(jax.vmap(least_squares, (0, 0, None, 0)))
+
+
+def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]) -> Pass:
+    power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.weight)))
+    size = mean(sums.observed_square, sums.weight)
+    # Rounding bounds how small an index can mean anything; it also keeps weights finite.
+    floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
+    weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
+    weights = weights / np.maximum(np.max(weights, axis=1, keepdims=True), np.finfo(float).tiny)
+    information = np.einsum("lj,ljab->lab", weights, sums.information)
+    rhs = np.einsum("lj,lja->la", weights, sums.rhs)
+    solution = _least_squares(
+        jnp.asarray(information), jnp.asarray(rhs), jnp.asarray(plant.free), jnp.asarray(damping)
+    )
+    solution = jax.tree.map(np.asarray, solution)
+    moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
+    return Pass(theta, sums, power, weights, solution, moved - theta)
+
+
+def mean(total: Any, weight: Any) -> np.ndarray:
+    """Total over weight; 0 where nothing was added up."""
+    weight = np.asarray(weight)
+    return np.where(weight > 0, np.asarray(total) / np.where(weight > 0, weight, 1.0), 0.0)
