@@ -1,6 +1,8 @@
 """Sliding-mode observers; one file each."""
 
 from eoi_jax.observers.first_order import FirstOrder as FirstOrder
+from eoi_jax.observers.gain_sets import GainSets as GainSets
+from eoi_jax.observers.gain_sets import gains as gains
 from eoi_jax.observers.high_order import HighOrder as HighOrder
 from eoi_jax.observers.observer import AbstractObserver as AbstractObserver
 from eoi_jax.observers.observer import Observation as Observation
