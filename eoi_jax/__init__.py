@@ -1,11 +1,15 @@
 """Identify dynamical systems from the equivalent output injection of sliding-mode observers."""
 
 from eoi_jax import effects as effects
+from eoi_jax import engines as engines
 from eoi_jax import observers as observers
 from eoi_jax import plants as plants
 from eoi_jax.backend import configure as configure
+from eoi_jax.batch.best import best as best
+from eoi_jax.batch.store import open_sweep as open_sweep
 from eoi_jax.checks import RecordWarning as RecordWarning
 from eoi_jax.data import excitation as excitation
+from eoi_jax.data.long_record import LongRecord as LongRecord
 from eoi_jax.data.readers import read_record as read_record
 from eoi_jax.data.record import Record as Record
 from eoi_jax.diagnose import diagnose as diagnose
@@ -22,5 +26,6 @@ from eoi_jax.refine import refine as refine
 from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
 from eoi_jax.store import load as load
+from eoi_jax.sweep import sweep as sweep
 from eoi_jax.validate import Validation as Validation
 from eoi_jax.validate import validate as validate

@@ -16,18 +16,24 @@ from jaxtyping import Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
-from eoi_jax.iteration import Iterations, iterate, mean, sandwich
+from eoi_jax.iteration import Iterations, Tally, iterate, mean, sandwich
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, run_pass
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import Ready, check_observer, check_records, constant, prepare, ready
+from eoi_jax.prepare import (
+    TAPER,
+    Ready,
+    check_observer,
+    check_records,
+    constant,
+    prepare,
+    ready,
+)
 from eoi_jax.regression.least_squares import untraced
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer, default_transient
 
-# Weights rise over this many time constants of F beside steps that do not count.
-_TAPER = 2.0
 # Up to so many values every pass stores its signals, which the first and the best need anyway:
 # tracing a second kernel that stores nothing would take longer than that saves.
 _SHORT = 2_000_000
@@ -185,7 +191,7 @@ def estimate(
         lowpass.memory,
         prepared.rate_noise,
         explicit,
-        _TAPER / lowpass.cutoff,
+        TAPER / lowpass.cutoff,
     )
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
@@ -214,7 +220,7 @@ class _Driver:
         theta, increment, index = one.theta[0], one.increment[0], one.index[0]
         sums, trace = self._pass(theta, "signals", increment, one.weights[0])
         meat = np.asarray(sums.meat)[None]
-        covariance = sandwich(self.plant.free, one, meat, [self.steps])[0]
+        covariance = sandwich(self.plant.free, one, meat, Tally().plus(self.steps))[0]
         plant = self.plant.with_parameters(theta)
         observed = np.sqrt(mean(one.sums.observed_square[0], one.sums.weight[0]))
         sliding = mean(one.sums.sliding[0], one.sums.count[0])

@@ -9,7 +9,7 @@ Outputs with different units are weighed by 1/P_j, the index of each: the weight
 likelihood when each output has noise of its own. The smallest index is then that of Σ_j log P_j.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -186,11 +186,36 @@ def iterate(
     return Iterations(theta, index, increment, count, best_pass, least, seen, affine)
 
 
+@dataclass(frozen=True)
+class Tally:
+    """How many steps and blocks of scores an estimate has.
+
+    Attributes:
+        scored: steps that least squares counts.
+        inside: those of them in complete blocks.
+        weighed: all steps in complete blocks.
+        blocks: complete ones.
+    """
+
+    scored: int = 0
+    inside: int = 0
+    weighed: int = 0
+    blocks: int = 0
+
+    def plus(self, steps: Steps) -> "Tally":
+        """With the steps of one or several more records."""
+        scored = np.any(np.asarray(steps.score) > 0, axis=-1)
+        weighed = np.asarray(steps.block_weight) > 0
+        return Tally(
+            self.scored + int(np.sum(scored)),
+            self.inside + int(np.sum(scored & weighed)),
+            self.weighed + int(np.sum(weighed)),
+            self.blocks + int(np.sum(steps.block_end)),
+        )
+
+
 def sandwich(
-    free: Float[np.ndarray, " np"],
-    one: Pass,
-    meat: Float[np.ndarray, "lanes np np"],
-    several: Iterable[Steps],
+    free: Float[np.ndarray, " np"], one: Pass, meat: Float[np.ndarray, "lanes np np"], tally: Tally
 ) -> Float[np.ndarray, "lanes np np"]:
     r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory.
 
@@ -200,20 +225,14 @@ def sandwich(
         free: 1 for an estimated parameter.
         one: pass of the estimate.
         meat: S, of a pass with the increment and the weights of that one.
-        several: steps of all records of the estimate.
+        tally: of all records of the estimate.
     """
-    counted = inside = blocks = weighed = 0.0
-    for steps in several:
-        scored = np.any(np.asarray(steps.score) > 0, axis=-1)
-        in_block = np.asarray(steps.block_weight) > 0
-        counted, inside = counted + np.sum(scored), inside + np.sum(scored & in_block)
-        weighed, blocks = weighed + np.sum(in_block), blocks + np.sum(steps.block_end)
-    number = int(inside / max(weighed, 1) * blocks)
-    if number < 3:
+    blocks = int(tally.inside / max(tally.weighed, 1) * tally.blocks)
+    if blocks < 3:
         unknown = np.where(np.outer(free, free) > 0, np.nan, 0.0)
         return np.broadcast_to(unknown, meat.shape)
     # One for the estimate, at which the scores of all samples sum to zero.
-    scale = counted / inside * number / (number - 1)
+    scale = tally.scored / tally.inside * blocks / (blocks - 1)
     inverse = np.asarray(one.solution.inverse)
     return scale * inverse @ meat @ inverse
 

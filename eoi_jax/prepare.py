@@ -22,6 +22,8 @@ from eoi_jax.tuning import default_lowpass, default_smoothing, default_substeps,
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
+# Weights rise over this many time constants of F beside steps that do not count.
+TAPER = 2.0
 _BLOCKS, _FEWEST = 50, 10  # of scores, for the covariance, if the filter's memory allows them
 
 
@@ -107,6 +109,7 @@ class Ready:
         rate_noise: standard deviation of the measured increment over one sample / h, per record.
         lowpass: F.
         substeps: per sample.
+        smoothing: its cut-off [rad/s], False for none.
         explicit: whether for an observer in explicit form.
         reasons: for what was chosen.
     """
@@ -117,6 +120,7 @@ class Ready:
     rate_noise: tuple[Float[np.ndarray, " ny"], ...]
     lowpass: LowPass
     substeps: int
+    smoothing: float | bool
     explicit: bool
     reasons: tuple[str, ...]
 
@@ -154,7 +158,9 @@ def ready(
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)
-    return Ready(records, fine, inputs, noise, lowpass, substeps, explicit, tuple(reasons))
+    return Ready(
+        records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
+    )
 
 
 def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:
@@ -172,6 +178,7 @@ def prepare(
     rate_noise: Sequence[Float[np.ndarray, " ny"]],
     explicit: bool,
     taper: float,
+    duration: float | None = None,
 ) -> Steps:
     """The batch of steps for `run_pass`, padded to the longest record.
 
@@ -185,11 +192,12 @@ def prepare(
         rate_noise: standard deviation of the measured increment over one step / h, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which a step's weight rises from zero beside one that does not count [s].
+        duration: of all records of the estimate [s], if these are only some of them.
     """
     length = max(len(record) for record in records) - 1
     friction = plant.jumps
     # Many blocks for a steady covariance, each longer than the filter remembers.
-    total = sum(len(record) * record.sample_period for record in records)
+    total = duration or sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
     rows = []
     for record, u, noise in zip(records, inputs, rate_noise, strict=True):

@@ -86,17 +86,13 @@ def gains(
     return GainSets(observer, arrays)
 
 
-def gain_sets(
-    observers: Any, outputs: int
-) -> tuple[tuple[GainSets, ...], Bool[np.ndarray, " sets"]]:
+def gain_sets(observers: Any, outputs: int) -> tuple[GainSets, ...]:
     """Observers as they may be given to a sweep, in order, as groups that can be stacked.
 
     Args:
         observers: one observer, `GainSets`, or a sequence of either.
         outputs: ny; gains are spread to one an output where a group mixes both forms.
 
-    Returns:
-        The groups, and whether each set is valid, over all groups.
     """
     given = (
         [observers] if isinstance(observers, AbstractObserver | GainSets) else list(observers or ())
@@ -120,7 +116,7 @@ def gain_sets(
             alike.append(one)
     if alike:
         groups.append(_stacked(alike, outputs))
-    return tuple(groups), np.concatenate([one.valid for one in groups])
+    return tuple(groups)
 
 
 def _required(kind: Callable, name: str) -> bool:

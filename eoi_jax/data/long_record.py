@@ -1,0 +1,111 @@
+"""A record that is too long for memory: read piece by piece, from a mapped or chunked file."""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from typing import Any, overload
+
+import numpy as np
+
+from eoi_jax.checks import check, check_positive
+from eoi_jax.data.record import Record
+
+_SHORTEST = 1000
+_LOOKS = 64  # places whose values enter the hash
+
+
+class LongRecord(Sequence[Record]):
+    """One uniformly sampled run, as records of `piece` samples that overlap.
+
+    Only what a pass needs at a time is in memory. Each piece starts `overlap` samples early, and
+    those are its burn-in: every sample is scored once, and observer and filter have settled there.
+
+    Args:
+        sample_period: h [s].
+        inputs: (N,) or (N, nu): anything that is sliced like an array and reads from disk then,
+            such as `numpy.memmap`, a dataset of h5py or an array of zarr.
+        outputs: (N,) or (N, ny), likewise.
+        piece: samples at a time.
+        overlap: samples by which a piece starts early; not less than the transient.
+        name: what to call it.
+        **options: of each piece's `Record`: names, units, hold.
+
+    Raises:
+        ValueError: lengths that differ, a record shorter than a piece can be.
+    """
+
+    def __init__(
+        self,
+        sample_period: float,
+        inputs: Any,
+        outputs: Any,
+        piece: int = 500_000,
+        overlap: int = 20_000,
+        name: str = "long record",
+        **options: Any,
+    ):
+        check_positive("sample_period", sample_period, "It is in seconds.")
+        check(
+            len(inputs) == len(outputs),
+            "inputs",
+            f"must be as long as the outputs, {len(outputs)} samples",
+            len(inputs),
+        )
+        check(len(outputs) >= _SHORTEST, "outputs", f"must hold {_SHORTEST} samples", len(outputs))
+        check(piece >= _SHORTEST, "piece", f"must be at least {_SHORTEST} samples", piece)
+        check(0 <= overlap <= piece, "overlap", "must be from 0 to the length of a piece", overlap)
+        self.sample_period, self.inputs, self.outputs = float(sample_period), inputs, outputs
+        self.piece, self.overlap, self.name, self.options = piece, overlap, name, options
+
+    @property
+    def samples(self) -> int:
+        """N."""
+        return len(self.outputs)
+
+    @property
+    def duration(self) -> float:
+        """Of the whole record [s]."""
+        return self.samples * self.sample_period
+
+    @property
+    def data_hash(self) -> str:
+        """Sixteen hexadecimal digits of its length and of values at places all along it."""
+        digest = hashlib.sha256(f"{self.samples} {self.sample_period} {self.piece}".encode())
+        for start in np.linspace(0, self.samples - _SHORTEST, _LOOKS).astype(int):
+            part = slice(int(start), int(start) + _SHORTEST)
+            digest.update(np.ascontiguousarray(self.inputs[part], dtype=float).tobytes())
+            digest.update(np.ascontiguousarray(self.outputs[part], dtype=float).tobytes())
+        return digest.hexdigest()[:16]
+
+    def __len__(self) -> int:
+        # A rest too short for a piece of its own goes to the last.
+        return max((self.samples - 1) // self.piece + (self._rest >= _SHORTEST), 1)
+
+    @property
+    def _rest(self) -> int:
+        return (self.samples - 1) % self.piece
+
+    @overload
+    def __getitem__(self, which: int) -> Record: ...
+    @overload
+    def __getitem__(self, which: slice) -> Sequence[Record]: ...
+    def __getitem__(self, which: int | slice) -> Record | Sequence[Record]:
+        """One piece, read now; or several."""
+        if isinstance(which, slice):
+            return [self[i] for i in range(*which.indices(len(self)))]
+        number = range(len(self))[which]
+        start = max(number * self.piece - self.overlap, 0)
+        last = number == len(self) - 1
+        # A piece shares its last sample with the next, so that no step between two is lost.
+        stop = self.samples if last else (number + 1) * self.piece + 1
+        burn_in = (number * self.piece - start) * self.sample_period
+        return Record(
+            self.sample_period * np.arange(start, stop),
+            np.asarray(self.inputs[start:stop]),
+            np.asarray(self.outputs[start:stop]),
+            f"{self.name}[{number}]",
+            burn_in=burn_in,
+            **self.options,
+        )
+
+    def __iter__(self) -> Iterator[Record]:
+        return (self[i] for i in range(len(self)))

@@ -1,0 +1,287 @@
+r"""Many estimates in one call: gains × filters × starting points × records × resamples.
+
+Each lane is what `identify` gives for its observer, filter, start and record. Lanes run in chunks:
+here, or on the workers of any `concurrent.futures.Executor`, and land in a store from which an
+interrupted sweep goes on.
+"""
+
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import xarray as xr
+
+from eoi_jax.backend import configure
+from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
+from eoi_jax.batch.plan import Part, Plan, plan
+from eoi_jax.batch.store import Store
+from eoi_jax.checks import RecordWarning, check
+from eoi_jax.engines import AbstractEngine, Scan
+from eoi_jax.plants.plant import Plant
+
+_AHEAD = 64  # chunks that an executor is given ahead of those that have landed
+_TRIES = 3  # of a chunk whose worker failed
+_CALIBRATED = 16  # gain sets that tell the error of single precision
+
+Place = tuple[int, ...]
+
+
+def sweep(
+    plant: Plant,
+    records: Any,
+    observers: Any = None,
+    lowpass: Any = None,
+    *,
+    starts: Any = None,
+    resamples: int = 0,
+    passes: int = 10,
+    transient: float | None = None,
+    substeps: int | None = None,
+    smoothing: float | bool | None = None,
+    precision: str = "float64",
+    seed: int = 0,
+    chunk: int = 4096,
+    store: str | Path | None = None,
+    engine: AbstractEngine | None = None,
+    executor: Executor | None = None,
+    part: tuple[int, int] = (0, 1),
+    progress: bool = False,
+) -> xr.Dataset:
+    """Identify with every combination of gains, filters, starts, records and resamples.
+
+    Args:
+        plant: the model with its nominal parameters.
+        records: one, several, or ``{label: records}``; a list in place of a record is estimated
+            from jointly, a `LongRecord` piece by piece.
+        observers: an observer, `observers.gains(…)`, or a sequence of either; left out: one,
+            chosen for each record.
+        lowpass: a filter or several; left out: chosen for each record.
+        starts: θ_0: dicts of parameters, or rows (starts, np); left out: the nominal values.
+        resamples: block-bootstrap resamples, along ``resample`` beside the data as they are (0).
+        passes: how many at most.
+        transient: time at the start of each record that is not scored [s].
+        substeps: as of `identify`.
+        smoothing: as of `identify`.
+        precision: of the loop, ``"float64"`` or ``"float32"``; attributes ``float32_error_of_…``
+            then tell what that costs, against double precision on some of the lanes.
+        seed: of the resamples.
+        chunk: lanes at a time, at most.
+        store: folder of a Zarr store that keeps each chunk once it is done; a sweep that was
+            interrupted goes on from there. In memory if left out.
+        engine: that runs the passes; left out: the fastest at hand.
+        executor: workers for the chunks, e.g. ``client.get_executor()`` of Dask.
+        part: ``(i, n)``: only every n-th chunk from the i-th, for an array of n jobs, one store.
+        progress: show a bar with rate and time left on a terminal.
+
+    Returns:
+        A dataset over (record, lowpass, observer, start, resample): ``parameters``,
+        ``standard_error``, ``index`` of each pass, ``common_index``, ``sliding_fraction``,
+        ``status`` (`flag_meanings` says which), ``ok``. A lane that goes wrong ends with its
+        status, the others do not notice. After Ctrl-C: what is done, the rest ``not_run``.
+
+    Raises:
+        ValueError: what does not fit, before any work; the message says what to do.
+        OSError: the store cannot be written.
+    """
+    check(
+        len(part) == 2 and 0 <= part[0] < part[1],
+        "part",
+        "must be (i, n) with 0 ≤ i < n",
+        part,
+    )
+    whole = plan(
+        plant,
+        records,
+        observers,
+        lowpass,
+        starts,
+        resamples=resamples,
+        passes=passes,
+        transient=transient,
+        substeps=substeps,
+        smoothing=smoothing,
+        precision=precision,
+        seed=seed,
+        chunk=chunk,
+    )
+    double = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+    check(
+        precision == "float32" or double,
+        "precision",
+        "must be float32 where JAX runs in single precision",
+        precision,
+        "Call `eoi_jax.configure()` first, or ask for float32.",
+    )
+    engine = engine or Scan()
+    target = Store(whole, store, _labels(whole))
+    own = [place for i, place in enumerate(whole.chunks()) if i % part[1] == part[0]]
+    left = [place for place in own if not target.landed(place)]
+    finished = True
+    with _shown(progress, whole, own, left) as done:
+        try:
+            for place, arrays in _results(whole, left, engine, executor):
+                if arrays is None:
+                    target.mark_lost(place)
+                else:
+                    target.write(place, arrays)
+                done(place)
+        except KeyboardInterrupt:
+            finished = False
+    outcome = {"finished": int(finished), "engine": type(engine).__name__}
+    if precision == "float32" and double and finished:
+        errors = precision_error(whole.only(own[0]), engine, _CALIBRATED)
+        outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
+    return target.dataset(outcome)
+
+
+def _results(
+    whole: Plan, places: list[Place], engine: AbstractEngine, executor: Executor | None
+) -> Iterator[tuple[Place, Arrays | None]]:
+    if executor is None:
+        for place in places:
+            yield place, run_chunk(whole.only(place), engine)
+        return
+    yield from _spread(whole, places, engine, executor)
+
+
+def _spread(
+    whole: Plan, places: list[Place], engine: AbstractEngine, executor: Executor
+) -> Iterator[tuple[Place, Arrays | None]]:
+    """Chunks on an executor's workers, as they come; None for one that failed again and again."""
+    waiting = deque((place, _TRIES) for place in places)
+    running: dict[Future, tuple[Place, int]] = {}
+    double = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+    try:
+        while waiting or running:
+            while waiting and len(running) < _AHEAD:
+                place, tries = waiting.popleft()
+                running[executor.submit(remote_chunk, whole.only(place), engine, double)] = (
+                    place,
+                    tries,
+                )
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                place, tries = running.pop(future)
+                try:
+                    yield place, future.result()
+                except (ValueError, TypeError):
+                    raise
+                except Exception as error:
+                    warnings.warn(f"chunk {place} failed on its worker: {error}", stacklevel=4)
+                    if tries > 1:
+                        waiting.append((place, tries - 1))
+                    else:
+                        yield place, None
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def remote_chunk(one: Part, engine: AbstractEngine, double: bool) -> Arrays:
+    """`run_chunk` in a worker process, which sets up JAX first as the caller's is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", (RecordWarning, RuntimeWarning))
+        configure(float64=double)
+    return run_chunk(one, engine)
+
+
+def _labels(whole: Plan) -> dict[str, Any]:
+    """Coordinates and attributes, as JSON can hold them."""
+    plant = whole.plant
+    coordinates: dict[str, Any] = {
+        "record": _coordinate("record", [one.name for one in whole.groups]),
+        "parameter": _coordinate("parameter", list(plant.names)),
+        "output": _coordinate("output", list(plant.outputs)),
+        "pass": _coordinate("pass", list(range(1, whole.passes + 1))),
+        "start": _coordinate("start", list(range(len(whole.starts)))),
+        "resample": _coordinate("resample", list(range(1 + whole.resamples))),
+        "theta_0": {"dims": ["start", "parameter"], "values": whole.starts.tolist()},
+        "data_hash": _coordinate("record", [one.data_hash for one in whole.groups]),
+        **_filters(whole),
+        **_gains(whole),
+    }
+    attributes = {
+        "plant": plant.name,
+        "precision": whole.precision,
+        "seed": whole.seed,
+        "common_index": "one observer, chosen for the record, and the sweep's lowest cut-off",
+    }
+    return {"coordinates": coordinates, "attributes": attributes}
+
+
+def _coordinate(dim: str, values: list) -> dict[str, Any]:
+    return {"dims": [dim], "values": values}
+
+
+def _filters(whole: Plan) -> dict[str, Any]:
+    given = [one.lowpass for one in whole.choices]
+    labels = {"lowpass": _coordinate("lowpass", list(range(len(given))))}
+    known = [one for one in given if one is not None]
+    if len(known) == len(given):
+        labels["cutoff"] = _coordinate("lowpass", [one.cutoff for one in known])
+        labels["order"] = _coordinate("lowpass", [one.order for one in known])
+    return labels
+
+
+def _gains(whole: Plan) -> dict[str, Any]:
+    """Every gain along ``observer``; NaN for observers that have no such gain."""
+    if whole.observers is None:
+        return {"observer": _coordinate("observer", ["chosen"])}
+    count = sum(len(one) for one in whole.observers)
+    labels: dict[str, Any] = {"observer": _coordinate("observer", list(range(count)))}
+    kinds = [one.kind for one in whole.observers for _ in range(len(one))]
+    labels["kind"] = _coordinate("observer", kinds)
+    for name in dict.fromkeys(name for one in whole.observers for name in one.labels):
+        parts = [one.labels.get(name, np.full(len(one), np.nan)) for one in whole.observers]
+        if any(part.ndim > 1 for part in parts):
+            wide = len(whole.plant.outputs)
+            parts = [np.broadcast_to(p.reshape(len(p), -1), (len(p), wide)) for p in parts]
+        values = np.concatenate(parts)
+        dims = ["observer", "output"][: values.ndim]
+        labels[name] = {"dims": dims, "values": values.tolist()}
+    return labels
+
+
+@contextmanager
+def _shown(
+    progress: bool, whole: Plan, own: Iterable[Place], left: list[Place]
+) -> Iterator[Callable[[Place], None]]:
+    """A function that is told of each chunk that landed."""
+    if not progress:
+        yield lambda _: None
+        return
+    from rich.console import Console  # only where there is a terminal to draw on
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    def lanes(place: Place) -> int:
+        return int(np.prod([one.stop - one.start for one in whole.region(place)]))
+
+    total = sum(lanes(place) for place in own)
+    start = total - sum(lanes(place) for place in left)
+    columns = (
+        TextColumn("sweep"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("lanes, {task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("sweep", total=total, completed=start, rate="compiling")
+
+        def landed(place: Place) -> None:
+            bar.advance(task, lanes(place))
+            speed = bar.tasks[0].speed
+            bar.update(task, rate=f"{speed:,.0f} a second" if speed else "")
+
+        yield landed
