@@ -1,5 +1,6 @@
 """From a config's tables to the plant, gains and records that `identify` takes."""
 
+import functools
 import importlib.util
 import os
 from collections.abc import Callable
@@ -17,16 +18,14 @@ from eoi_jax.config import (
     ChirpTable,
     Config,
     DataTable,
-    FirstOrderTable,
-    HighOrderTable,
     MultisineTable,
     PrbsTable,
     RandomStepsTable,
-    SecondOrderTable,
+    RangeTable,
     SimulateTable,
     SquareTable,
     StepsTable,
-    SuperTwistingTable,
+    SweepTable,
 )
 from eoi_jax.data import excitation
 from eoi_jax.data.readers import read_record
@@ -116,18 +115,68 @@ def _plant_from_file(reference: str, folder: Path) -> Plant:
     return made  # type: ignore[return-value]
 
 
+_OBSERVERS = {
+    "first_order": observers.FirstOrder,
+    "second_order": observers.SecondOrder,
+    "super_twisting": observers.SuperTwisting,
+    "high_order": observers.HighOrder,
+}
+
+
 def observer(config: Config) -> Any:
     """The observer of the [observer] table, or None: chosen from the records."""
     table = config.observer
     if table is None:
         return None
-    kinds = {
-        FirstOrderTable: observers.FirstOrder,
-        SecondOrderTable: observers.SecondOrder,
-        SuperTwistingTable: observers.SuperTwisting,
-        HighOrderTable: observers.HighOrder,
+    kind = _OBSERVERS[str(type(table).__struct_config__.tag)]
+    return kind(**msgspec.structs.asdict(table))
+
+
+def sweep(config: Config, model: Plant) -> dict[str, Any]:
+    """The arguments of `eoi_jax.sweep` that the [sweep] table and those beside it stand for.
+
+    Raises:
+        ValueError: gains that do not fit together, an unknown parameter.
+    """
+    table, passes = config.sweep, config.identify
+    filters: Any = lowpass(config)
+    if table.cutoffs is not None:
+        filters = [LowPass(one, order=table.order) for one in _values(table.cutoffs)]
+    starts = [model.parameters, *({**model.parameters, **one} for one in table.starts)]
+    return {
+        "observers": _gain_sets(table, model) or observer(config),
+        "lowpass": filters,
+        "starts": starts,
+        "resamples": table.resamples,
+        "passes": passes.passes,
+        "transient": passes.transient,
+        "substeps": passes.substeps,
+        "smoothing": passes.smoothing,
+        "precision": table.precision,
+        "seed": table.seed,
+        "chunk": table.chunk,
     }
-    return kinds[type(table)](**msgspec.structs.asdict(table))
+
+
+def _gain_sets(table: SweepTable, model: Plant) -> list[observers.GainSets]:
+    sets = []
+    for i, one in enumerate(table.observers):
+        kind, scheme = _OBSERVERS[one.kind], one.scheme
+        if one.kind == "high_order":
+            kind, scheme = functools.partial(kind, degree=model.relative_degree), None
+        values = {name: _values(value) for name, value in one.gains.items()}
+        try:
+            sets.append(observers.gains(kind, scheme=scheme, grid=one.grid, **values))
+        except ValueError as error:
+            raise ValueError(f"`sweep.observers[{i}].gains`: {error}") from error
+    return sets
+
+
+def _values(given: Any) -> Any:
+    """A number or a list as it is, a range as its values."""
+    if isinstance(given, RangeTable):
+        return np.geomspace(given.low, given.high, given.count)
+    return given
 
 
 def lowpass(config: Config) -> LowPass | None:

@@ -18,13 +18,16 @@ import typer
 
 from eoi_jax import backend, build, runs
 from eoi_jax import config as configs
+from eoi_jax.batch.best import best
 from eoi_jax.checks import check
 from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
 from eoi_jax.report.discovery import answer, discovery_text
+from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text
+from eoi_jax.sweep import sweep as run_sweep
 from eoi_jax.validate import Validation, validate
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -126,6 +129,57 @@ def discover(
         # The maps of the residual are written all the same: they are what is known.
         typer.echo(f"eoi: {answer(result)}", err=True)
         raise typer.Exit(_NO_ANSWER)
+
+
+@app.command()
+def sweep(
+    config: Annotated[
+        Path | None, typer.Argument(help="TOML file; left out: the built-in example.")
+    ] = None,
+    data: Data = None,
+    output: Output = _RUNS,
+    part: Annotated[
+        str, typer.Option(help="i/n: every n-th chunk from the i-th (0 … n-1), for a job array.")
+    ] = "0/1",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Try many gains, filters, starts and resamples; interrupted, the same command goes on."""
+    with _failures(as_json):
+        backend.configure()
+        source = config or _default_config("pendulum_sweep")
+        _check_output(output)
+        given = runs.job(configs.load(source), source.parent, data)
+        folder = output / given.settings.name
+        with runs.quiet_records():
+            result = run_sweep(
+                given.model,
+                given.records,
+                **build.sweep(given.settings, given.model),
+                store=folder / "sweep.zarr",
+                part=_part(part),
+                progress=not quiet and sys.stderr.isatty(),
+            )
+            done = bool(result["ok"].any())
+            chosen = best(result, given.model, given.held_out or None) if done else None
+        summary = runs.sweep_summary(given, result, chosen)
+        text = sweep_text(result, chosen)
+        runs.write_sweep(
+            folder, result, summary, text, _with_command(f"eoi sweep {source}", source)
+        )
+    if not result.attrs["finished"]:
+        ended = summary["statuses"].get("not_run", 0)
+        message = f"interrupted with {ended} of {summary['lanes']} lanes left"
+        _stop(_INTERRUPTED, f"{message}; the same command goes on from there", as_json, summary)
+    if chosen is None:
+        _stop(_NO_ANSWER, f"no answer: {text}", as_json, summary)
+    _show(folder, text, summary, as_json, quiet)
+
+
+def _part(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    check(number.isdigit() and count.isdigit(), "--part", "must be i/n, such as 0/10", text)
+    return int(number), int(count)
 
 
 # -- the run ----------------------------------------------------------------------------------

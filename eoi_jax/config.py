@@ -118,6 +118,54 @@ class DiscoverTable(msgspec.Struct, frozen=True):
     window: Positive | None = None
 
 
+class RangeTable(msgspec.Struct, frozen=True):
+    """Values from low to high at equal ratios, both ends included."""
+
+    low: Positive
+    high: Positive
+    count: Count
+
+
+class GainTable(msgspec.Struct, frozen=True):
+    """[[sweep.observers]]: gain sets of one kind of observer.
+
+    Attributes:
+        kind: as of [observer].
+        gains: by name: a number, a list, or a range.
+        grid: every combination of them; else the first of each, the second, ….
+        scheme: implicit or explicit.
+    """
+
+    kind: Literal["first_order", "second_order", "super_twisting", "high_order"]
+    gains: dict[str, float | tuple[float, ...] | RangeTable]
+    grid: bool = True
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SweepTable(msgspec.Struct, frozen=True):
+    """[sweep]: what is tried; absent parts are those of the other tables.
+
+    Attributes:
+        observers: gain sets; absent: that of [observer].
+        cutoffs: of the filter [rad/s]: a list or a range; absent: that of [lowpass].
+        order: of all these filters.
+        starts: θ_0 by name, one table each, beside the nominal values; absent: these only.
+        resamples: block-bootstrap resamples of each record.
+        seed: of the resamples.
+        precision: of the loop.
+        chunk: lanes at a time.
+    """
+
+    observers: tuple[GainTable, ...] = ()
+    cutoffs: tuple[Positive, ...] | RangeTable | None = None
+    order: Count = 2
+    starts: tuple[dict[str, float], ...] = ()
+    resamples: Annotated[int, msgspec.Meta(ge=0)] = 0
+    seed: int = 0
+    precision: Literal["float64", "float32"] = "float64"
+    chunk: Count = 4096
+
+
 class SquareTable(msgspec.Struct, frozen=True, tag_field="kind", tag="square"):
     """A square wave offset ± amplitude; frequency [Hz]."""
 
@@ -238,7 +286,7 @@ class Config(msgspec.Struct, frozen=True):
         plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
             the object is a `Plant` or a function that returns one.
         observer, lowpass: absent: chosen from the records.
-        identify, discover: how the verbs of these names run.
+        identify, discover, sweep: how the verbs of these names run.
         simulate, data: where the records come from; exactly one of the two.
         validation: held-out files; what the table leaves out is as in [data].
     """
@@ -250,6 +298,7 @@ class Config(msgspec.Struct, frozen=True):
     lowpass: LowPassTable | None = None
     identify: IdentifyTable = IdentifyTable()
     discover: DiscoverTable = DiscoverTable()
+    sweep: SweepTable = SweepTable()
     simulate: SimulateTable | None = None
     data: DataTable | None = None
     validation: DataTable | None = None
@@ -312,8 +361,15 @@ def _table(kinds: Sequence[Any], table: Any, name: str) -> Any:
 def _value(annotation: Any, value: Any, name: str) -> Any:
     members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else [annotation]
     kinds = [m for m in members if isinstance(m, type) and issubclass(m, msgspec.Struct)]
-    if kinds:
+    plain = [m for m in members if m not in kinds and m is not type(None)]
+    if kinds and (isinstance(value, dict) or not plain):
         return _table(kinds, value, name)
+    if kinds:
+        annotation = Union[tuple(plain)]  # noqa: UP007 - of a list
+    if get_origin(annotation) is tuple and _is_table(get_args(annotation)[0]):
+        check(isinstance(value, list), name, "must be a list of tables", value)
+        item = get_args(annotation)[0]
+        return tuple(_value(item, each, f"{name}[{i}]") for i, each in enumerate(value))
     if get_origin(annotation) is dict:
         check(isinstance(value, dict), name, "must be a table", value)
         item = get_args(annotation)[1]
@@ -325,6 +381,12 @@ def _value(annotation: Any, value: Any, name: str) -> Any:
     except msgspec.ValidationError as error:
         rule, place = _in_words(str(error))
         check(False, name + place, rule, repr(value))
+
+
+def _is_table(annotation: Any) -> bool:
+    if get_origin(annotation) is dict:
+        return True
+    return isinstance(annotation, type) and issubclass(annotation, msgspec.Struct)
 
 
 _WORDS = {

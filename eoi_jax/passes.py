@@ -336,7 +336,9 @@ class Kernel(eqx.Module):
 
     def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
         """The observer's own moving average, on model and regressors."""
-        weights = _kernel_weights(self.observer, len(self.plant.outputs))
+        weights = jnp.asarray(
+            _kernel_weights(self.observer, len(self.plant.outputs)), self.theta.dtype
+        )
         f = sum(w * one[0] for w, one in zip(weights, history, strict=True))
         phi = sum(w[:, None] * one[1] for w, one in zip(weights, history, strict=True))
         return f, phi  # type: ignore[return-value]

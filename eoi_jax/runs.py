@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import msgspec
 import numpy as np
+import xarray as xr
 
 from eoi_jax import build
 from eoi_jax import config as configs
@@ -26,6 +27,7 @@ from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
 from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.equation import equation_latex, equation_text
+from eoi_jax.report.sweep import gain_names, statuses, sweep_figure
 from eoi_jax.validate import Validation
 
 
@@ -147,6 +149,48 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
     return _plain({**summary, **_provenance(given)})
 
 
+def sweep_summary(given: Job, result: xr.Dataset, best: xr.Dataset | None) -> dict[str, Any]:
+    """A sweep as one JSON object.
+
+    Args:
+        given: what was asked.
+        result: of `sweep`.
+        best: its best lane, if any lane has an answer.
+    """
+    lane = None
+    if best is not None:
+        gains = {name: best[name].values for name in ("kind", *gain_names(result)) if name in best}
+        names = [str(name) for name in best["parameter"].values]
+        estimates = {
+            str(record): {
+                key: dict(zip(names, best[key].sel(record=record, resample=0).values, strict=True))
+                for key in ("parameters", "standard_error")
+            }
+            for record in best["record"].values
+        }
+        cutoff = best["cutoff"].values if "cutoff" in best.coords else None
+        lane = {
+            "criterion": best.attrs["criterion"],
+            "score": float(best["score"]),
+            "observer": gains,
+            "cutoff": cutoff,
+            "start": int(best["start"]),
+            "records": estimates,
+        }
+    summary = {
+        "name": given.settings.name,
+        "finished": bool(result.attrs["finished"]),
+        "lanes": int(result["status"].size),
+        "statuses": statuses(result),
+        "engine": result.attrs["engine"],
+        "float32_error": {
+            key: value for key, value in result.attrs.items() if str(key).startswith("float32")
+        },
+        "best": lane,
+    }
+    return _plain({**summary, **_provenance(given)})
+
+
 def _declared(result: Discovery) -> Plant:
     """The declared model with its parameters as they are beside the effects."""
     model = result.declared.nominal
@@ -261,6 +305,24 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     for name, figure in discovery_figures(result).items():
         figure.savefig(folder / f"{name}.png")
     result.save(folder / "result.npz")
+    (folder / "config.toml").write_text(config, encoding="utf-8")
+
+
+def write_sweep(
+    folder: Path, result: xr.Dataset, summary: dict[str, Any], text: str, config: str
+) -> None:
+    """`sweep.json`, `report.txt`, `figure.png` and `config.toml`, beside the store of a sweep.
+
+    Args:
+        folder: the run's, which holds the store already.
+        result: of `sweep`.
+        summary: of `sweep_summary`.
+        text: of `sweep_text`.
+        config: text of the config, with the command that was given above it.
+    """
+    _write_json(folder / "sweep.json", summary)
+    (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
+    sweep_figure(result).savefig(folder / "figure.png")
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 

@@ -209,7 +209,7 @@ def _labels(whole: Plan) -> dict[str, Any]:
         "plant": plant.name,
         "precision": whole.precision,
         "seed": whole.seed,
-        "common_index": "one observer, chosen for the record, and the sweep's lowest cut-off",
+        "common_index": "under the observer and the filter that would be chosen for the record",
     }
     return {"coordinates": coordinates, "attributes": attributes}
 

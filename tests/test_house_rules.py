@@ -43,6 +43,8 @@ LAYERS = (
     ("diagnosis",),
     ("diagnose",),
     ("validate",),
+    ("batch",),
+    ("sweep",),
     ("output_error",),
     ("levenberg_marquardt",),
     ("refine",),

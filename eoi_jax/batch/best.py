@@ -2,9 +2,10 @@ r"""The best gains of a sweep, by a criterion that is fair to all of them.
 
 The index of a pass depends on its filter: a lower cut-off lets less of the model's error through,
 and less noise. So it cannot say which filter, or which observer, is the better one. Two things can:
-the index of the *estimates* under one observer and one filter for all lanes (`common_index`), and
-the free run on records that were held out. The second is the better judge and the dearer one; it is
-asked of the lanes that the first puts in front.
+the index of the *estimates* under one observer and one filter for all lanes (`common_index`: those
+that `identify` would choose for the record), and the free run on records that were held out. The
+second is the better judge and the dearer one; it is asked of the lanes that the first puts in
+front.
 """
 
 from collections.abc import Sequence

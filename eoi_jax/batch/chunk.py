@@ -1,5 +1,6 @@
 """One chunk of a sweep: its lanes iterated, and scored so that they can be compared."""
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -134,14 +135,12 @@ class _Lanes:
         return _added(self.part, self.source, lanes, self.engine, store)
 
     def _common(self, theta: Float[np.ndarray, "lanes np"]) -> Float[np.ndarray, "lanes ny"]:
-        """Index at the estimates under one filter and one observer: the same for all gains."""
+        """Index at the estimates under the filter and the observer that would be chosen.
+
+        The same for all lanes of a record, so that it can compare them.
+        """
         part = self.part
-        choices = Choices(
-            part.common or self.source.lowpass,
-            part.choices.transient,
-            part.choices.substeps,
-            part.choices.smoothing,
-        )
+        choices = replace(part.choices, lowpass=None)
         source, observer = _default(part, choices)
         (gains,) = gain_sets(observer, len(part.plant.outputs))
         each = np.zeros(len(theta), int)

@@ -121,17 +121,11 @@ class Plan:
     def only(self, place: tuple[int, ...]) -> "Part":
         """What a worker needs for one chunk."""
         region = self.region(place)
-        lowest = min(
-            (one.lowpass for one in self.choices if one.lowpass is not None),
-            key=lambda one: one.cutoff,
-            default=None,
-        )
         return Part(
             self.plant,
             place[0],
             self.groups[place[0]],
             self.choices[place[1]],
-            lowest,
             None if self.observers is None else self._observers(region[2]),
             self.starts[region[3]],
             region[4],
@@ -177,7 +171,6 @@ class Part:
         number: of the group.
         group: the records.
         choices: filter and preparation.
-        common: filter under which lanes of all filters are compared; None: the chunk's own.
         observers: in groups that stack; None: chosen for the record.
         starts: θ_0, shape (starts, np).
         resamples: which; 0 stands for the data as they are.
@@ -187,7 +180,6 @@ class Part:
     number: int
     group: Group
     choices: Choices
-    common: LowPass | None
     observers: tuple[GainSets, ...] | None
     starts: Float[np.ndarray, "starts np"]
     resamples: slice

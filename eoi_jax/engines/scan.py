@@ -40,9 +40,10 @@ class Scan(AbstractEngine):
         steps: Steps,
         store: str = "nothing",
     ) -> Sums:
-        """One pass of every lane; compiled once for a number of tiles rounded up to 2ⁿ."""
+        """One pass of every lane; compiled once for a number of lanes rounded up."""
         count, devices = len(lanes), jax.devices()[: self.devices]
-        tile = min(self.tile, -(-count // len(devices)))
+        # Few sizes, so that lanes that end early do not make new shapes to compile.
+        tile = next(n for n in (1, 8, self.tile) if n >= self.tile or n * len(devices) >= count)
         used = -(-count // (tile * len(devices)))  # tiles of each device
         room = tile * len(devices) * 2 ** int(np.ceil(np.log2(used)))
         padded = lanes[np.minimum(np.arange(room), count - 1)]

@@ -18,7 +18,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax.checks import check
@@ -132,5 +131,5 @@ class HighOrder(AbstractObserver):
     def _middle(self, new: Float[Array, "r ny"], observed: Output, h: Scalar) -> Rates:
         """∇ⁱy/hⁱ lags the middle of the step by (i-1)h/2: brought there by its own rate."""
         rows = jnp.concatenate([new, observed[None]])
-        lag = 0.5 * h * np.arange(self.degree - 1)[:, None]
+        lag = 0.5 * h * jnp.arange(self.degree - 1)[:, None]
         return rows[1:-1] + lag * rows[2:]

@@ -1,0 +1,117 @@
+"""A sweep as text and as a figure."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from eoi_jax.report.tables import columns
+
+_LABELS = {"cutoff": "cut-off [rad/s]"}
+_SHOWN = 5  # gains in the figure
+
+
+def statuses(sweep: xr.Dataset) -> dict[str, int]:
+    """How many lanes ended how."""
+    names = sweep["status"].attrs["flag_meanings"].split()
+    values, counts = np.unique(sweep["status"].values, return_counts=True)
+    return {names[value]: int(count) for value, count in zip(values, counts, strict=True)}
+
+
+def gain_names(sweep: xr.Dataset) -> list[str]:
+    """Coordinates along ``observer`` that are gains."""
+    along = [str(name) for name, one in sweep.coords.items() if "observer" in one.dims]
+    return [name for name in along if name not in ("observer", "kind")]
+
+
+def sweep_text(sweep: xr.Dataset, best: xr.Dataset | None) -> str:
+    """How the lanes ended, and the best of them.
+
+    Args:
+        sweep: of `eoi_jax.sweep`.
+        best: of `eoi_jax.best`; None if no lane has an answer.
+    """
+    lanes = sweep["status"].size
+    ended = ", ".join(f"{count} {name}" for name, count in statuses(sweep).items())
+    parts = [f"{sweep.attrs['plant']}: {lanes} lanes: {ended}"]
+    if best is None:
+        return parts[0]
+    rows = [("", "best")]
+    rows += [(name, _value(best[name])) for name in ("kind", *gain_names(sweep)) if name in best]
+    rows += [(_LABELS[name], _value(best[name])) for name in _LABELS if name in best.coords]
+    if best.sizes["record"] and sweep.sizes["start"] > 1:
+        rows.append(("start", str(int(best["start"]))))
+    rows.append(("score", f"{float(best['score']):.6g}"))
+    parts += [columns(rows, "<<"), f"score: {best.attrs['criterion']}", _estimates(best)]
+    return "\n\n".join(parts)
+
+
+def _value(one: Any) -> str:
+    values = np.atleast_1d(one.values)
+    shown = [str(v) if values.dtype.kind in "US" else f"{v:.6g}" for v in values]
+    return " ".join(shown)
+
+
+def _estimates(best: xr.Dataset) -> str:
+    """Estimate and standard error of each parameter, a row for each record."""
+    names = [str(name) for name in best["parameter"].values]
+    resampled = best.sizes["resample"] > 1
+    rows = [("record", *(f"{name} ± std. error" for name in names))]
+    for record in best["record"].values:
+        one = best.sel(record=record)
+        values = one["parameters"].sel(resample=0).values
+        if resampled:
+            drawn = one["parameters"].sel(resample=slice(1, None))
+            errors = drawn.std("resample").values
+        else:
+            errors = one["standard_error"].sel(resample=0).values
+        pairs = zip(values, errors, strict=True)
+        rows.append((str(record), *(f"{value:.6g} ± {error:.2g}" for value, error in pairs)))
+    note = "\n± from the resamples" if resampled else ""
+    return columns(rows, "<" + ">" * len(names)) + note
+
+
+def sweep_figure(sweep: xr.Dataset) -> Any:
+    """The common index of every lane against each gain that varies, one panel each.
+
+    Args:
+        sweep: of `eoi_jax.sweep`.
+
+    Returns:
+        A `matplotlib.figure.Figure`.
+    """
+    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
+
+    one = sweep.sel(resample=0)
+    index = one["common_index"].where(one["ok"])
+    varying = [name for name in gain_names(sweep) if np.ptp(np.nan_to_num(sweep[name].values)) > 0]
+    varying += ["cutoff"] if "cutoff" in sweep.coords and sweep.sizes["lowpass"] > 1 else []
+    shown = varying[:_SHOWN] or ["observer"]
+    rows = sweep.sizes["output"]
+    size = (3.2 * len(shown) + 1.0, 3.0 * rows + 0.6)
+    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    panels = figure.subplots(rows, len(shown), squeeze=False, sharey="row")
+    for j, output in enumerate(sweep["output"].values):
+        for panel, name in zip(panels[j], shown, strict=True):
+            _scatter(panel, sweep, index.isel(output=j), name, j)
+        panels[j, 0].set_ylabel(f"common index of {output}")
+    figure.suptitle(f"{sweep.attrs['plant']}: {index.isel(output=0).size} lanes", fontsize=13)
+    return figure
+
+
+def _scatter(panel: Any, sweep: xr.Dataset, index: xr.DataArray, name: str, j: int) -> None:
+    gain = sweep[name].isel(output=j) if "output" in sweep[name].dims else sweep[name]
+    spread = gain.broadcast_like(index).transpose(*index.dims)
+    x, y = np.ravel(spread.values), np.ravel(index.values)
+    if "cutoff" in sweep.coords and name != "cutoff":
+        tint = sweep["cutoff"].broadcast_like(index).transpose(*index.dims).values.ravel()
+        drawn = panel.scatter(x, y, c=tint, s=9, cmap="viridis", alpha=0.7, linewidths=0)
+        if sweep.sizes["lowpass"] > 1:
+            panel.figure.colorbar(drawn, ax=panel, label=_LABELS["cutoff"])
+    else:
+        panel.scatter(x, y, s=9, color="#0072B2", alpha=0.7, linewidths=0)
+    if name != "observer":
+        panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlabel(_LABELS.get(name, name))
+    panel.grid(alpha=0.3, which="both", linewidth=0.5)
