@@ -154,16 +154,15 @@ class _Lanes:
 def _added(part: Part, source: Source, lanes: Lanes, engine: AbstractEngine, store: str) -> Sums:
     total, first = None, 0
     lanes = jax.tree.map(lambda leaf: leaf.astype(part.precision), lanes)
-    for (steps, lowpass), count in zip(source, source.blocks, strict=True):
-        last = first + count
+    for i, (steps, lowpass) in enumerate(source):
         here = lanes
         if lanes.emphasis is not None:
-            emphasis = lanes.emphasis[:, first:last]
-            here = Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights, emphasis)
+            last = first + source.blocks[i]
+            here = replace(lanes, emphasis=lanes.emphasis[:, first:last])
+            first = last
         new = engine.run(part.plant, here, lowpass, steps, store)
         new = jax.tree.map(lambda leaf: np.asarray(leaf, dtype=float), new)
         total = new if total is None else jax.tree.map(np.add, total, new)
-        first = last
     assert total is not None
     return total
 

@@ -1,6 +1,7 @@
 """A record that is too long for memory: read piece by piece, from a mapped or chunked file."""
 
 import hashlib
+import mmap
 from collections.abc import Iterator, Sequence
 from typing import Any, overload
 
@@ -72,8 +73,8 @@ class LongRecord(Sequence[Record]):
         digest = hashlib.sha256(f"{self.samples} {self.sample_period} {self.piece}".encode())
         for start in np.linspace(0, self.samples - _SHORTEST, _LOOKS).astype(int):
             part = slice(int(start), int(start) + _SHORTEST)
-            digest.update(np.ascontiguousarray(self.inputs[part], dtype=float).tobytes())
-            digest.update(np.ascontiguousarray(self.outputs[part], dtype=float).tobytes())
+            for values in (self.inputs, self.outputs):
+                digest.update(_read(values, part.start, part.stop).tobytes())
         return digest.hexdigest()[:16]
 
     def __len__(self) -> int:
@@ -100,8 +101,8 @@ class LongRecord(Sequence[Record]):
         burn_in = (number * self.piece - start) * self.sample_period
         return Record(
             self.sample_period * np.arange(start, stop),
-            np.asarray(self.inputs[start:stop]),
-            np.asarray(self.outputs[start:stop]),
+            _read(self.inputs, start, stop),
+            _read(self.outputs, start, stop),
             f"{self.name}[{number}]",
             burn_in=burn_in,
             **self.options,
@@ -109,3 +110,22 @@ class LongRecord(Sequence[Record]):
 
     def __iter__(self) -> Iterator[Record]:
         return (self[i] for i in range(len(self)))
+
+
+def _read(values: Any, start: int, stop: int) -> np.ndarray:
+    """Samples as numbers in memory.
+
+    What was read of a memory map stays resident as long as the map does: each piece gets its own.
+    """
+    whole = isinstance(values, np.memmap) and isinstance(values.base, mmap.mmap)
+    if not whole or not values.flags.c_contiguous:
+        return np.array(values[start:stop], dtype=float)
+    row = values.dtype.itemsize * int(np.prod(values.shape[1:]))
+    own = np.memmap(
+        values.filename,
+        dtype=values.dtype,
+        mode="r",
+        offset=values.offset + start * row,
+        shape=(stop - start, *values.shape[1:]),
+    )
+    return np.array(own, dtype=float)
