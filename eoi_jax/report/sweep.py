@@ -9,6 +9,7 @@ from eoi_jax.report.tables import columns
 
 _LABELS = {"cutoff": "cut-off [rad/s]"}
 _SHOWN = 5  # gains in the figure
+_TICKS = 6  # values that are named on an axis one by one
 
 
 def statuses(sweep: xr.Dataset) -> dict[str, int]:
@@ -84,34 +85,46 @@ def sweep_figure(sweep: xr.Dataset) -> Any:
 
     one = sweep.sel(resample=0)
     index = one["common_index"].where(one["ok"])
-    varying = [name for name in gain_names(sweep) if np.ptp(np.nan_to_num(sweep[name].values)) > 0]
+    varying = [name for name in gain_names(sweep) if len(_finite(sweep[name].values)) > 1]
     varying += ["cutoff"] if "cutoff" in sweep.coords and sweep.sizes["lowpass"] > 1 else []
     shown = varying[:_SHOWN] or ["observer"]
     rows = sweep.sizes["output"]
-    size = (3.2 * len(shown) + 1.0, 3.0 * rows + 0.6)
+    size = (3.2 * len(shown) + 1.2, 3.0 * rows + 0.6)
     figure = Figure(figsize=size, dpi=100, layout="constrained")
     panels = figure.subplots(rows, len(shown), squeeze=False, sharey="row")
+    drawn = [
+        _scatter(panel, sweep, index.isel(output=j), name, j)
+        for j in range(rows)
+        for panel, name in zip(panels[j], shown, strict=True)
+    ]
     for j, output in enumerate(sweep["output"].values):
-        for panel, name in zip(panels[j], shown, strict=True):
-            _scatter(panel, sweep, index.isel(output=j), name, j)
         panels[j, 0].set_ylabel(f"common index of {output}")
+    if "cutoff" in varying:
+        figure.colorbar(drawn[0], ax=panels, label=_LABELS["cutoff"])
     figure.suptitle(f"{sweep.attrs['plant']}: {index.isel(output=0).size} lanes", fontsize=13)
     return figure
 
 
-def _scatter(panel: Any, sweep: xr.Dataset, index: xr.DataArray, name: str, j: int) -> None:
+def _finite(values: np.ndarray) -> np.ndarray:
+    """Every finite value once."""
+    return np.unique(values[np.isfinite(values)])
+
+
+def _scatter(panel: Any, sweep: xr.Dataset, index: xr.DataArray, name: str, j: int) -> Any:
     gain = sweep[name].isel(output=j) if "output" in sweep[name].dims else sweep[name]
-    spread = gain.broadcast_like(index).transpose(*index.dims)
-    x, y = np.ravel(spread.values), np.ravel(index.values)
-    if "cutoff" in sweep.coords and name != "cutoff":
-        tint = sweep["cutoff"].broadcast_like(index).transpose(*index.dims).values.ravel()
-        drawn = panel.scatter(x, y, c=tint, s=9, cmap="viridis", alpha=0.7, linewidths=0)
-        if sweep.sizes["lowpass"] > 1:
-            panel.figure.colorbar(drawn, ax=panel, label=_LABELS["cutoff"])
-    else:
-        panel.scatter(x, y, s=9, color="#0072B2", alpha=0.7, linewidths=0)
+    tint = sweep["cutoff"] if "cutoff" in sweep.coords else xr.zeros_like(sweep["lowpass"])
+    x, y, colour = (
+        np.ravel(one.broadcast_like(index).transpose(*index.dims).values)
+        for one in (gain, index, tint)
+    )
+    drawn = panel.scatter(x, y, c=colour, s=9, cmap="viridis", alpha=0.7, linewidths=0)
     if name != "observer":
         panel.set_xscale("log")
+    few = _finite(x)
+    if len(few) <= _TICKS:
+        panel.set_xticks(few, [f"{value:.3g}" for value in few])
+        panel.set_xticks([], minor=True)
     panel.set_yscale("log")
     panel.set_xlabel(_LABELS.get(name, name))
     panel.grid(alpha=0.3, which="both", linewidth=0.5)
+    return drawn
