@@ -21,14 +21,13 @@ import jax
 import numpy as np
 
 from eoi_jax.engines.engine import Lanes
+from eoi_jax.engines.jaxprs import nodes_of, translated
 from eoi_jax.engines.scalars import (
     Graph,
     Node,
     Untranslatable,
-    nodes_of,
     ordered,
     rewritten,
-    translated,
 )
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import Carry, Step
