@@ -154,7 +154,12 @@ def _split(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
     return np.split(array, ends, axis=params["axis"])
 
 
-_MANY: dict[str, Callable] = {"scan": _scan, "cond": _cond, "split": _split}
+def _unstack(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
+    del graph
+    return list(np.moveaxis(array, params["axis"], 0))
+
+
+_MANY: dict[str, Callable] = {"scan": _scan, "cond": _cond, "split": _split, "unstack": _unstack}
 
 
 # -- components moved, known in advance -------------------------------------------------------
@@ -185,7 +190,9 @@ _MOVES: dict[str, Callable] = {
     "expand_dims": lambda params, array: np.expand_dims(array, tuple(params["dimensions"])),
     "transpose": lambda params, array: array.transpose(params["permutation"]),
     "rev": lambda params, array: np.flip(array, params["dimensions"]),
+    "stack": lambda params, *arrays: np.stack(arrays, params["axis"]),
     "concatenate": lambda params, *arrays: np.concatenate(arrays, params["dimension"]),
+    "tile": lambda params, array: np.tile(array, params["reps"]),
     "copy": _same,
     "copy_p": _same,
     "stop_gradient": _same,
@@ -212,11 +219,8 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
             first = len(flat)
             flat.extend(array.ravel())
             operands.append(np.arange(first, len(flat), dtype=np.int32).reshape(array.shape))
-            continue
-        if not all(node.op == "constant" for node in array.ravel()):
-            raise Untranslatable(f"{name} at places that depend on the data")
-        values = [node.value for node in array.ravel()]
-        operands.append(np.asarray(values, atom.aval.dtype).reshape(array.shape))
+        else:
+            operands.append(_known(name, array, atom))
     with jax.ensure_compile_time_eval():
         places = np.asarray(equation.primitive.bind(*operands, **equation.params))
     if not np.all((places >= 0) & (places < len(flat))):
@@ -224,6 +228,36 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
     components = np.empty(len(flat), object)
     components[:] = flat
     return components[places]
+
+
+def _known(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
+    """Constants as the numbers that they are."""
+    if not all(node.op == "constant" for node in array.ravel()):
+        raise Untranslatable(f"{name} at places that depend on the data")
+    values = [node.value for node in array.ravel()]
+    return np.asarray(values, atom.aval.dtype).reshape(array.shape)
+
+
+def _scatter_add(
+    graph: Graph, equation: Any, array: np.ndarray, where: np.ndarray, added: np.ndarray
+) -> np.ndarray:
+    params = equation.params
+    numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
+    with jax.ensure_compile_time_eval():
+        places = jax.lax.scatter(
+            np.full(array.shape, -1, np.int32),
+            _known("scatter-add", where, equation.invars[1]),
+            numbers,
+            params["dimension_numbers"],
+            mode=params["mode"],
+        )
+    out, flat = array.copy(), added.ravel()
+    hits = np.asarray(places)
+    if np.sum(hits >= 0) != added.size:
+        raise Untranslatable("scatter-add beyond its array, or twice at one place")
+    for at in zip(*np.nonzero(hits >= 0), strict=True):
+        out[at] = graph.make("add", array[at], flat[hits[at]])
+    return out
 
 
 # -- sums and products of components ----------------------------------------------------------
@@ -284,6 +318,7 @@ def _running(op: str) -> Callable:
 
 _ARRAYS: dict[str, Callable] = {
     "iota": _iota,
+    "scatter-add": _scatter_add,
     "dot_general": _dot_general,
     "reduce_sum": _reduction("add", 0.0),
     "reduce_prod": _reduction("mul", 1.0),
