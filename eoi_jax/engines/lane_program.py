@@ -307,7 +307,8 @@ class _Lowering:
         if whole.op == "mul":
             factors = self._factors(whole)
             mixed = len({self._level(factor) for factor in factors}) > 1
-            whole = self._joined(factors) if mixed else whole
+            # Of more than three of one kind, some may be a square that others use.
+            whole = self._joined(factors) if mixed or len(factors) == 3 else whole
         return self._graph.make("neg", whole) if sign else whole
 
     def _factors(self, node: Node) -> list[Node]:

@@ -39,7 +39,7 @@ _INTRINSICS = {
     "round_even": "rint",
 }
 # Functions of the C library, by its names in double precision; a further f for single.
-_LIBRARY = {
+LIBRARY = {
     **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")},
     **{name: name for name in ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")},
     **{name: name for name in ("exp", "exp2", "expm1", "log", "log1p", "cbrt", "pow")},
@@ -222,7 +222,7 @@ class _Scope:
             return self._extreme(node, args)
         if op == "sign":
             return self._sign(args[0])
-        if op in _LIBRARY:
+        if op in LIBRARY:
             return self._library(op, args)
         raise Untranslatable(op)
 
@@ -253,7 +253,7 @@ class _Scope:
 
     def _library(self, op: str, args: list[str]) -> str:
         one = self._text.real
-        name = _LIBRARY[op] + ("f" if one == "float" else "")
+        name = LIBRARY[op] + ("f" if one == "float" else "")
         kinds = ", ".join([one] * len(args))
         self._text.declared.add(f"declare {one} @{name}({kinds}) nounwind willreturn memory(none)")
         if self._width == 1:

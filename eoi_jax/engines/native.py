@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import llvmlite
@@ -154,7 +153,7 @@ def _step_names() -> list[str]:
 
 
 def _plain(lanes: Lanes) -> Lanes:
-    return eqx.tree_at(lambda one: one.emphasis, lanes, None, is_leaf=lambda leaf: leaf is None)
+    return Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
 
 
 @functools.lru_cache(maxsize=256)
