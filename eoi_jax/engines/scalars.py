@@ -1,0 +1,288 @@
+r"""Scalar programs: every component of every array a node of its own.
+
+A step of a pass works on arrays of a few components each, most of whose products are with zeros
+and ones (the unit tangents of automatic differentiation). Written out by component, such products
+vanish, equal terms coincide, and what remains is the arithmetic that one would write by hand.
+
+Folding takes 0 x = 0, which holds for finite x: a lane that has diverged may show a zero where
+the arrays show NaN, but what depends on the diverged values stays NaN.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+class Untranslatable(Exception):  # noqa: N818 - an answer, not a fault of the caller
+    """What a scalar program cannot express, by its name in JAX."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Node:
+    """One scalar: an operation on others, a constant, or an input.
+
+    Attributes:
+        op: name, a key of `OPERATIONS`; or ``"constant"`` or ``"input"``.
+        args: what it works on.
+        is_bool: whether it is true or false (all other nodes are numbers).
+        value: of a constant; of an input, whatever its owner tells it by.
+        order: when it was made; arguments come before what uses them.
+    """
+
+    op: str
+    args: tuple["Node", ...]
+    is_bool: bool
+    value: Any
+    order: int
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What an operation does on NumPy arrays, and what kind of scalar comes out."""
+
+    function: Callable
+    is_bool: bool = False
+    commutes: bool = False
+
+
+def _sign(x: Any) -> Any:
+    return np.where(np.isnan(x), x, np.sign(x))
+
+
+OPERATIONS = {
+    "add": Operation(np.add, commutes=True),
+    "sub": Operation(np.subtract),
+    "mul": Operation(np.multiply, commutes=True),
+    "div": Operation(np.divide),
+    "rem": Operation(np.fmod),
+    "neg": Operation(np.negative),
+    "abs": Operation(np.abs),
+    "sign": Operation(_sign),
+    "max": Operation(np.maximum, commutes=True),
+    "min": Operation(np.minimum, commutes=True),
+    "select": Operation(np.where),
+    "lt": Operation(np.less, is_bool=True),
+    "le": Operation(np.less_equal, is_bool=True),
+    "eq": Operation(np.equal, is_bool=True, commutes=True),
+    "ne": Operation(np.not_equal, is_bool=True, commutes=True),
+    "and": Operation(np.logical_and, is_bool=True, commutes=True),
+    "or": Operation(np.logical_or, is_bool=True, commutes=True),
+    "xor": Operation(np.logical_xor, is_bool=True, commutes=True),
+    "not": Operation(np.logical_not, is_bool=True),
+    "sqrt": Operation(np.sqrt),
+    "floor": Operation(np.floor),
+    "ceil": Operation(np.ceil),
+    "round_even": Operation(np.rint),
+    "trunc": Operation(np.trunc),
+    "sin": Operation(np.sin),
+    "cos": Operation(np.cos),
+    "tan": Operation(np.tan),
+    "asin": Operation(np.arcsin),
+    "acos": Operation(np.arccos),
+    "atan": Operation(np.arctan),
+    "atan2": Operation(np.arctan2),
+    "sinh": Operation(np.sinh),
+    "cosh": Operation(np.cosh),
+    "tanh": Operation(np.tanh),
+    "asinh": Operation(np.arcsinh),
+    "acosh": Operation(np.arccosh),
+    "atanh": Operation(np.arctanh),
+    "exp": Operation(np.exp),
+    "exp2": Operation(np.exp2),
+    "expm1": Operation(np.expm1),
+    "log": Operation(np.log),
+    "log1p": Operation(np.log1p),
+    "cbrt": Operation(np.cbrt),
+    "pow": Operation(np.power),
+}
+
+
+class Graph:
+    """Nodes, each made once: equal operations on equal arguments are the same node."""
+
+    def __init__(self):
+        self._known: dict[tuple, Node] = {}
+        self._order = itertools.count()
+
+    def constant(self, value: Any) -> Node:
+        """A number, or true or false."""
+        is_bool = isinstance(value, bool | np.bool_)
+        value = bool(value) if is_bool else float(value) + 0.0  # no negative zero
+        return self._node("constant", (), is_bool, value)
+
+    def input(self, value: Any, is_bool: bool = False) -> Node:
+        """What is known only when the program runs."""
+        return self._node("input", (), is_bool, value)
+
+    def make(self, op: str, *args: Node) -> Node:
+        """An operation, simplified."""
+        found = _simplified(self, op, args)
+        if found is not None:
+            return found
+        operation = OPERATIONS[op]
+        if all(arg.op == "constant" for arg in args):
+            with np.errstate(all="ignore"):
+                return self.constant(operation.function(*(arg.value for arg in args)))
+        if operation.commutes:
+            args = tuple(sorted(args, key=lambda arg: arg.order))
+        is_bool = args[1].is_bool if op == "select" else operation.is_bool
+        return self._node(op, args, is_bool, None)
+
+    def _node(self, op: str, args: tuple[Node, ...], is_bool: bool, value: Any) -> Node:
+        # repr, because NaN does not equal itself; `is_bool`, because True equals 1.0.
+        key = (op, *(arg.order for arg in args), is_bool, repr(value))
+        if key not in self._known:
+            self._known[key] = Node(op, args, is_bool, value, next(self._order))
+        return self._known[key]
+
+
+def ordered(nodes: Iterable[Node]) -> list[Node]:
+    """These nodes and all that they depend on, arguments first."""
+    seen: dict[int, Node] = {}
+    open_nodes = list(nodes)
+    while open_nodes:
+        node = open_nodes.pop()
+        if node.order not in seen:
+            seen[node.order] = node
+            open_nodes.extend(node.args)
+    return [seen[order] for order in sorted(seen)]
+
+
+def rewritten(
+    nodes: Sequence[Node],
+    known: dict[Node, Node],
+    make: Callable[..., Node],
+) -> list[Node]:
+    """The same nodes with some replaced, made anew from there on.
+
+    Args:
+        nodes: what is wanted.
+        known: what replaces what.
+        make: makes an operation, as `Graph.make` does.
+    """
+    new: dict[int, Node] = {node.order: other for node, other in known.items()}
+    for node in ordered(nodes):
+        if node.order not in new:
+            args = [new[arg.order] for arg in node.args]
+            # `make` may choose another form of a node whose arguments stay.
+            new[node.order] = make(node.op, *args) if args else node
+    return [new[node.order] for node in nodes]
+
+
+def evaluated(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) -> list[Any]:
+    """Values of nodes by NumPy, for inputs that are numbers or arrays of one shape.
+
+    Args:
+        nodes: what is wanted.
+        inputs: from `Node.value` of an input to its value.
+        dtype: of the numbers.
+    """
+    values: dict[int, Any] = {}
+    with np.errstate(all="ignore"):
+        for node in ordered(nodes):
+            if node.op == "constant":
+                value = node.value if node.is_bool else np.asarray(node.value, dtype)
+            elif node.op == "input":
+                value = inputs(node.value)
+            else:
+                value = OPERATIONS[node.op].function(*(values[arg.order] for arg in node.args))
+            values[node.order] = value
+    return [values[node.order] for node in nodes]
+
+
+# -- simplification ---------------------------------------------------------------------------
+
+
+def _is(node: Node, value: float) -> bool:
+    return node.op == "constant" and not node.is_bool and node.value == value
+
+
+def _simplified(graph: Graph, op: str, args: tuple[Node, ...]) -> Node | None:
+    """A simpler node of the same value; None if there is none."""
+    rule = _RULES.get(op)
+    return None if rule is None else rule(graph, *args)
+
+
+def _add(graph: Graph, a: Node, b: Node) -> Node | None:
+    if _is(a, 0.0) or _is(b, 0.0):
+        return b if _is(a, 0.0) else a
+    if b.op == "neg":
+        return graph.make("sub", a, b.args[0])
+    return graph.make("sub", b, a.args[0]) if a.op == "neg" else None
+
+
+def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
+    if _is(b, 0.0):
+        return a
+    if _is(a, 0.0):
+        return graph.make("neg", b)
+    if b.op == "neg":
+        return graph.make("add", a, b.args[0])
+    # Signs move outwards, so that what differs by its sign only is computed once.
+    return graph.make("neg", graph.make("add", a.args[0], b)) if a.op == "neg" else None
+
+
+def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
+    for one, other in ((a, b), (b, a)):
+        if _is(one, 0.0):
+            return one
+        if _is(one, 1.0):
+            return other
+        if _is(one, -1.0):
+            return graph.make("neg", other)
+        if one.op == "neg":
+            return graph.make("neg", graph.make("mul", one.args[0], other))
+        if one.op == "select" and _is(one.args[1], 1.0) and _is(one.args[2], 0.0):
+            return graph.make("select", one.args[0], other, one.args[2])
+    return None
+
+
+def _div(graph: Graph, a: Node, b: Node) -> Node | None:
+    if _is(b, 1.0) or (_is(a, 0.0) and not _is(b, 0.0)):
+        return a
+    if a.op == "neg":
+        return graph.make("neg", graph.make("div", a.args[0], b))
+    return graph.make("neg", graph.make("div", a, b.args[0])) if b.op == "neg" else None
+
+
+def _neg(graph: Graph, a: Node) -> Node | None:
+    del graph
+    return a.args[0] if a.op == "neg" else None
+
+
+def _select(graph: Graph, which: Node, a: Node, b: Node) -> Node | None:
+    del graph
+    if which.op == "constant":
+        return a if which.value else b
+    return a if a is b else None
+
+
+def _and(graph: Graph, a: Node, b: Node) -> Node | None:
+    del graph
+    for one, other in ((a, b), (b, a)):
+        if one.op == "constant":
+            return other if one.value else one
+    return a if a is b else None
+
+
+def _or(graph: Graph, a: Node, b: Node) -> Node | None:
+    del graph
+    for one, other in ((a, b), (b, a)):
+        if one.op == "constant":
+            return one if one.value else other
+    return a if a is b else None
+
+
+_RULES: dict[str, Callable] = {
+    "add": _add,
+    "sub": _sub,
+    "mul": _mul,
+    "div": _div,
+    "neg": _neg,
+    "select": _select,
+    "and": _and,
+    "or": _or,
+}
