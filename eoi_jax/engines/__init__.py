@@ -2,4 +2,5 @@
 
 from eoi_jax.engines.engine import AbstractEngine as AbstractEngine
 from eoi_jax.engines.engine import Lanes as Lanes
+from eoi_jax.engines.one_kernel import OneKernel as OneKernel
 from eoi_jax.engines.scan import Scan as Scan
