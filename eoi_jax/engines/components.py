@@ -99,12 +99,13 @@ def _equation(equation: Any, values: list[Components], apply: Apply) -> list[Com
 
 # -- arithmetic -------------------------------------------------------------------------------
 
-_ELEMENTWISE = frozenset(
-    "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type"
-    " cos cosh div eq erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p"
-    " logistic lt max min mul ne neg not or pow rem round rsqrt select_n sign sin sinh sqrt square"
-    " sub tan tanh xor".split()
-)
+_ELEMENTWISE = frozenset((
+    "abs", "acos", "acosh", "add", "add_any", "and", "asin", "asinh", "atan", "atan2", "atanh",
+    "cbrt", "ceil", "clamp", "convert_element_type", "cos", "cosh", "div", "eq", "erf", "exp",
+    "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p",
+    "logistic", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rem", "round",
+    "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt", "square", "sub", "tan", "tanh", "xor",
+))  # fmt: skip
 
 # What derivatives are full of; the rest of what is known goes through JAX.
 _ON_KNOWN: dict[str, Callable] = {
@@ -146,7 +147,7 @@ def _number(primitive: Any, operands: tuple[Number, ...], params: dict, apply: A
 def _simpler(name: str, operands: tuple[Number, ...]) -> Number | None:
     """Without arithmetic, if that is possible."""
 
-    def is_number(one: Number, value: int) -> bool:
+    def is_number(one: Number, value: Any) -> bool:
         return isinstance(one, np.generic) and bool(one == value)
 
     if name in ("mul", "add"):
@@ -162,8 +163,10 @@ def _simpler(name: str, operands: tuple[Number, ...]) -> Number | None:
     if name == "select_n":
         if isinstance(operands[0], np.generic):
             return operands[1 + int(operands[0])]
-        if all(case is operands[1] for case in operands[2:]):
-            return operands[1]
+        first = operands[1]
+        known = isinstance(first, np.generic)
+        if all(case is first or (known and is_number(case, first)) for case in operands[2:]):
+            return first
     return None
 
 
@@ -171,7 +174,9 @@ def _eager(equation: Any, arrays: Sequence[np.ndarray]) -> list[Components]:
     """What is known is computed now."""
     with jax.ensure_compile_time_eval():
         results = equation.primitive.bind(*arrays, **equation.params)
-    return [constant(one) for one in (results if equation.primitive.multiple_results else [results])]
+    return [
+        constant(one) for one in (results if equation.primitive.multiple_results else [results])
+    ]
 
 
 # -- moves ------------------------------------------------------------------------------------
@@ -192,7 +197,7 @@ def _slice(params: dict, numbers: np.ndarray) -> np.ndarray:
 
 _MOVES: dict[str, Callable[..., np.ndarray]] = {
     "broadcast_in_dim": _spread,
-    "copy": lambda params, numbers: numbers,
+    "copy": lambda _, numbers: numbers,
     "concatenate": lambda params, *parts: np.concatenate(parts, params["dimension"]),
     "expand_dims": lambda params, numbers: np.expand_dims(numbers, params["dimensions"]),
     "reshape": lambda params, numbers: numbers.reshape(params["new_sizes"]),

@@ -29,7 +29,6 @@ from eoi_jax.passes import Carry, Kernel, Step, Steps, Sums
 from eoi_jax.plants.plant import Plant
 
 _WARP = 32  # threads
-_MEMORY = 2**30  # [bytes] of inputs behind actuators, which differ between lanes, in one launch
 
 
 @dataclass(frozen=True)
@@ -40,10 +39,13 @@ class OneKernel(AbstractEngine):
         tile: lanes of one block of threads, a power of two.
         interpret: run the kernel under XLA instead of compiling it for a GPU; where JAX has only
             a CPU if None.
+        memory: for the inputs behind actuators, which differ between lanes [bytes]; more lanes
+            than fit go in several launches.
     """
 
     tile: int = _WARP
     interpret: bool | None = None
+    memory: int = 2**30
 
     def __post_init__(self) -> None:
         """A wrong tile is found here."""
@@ -62,12 +64,12 @@ class OneKernel(AbstractEngine):
         count, most = len(lanes), len(lanes)
         if plant.actuator is not None:
             row = np.shape(steps.u)[0] * len(plant.inputs) * (1 + len(plant.names))
-            most = max(_MEMORY // (row * lanes.theta.dtype.itemsize), self.tile)
+            most = max(self.memory // (row * lanes.theta.dtype.itemsize), self.tile)
         parts = []
         for first in range(0, count, most):
             some = lanes[first : first + most]
             sums = self.launch(plant, some, lowpass, steps, store)
-            parts.append(jax.tree.map(lambda leaf, size=len(some): np.asarray(leaf)[:size], sums))
+            parts.append(jax.tree.map(functools.partial(_first, len(some)), sums))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def launch(
@@ -100,6 +102,10 @@ class OneKernel(AbstractEngine):
         )
 
 
+def _first(count: int, leaf: jax.Array) -> np.ndarray:
+    return np.asarray(leaf)[:count]
+
+
 @eqx.filter_jit
 def _launch(
     plant: Plant,
@@ -112,12 +118,12 @@ def _launch(
     interpret: bool,
 ) -> Sums:
     """The kernel over the first `used` tiles of lanes."""
-    dtype, count = lanes.theta.dtype, len(lanes)
+    dtype, count, emphasis = lanes.theta.dtype, len(lanes), lanes.emphasis
     plain, structure = eqx.partition(plant, eqx.is_array)
     shared = (plain, lowpass, jnp.asarray(steps.sample_period))
     gains = Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
     row, own = _rows(plant, lanes, lowpass, steps, store)
-    loop = _loop(structure, store, (shared, gains, row, own), lanes.emphasis is not None, dtype)
+    loop = _loop(structure, store, (shared, gains, row, own), emphasis is not None, dtype)
     ends = jnp.asarray(steps.block_end)
     common = [
         used.astype(jnp.int32).reshape(1),
@@ -127,8 +133,8 @@ def _launch(
     ]
     by_lane = [  # a dummy where there is nothing: kernels take no empty arrays
         _packed(gains, 1, dtype).T,
-        jnp.zeros((1, count)) if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T,
-        jnp.moveaxis(_packed(own, 2, dtype), 0, -1) if own else jnp.zeros((1, 1, count)),
+        jnp.zeros((1, count), dtype) if emphasis is None else jnp.asarray(emphasis, dtype).T,
+        jnp.moveaxis(_packed(own, 2, dtype), 0, -1) if own else jnp.zeros((1, 1, count), dtype),
     ]
     sums = jax.tree.leaves(loop.carry.sums)
     size = sum(leaf.size for leaf in sums)
@@ -208,8 +214,8 @@ class _Loop(NamedTuple):
     gains: Any
     row: Any
     own: Any
+    emphasis: Any
     carry: Carry
-    weighed: bool
 
 
 def _loop(structure: Any, store: str, arrays: tuple, weighed: bool, dtype: Any) -> _Loop:
@@ -220,7 +226,9 @@ def _loop(structure: Any, store: str, arrays: tuple, weighed: bool, dtype: Any) 
 
         return jax.tree.map(shape, tree)
 
-    shared, gains, row, own = (shapes(tree, n) for tree, n in zip(arrays, (0, 1, 1, 2), strict=True))
+    shared, gains, row, own = (
+        shapes(tree, n) for tree, n in zip(arrays, (0, 1, 1, 2), strict=True)
+    )
     emphasis = {"emphasis": jax.ShapeDtypeStruct((), dtype)} if weighed else {}
 
     def kernel_of(shared: tuple, gains: Lanes) -> Kernel:
@@ -237,7 +245,7 @@ def _loop(structure: Any, store: str, arrays: tuple, weighed: bool, dtype: Any) 
 
     first, carry = jax.make_jaxpr(start, return_shape=True)(shared, gains, row)
     then = jax.make_jaxpr(step)(shared, gains, carry, row, own, emphasis)
-    return _Loop(first, then, shared, gains, row, own, carry, weighed)
+    return _Loop(first, then, shared, gains, row, own, emphasis, carry)
 
 
 def _kernel(
@@ -254,7 +262,11 @@ def _kernel(
     out: Any,
 ) -> None:
     """One tile over the record; from `used` on these are references to memory."""
-    kept, whole = _halves(loop.carry)
+    kept, places = _places(loop)
+
+    def at(numbers: tuple[Number, ...], i: int) -> Number:
+        place = places[i]
+        return place if isinstance(place, np.generic) else numbers[place]
 
     def go() -> None:
         fixed = _unpacked(loop.shared, lambda c: shared[c])
@@ -263,32 +275,33 @@ def _kernel(
         def now(k: Any) -> list[Components]:
             return _unpacked(loop.row, lambda c: row[k, c])
 
-        def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
-            carry = _unpacked(loop.carry, lambda i: numbers[whole[i]])
-            values = fixed + carry + now(k) + _unpacked(loop.own, lambda c: own[k, c, :])
-            if loop.weighed:
-                values.append(Components((), (emphasis[blocks[k], :],)))
-            return packed(evaluate(loop.step, values, _apply))
-
         def packed(carry: list[Components]) -> tuple[Number, ...]:
-            items = [item for value in carry for item in value.items]
+            items = _items(carry)
             return tuple(_wide(items[i], tile) for i in kept)
+
+        def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
+            values = fixed + _unpacked(loop.carry, lambda i: at(numbers, i)) + now(k)
+            values += _unpacked(loop.own, lambda c: own[k, c, :])
+            values += _unpacked(loop.emphasis, lambda _: emphasis[blocks[k], :])
+            return packed(evaluate(loop.step, values, _apply))
 
         begun = packed(evaluate(loop.start, fixed + now(0), _apply))
         ended = jax.lax.fori_loop(np.int32(0), np.int32(length), step, begun)
-        for i, j in enumerate(whole[-out.shape[0] :]):
-            out[i, :] = ended[j]
+        for i in range(out.shape[0]):  # the sums are the last of the carry
+            out[i, :] = _wide(at(ended, len(places) - out.shape[0] + i), tile)
 
     # Tiles beyond those in use pad the grid to a power of two.
     pl.when(pl.program_id(0) < used[0])(go)
 
 
-def _halves(carry: Carry) -> tuple[list[int], list[int]]:
-    """Which numbers of the carry are kept, and where among these each number is.
+def _places(loop: _Loop) -> tuple[list[int], list[Any]]:
+    """Which numbers of the carry the loop keeps, and for each number which of these it is.
 
-    Two leaves are symmetric matrices, most of what there is to carry: registers hold one half.
+    A number that never changes (the derivative of an output with a parameter of another one, sums
+    of it, scores that nobody asked for) stays known; its place is its value. Two leaves are
+    symmetric matrices, most of what there is to carry: their lower half is the upper one.
     """
-    leaves, structure = jax.tree.flatten(carry)
+    leaves, structure = jax.tree.flatten(loop.carry)
     starts = np.cumsum([0] + [leaf.size for leaf in leaves])
     numbers = [
         np.arange(first, first + leaf.size).reshape(leaf.shape)
@@ -298,13 +311,42 @@ def _halves(carry: Carry) -> tuple[list[int], list[int]]:
     twins = eqx.tree_at(
         lambda one: (one.sums.information, one.sums.meat), numbered, replace_fn=_upper
     )
-    twin = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(twins)])
-    kept, whole = np.unique(twin, return_inverse=True)
-    return kept.tolist(), whole.tolist()
+    twin = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(twins)]).tolist()
+    known = _constants(loop)
+    kept = [i for i, other in enumerate(twin) if i == other and i not in known]
+    order = {number: place for place, number in enumerate(kept)}
+    return kept, [known[i] if i in known else order[i] for i in twin]
 
 
 def _upper(numbers: np.ndarray) -> np.ndarray:
     return np.minimum(numbers, np.swapaxes(numbers, -1, -2))
+
+
+def _constants(loop: _Loop) -> dict[int, np.generic]:
+    """Numbers of the carry that are known at the start and by no step changed."""
+
+    def unknown(*shapes: Any) -> list[Components]:
+        return [
+            Components(shape.shape, tuple(object() for _ in range(shape.size)))
+            for shape in jax.tree.leaves(shapes)
+        ]
+
+    def after(jaxpr: ClosedJaxpr, values: list[Components]) -> dict[int, np.generic]:
+        results = evaluate(jaxpr, values, lambda *_: object())
+        return {i: one for i, one in enumerate(_items(results)) if isinstance(one, np.generic)}
+
+    fixed, row = unknown(loop.shared, loop.gains), unknown(loop.row)
+    known, before = after(loop.start, fixed + row), None
+    while known != before:
+        carry = _unpacked(loop.carry, lambda i, known=known: known.get(i, object()))
+        values = fixed + carry + row + unknown(loop.own, loop.emphasis)
+        then = after(loop.step, values)
+        before, known = known, {i: one for i, one in known.items() if then.get(i) == one}
+    return known
+
+
+def _items(values: Sequence[Components]) -> list[Number]:
+    return [item for value in values for item in value.items]
 
 
 def _apply(primitive: Any, numbers: Sequence[Number], params: dict) -> Number:
