@@ -22,7 +22,7 @@ from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
 from eoi_jax.batch.plan import Part, Plan, plan
 from eoi_jax.batch.store import Store
 from eoi_jax.checks import RecordWarning, check
-from eoi_jax.engines import AbstractEngine, Scan
+from eoi_jax.engines import AbstractEngine, Automatic
 from eoi_jax.plants.plant import Plant
 
 _AHEAD = 64  # chunks that an executor is given ahead of those that have landed
@@ -74,7 +74,7 @@ def sweep(
         chunk: lanes at a time, at most.
         store: folder of a Zarr store that keeps each chunk once it is done; a sweep that was
             interrupted goes on from there. In memory if left out.
-        engine: that runs the passes; left out: the fastest at hand.
+        engine: that runs the passes, of `eoi_jax.engines`; left out: the fastest at hand.
         executor: workers for the chunks, e.g. ``client.get_executor()`` of Dask.
         part: ``(i, n)``: only every n-th chunk from the i-th, for an array of n jobs, one store.
         progress: show a bar with rate and time left on a terminal.
@@ -118,7 +118,7 @@ def sweep(
         precision,
         "Call `eoi_jax.configure()` first, or ask for float32.",
     )
-    engine = engine or Scan()
+    engine = engine or Automatic()
     target = Store(whole, store, _labels(whole))
     own = [place for i, place in enumerate(whole.chunks()) if i % part[1] == part[0]]
     left = [place for place in own if not target.landed(place)]

@@ -3,6 +3,7 @@
 import hashlib
 import mmap
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -117,12 +118,12 @@ def _read(values: Any, start: int, stop: int) -> np.ndarray:
 
     What was read of a memory map stays resident as long as the map does: each piece gets its own.
     """
-    whole = isinstance(values, np.memmap) and isinstance(values.base, mmap.mmap)
-    if not whole or not values.flags.c_contiguous:
+    mapped = isinstance(values, np.memmap) and isinstance(values.base, mmap.mmap)
+    if not mapped or not values.flags.c_contiguous or values.filename is None:
         return np.array(values[start:stop], dtype=float)
     row = values.dtype.itemsize * int(np.prod(values.shape[1:]))
     own = np.memmap(
-        values.filename,
+        Path(values.filename),
         dtype=values.dtype,
         mode="r",
         offset=values.offset + start * row,
