@@ -10,7 +10,7 @@ import pytest
 from problems import Motion, grid, moved_mass_spring
 
 import eoi_jax as eoi
-from eoi_jax.engines import AbstractEngine, Scan
+from eoi_jax.engines import AbstractEngine, Automatic, Scan
 from eoi_jax.observers import FirstOrder, HighOrder, SecondOrder, SuperTwisting, gains
 from eoi_jax.sweep import sweep
 
@@ -91,6 +91,16 @@ def test_every_lane_is_what_identify_gives(whole, record, lowpass, observer):
         )
         place = {"record": record, "lowpass": lowpass, "observer": observer, "start": i}
         agrees(result.isel(place).sel(resample=0), one)
+
+
+def test_the_scan_gives_the_same_numbers(whole):
+    result, starts = whole
+    scanned = sweep(PLANT, RECORDS[1], OBSERVERS[0], FILTERS[0], starts=starts, engine=Scan(),
+                    **SETTINGS)  # fmt: skip
+    own = result.isel(record=[1], lowpass=[0], observer=[0])
+    for name in ("parameters", "index", "common_index"):
+        np.testing.assert_allclose(scanned[name], own[name], rtol=1e-7, atol=1e-18)
+    assert scanned.attrs["engine"] == "Scan"
 
 
 def test_labels_say_which_lane_is_which(whole):
@@ -217,7 +227,7 @@ def test_a_bad_gain_ends_its_own_lane_only():
 def test_a_start_that_diverges_ends_its_own_lane_only():
     def steep(t, x, u, p):
         y, rate = x.y
-        return -p.alpha * y - p.beta * rate + p.rho * u + jnp.log(p.safe) * 0.0 * y
+        return -p.alpha * y - p.beta * rate + p.rho * u + 1e-9 * jnp.log(p.safe) * y
 
     plant = eoi.Plant(steep, {"alpha": 30.0, "beta": 1.0, "rho": 2.0, "safe": 1.0}, 2,
                       fixed=("safe",))  # fmt: skip
@@ -245,7 +255,7 @@ def test_single_precision_says_what_it_costs():
 
 
 class Failing(AbstractEngine):
-    """The scan, until it is interrupted."""
+    """The usual engine, until it is interrupted."""
 
     def __init__(self, runs, error: type[BaseException] = KeyboardInterrupt):
         self.left, self.error = runs, error
@@ -254,7 +264,7 @@ class Failing(AbstractEngine):
         self.left -= 1
         if self.left < 0:
             raise self.error
-        return Scan().run(*args)
+        return Automatic().run(*args)
 
 
 def many(**changes):
