@@ -61,7 +61,7 @@ class Pass:
     @property
     def cost(self) -> Float[np.ndarray, " lanes"]:
         """Σ_j log P_j over the outputs that were scored; the smallest is the best pass."""
-        scored = self.sums.count > 0
+        scored = self.sums.count != 0  # NaN, too: a lane that went wrong is no perfect fit
         power = np.where(scored, self.index, 1.0)
         finite = np.all(np.isfinite(power), axis=1)
         safe = np.where(np.isfinite(power), power, 1.0)
@@ -151,7 +151,7 @@ def iterate(
         now = _placed(now, which, sums)
         one = _solve(plant, theta, now, np.zeros(lanes))
         if reference is None or least is None:
-            reference, least, seen = one, one, np.any(sums.count > 0, axis=1)
+            reference, least, seen = one, one, np.any(sums.count != 0, axis=1)
         if watch is not None:
             watch(number + 1, passes, one.index)
         better = active & ((number == 0) | (one.cost < reference.cost - PROGRESS))
