@@ -102,10 +102,7 @@ def child(case: dict[str, Any]) -> None:
     eoi.configure()
     plant, passes = eoi.plants.pendulum(), case.get("passes", 1)
     sets = gains(
-        SecondOrder,
-        c1=17.5,
-        c2=57.25,
-        c3=np.geomspace(30.0, 3000.0, case["lanes"]),
+        SecondOrder, {"c1": 17.5, "c2": 57.25, "c3": np.geomspace(30.0, 3000.0, case["lanes"])}
     )
     with tempfile.TemporaryDirectory() as folder:
         count = case.get("records", 1)

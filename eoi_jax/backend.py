@@ -9,13 +9,15 @@ from pathlib import Path
 
 import jax
 
+from eoi_jax.checks import check
+
 # XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
 # every step pays a few microseconds of dispatch. Raising the limit makes a pass about ten times
 # faster. It is read once, when the backend starts, and cannot be set for one `jit` alone.
 _WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
 
 
-def configure(float64: bool = True, cache: bool = True) -> None:
+def configure(float64: bool = True, cache: bool = True, devices: int | None = None) -> None:
     """Set up JAX for estimation; call it before anything else uses JAX.
 
     Args:
@@ -23,6 +25,10 @@ def configure(float64: bool = True, cache: bool = True) -> None:
             most of single precision's digits.
         cache: keep compiled kernels on disk between processes, in `$EOI_CACHE` or
             `~/.cache/eoi_jax`.
+        devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
+
+    Raises:
+        ValueError: fewer devices than one, or too late to make them.
 
     Warns:
         RuntimeWarning: the backend runs already, so that the loop option has no effect;
@@ -40,12 +46,28 @@ def configure(float64: bool = True, cache: bool = True) -> None:
         else:
             option = f"--xla_backend_extra_options={_WHOLE_LOOPS}"
             os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
+    if devices is not None:
+        check(devices >= 1, "devices", "must be an integer ≥ 1", devices)
+        _make_devices(devices)
     jax.config.update("jax_enable_x64", float64)
     if cache:
         folder = os.environ.get("EOI_CACHE", str(Path.home() / ".cache" / "eoi_jax"))
         jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _make_devices(count: int) -> None:
+    late = _backend_runs() and jax.device_count("cpu") != count
+    check(
+        not late,
+        "devices",
+        "must be asked for before JAX is used",
+        f"{count}, after JAX made {jax.device_count('cpu') if late else 0}",
+        "Call `eoi_jax.configure()` first of all.",
+    )
+    if not _backend_runs():
+        jax.config.update("jax_num_cpu_devices", count)
 
 
 def _backend_runs() -> bool:

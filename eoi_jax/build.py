@@ -166,7 +166,7 @@ def _gain_sets(table: SweepTable, model: Plant) -> list[observers.GainSets]:
             kind, scheme = functools.partial(kind, degree=model.relative_degree), None
         values = {name: _values(value) for name, value in one.gains.items()}
         try:
-            sets.append(observers.gains(kind, scheme=scheme, grid=one.grid, **values))
+            sets.append(observers.gains(kind, values, scheme, one.grid))
         except ValueError as error:
             raise ValueError(f"`sweep.observers[{i}].gains`: {error}") from error
     return sets

@@ -16,7 +16,6 @@ import equinox as eqx
 import jax
 import msgspec
 import numpy as np
-import xarray as xr
 
 from eoi_jax import build
 from eoi_jax import config as configs
@@ -149,7 +148,7 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
     return _plain({**summary, **_provenance(given)})
 
 
-def sweep_summary(given: Job, result: xr.Dataset, best: xr.Dataset | None) -> dict[str, Any]:
+def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
     """A sweep as one JSON object.
 
     Args:
@@ -308,9 +307,7 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
-def write_sweep(
-    folder: Path, result: xr.Dataset, summary: dict[str, Any], text: str, config: str
-) -> None:
+def write_sweep(folder: Path, result: Any, summary: dict[str, Any], text: str, config: str) -> None:
     """`sweep.json`, `report.txt`, `figure.png` and `config.toml`, beside the store of a sweep.
 
     Args:

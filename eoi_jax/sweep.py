@@ -15,11 +15,11 @@ from typing import Any
 
 import jax
 import numpy as np
-import xarray as xr
 
 from eoi_jax.backend import configure
 from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
-from eoi_jax.batch.plan import Part, Plan, plan
+from eoi_jax.batch.plan import Part, Plan, Settings, plan
+from eoi_jax.batch.source import Choices
 from eoi_jax.batch.store import Store
 from eoi_jax.checks import RecordWarning, check
 from eoi_jax.engines import AbstractEngine, Automatic
@@ -52,7 +52,7 @@ def sweep(
     executor: Executor | None = None,
     part: tuple[int, int] = (0, 1),
     progress: bool = False,
-) -> xr.Dataset:
+) -> Any:
     """Identify with every combination of gains, filters, starts, records and resamples.
 
     Args:
@@ -95,21 +95,9 @@ def sweep(
         "must be (i, n) with 0 ≤ i < n",
         part,
     )
-    whole = plan(
-        plant,
-        records,
-        observers,
-        lowpass,
-        starts,
-        resamples=resamples,
-        passes=passes,
-        transient=transient,
-        substeps=substeps,
-        smoothing=smoothing,
-        precision=precision,
-        seed=seed,
-        chunk=chunk,
-    )
+    choices = Choices(None, transient, substeps, smoothing)
+    settings = Settings(resamples, passes, precision, seed, chunk)
+    whole = plan(plant, records, observers, lowpass, starts, choices, settings)
     double = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
     check(
         precision == "float32" or double,
@@ -134,7 +122,7 @@ def sweep(
         except KeyboardInterrupt:
             finished = False
     outcome = {"finished": int(finished), "engine": type(engine).__name__}
-    if precision == "float32" and double and finished:
+    if precision == "float32" and double and finished and own:
         errors = precision_error(whole.only(own[0]), engine, _CALIBRATED)
         outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
     return target.dataset(outcome)
@@ -197,9 +185,9 @@ def _labels(whole: Plan) -> dict[str, Any]:
         "record": _coordinate("record", [one.name for one in whole.groups]),
         "parameter": _coordinate("parameter", list(plant.names)),
         "output": _coordinate("output", list(plant.outputs)),
-        "pass": _coordinate("pass", list(range(1, whole.passes + 1))),
+        "pass": _coordinate("pass", list(range(1, whole.settings.passes + 1))),
         "start": _coordinate("start", list(range(len(whole.starts)))),
-        "resample": _coordinate("resample", list(range(1 + whole.resamples))),
+        "resample": _coordinate("resample", list(range(1 + whole.settings.resamples))),
         "theta_0": {"dims": ["start", "parameter"], "values": whole.starts.tolist()},
         "data_hash": _coordinate("record", [one.data_hash for one in whole.groups]),
         **_filters(whole),
@@ -207,8 +195,8 @@ def _labels(whole: Plan) -> dict[str, Any]:
     }
     attributes = {
         "plant": plant.name,
-        "precision": whole.precision,
-        "seed": whole.seed,
+        "precision": whole.settings.precision,
+        "seed": whole.settings.seed,
         "common_index": "under the observer and the filter that would be chosen for the record",
     }
     return {"coordinates": coordinates, "attributes": attributes}

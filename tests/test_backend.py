@@ -42,7 +42,8 @@ def test_importing_leaves_heavy_modules_alone():
     code = """
 import sys
 import eoi_jax
-heavy = ("matplotlib", "pandas", "diffrax", "optimistix", "h5py", "rich", "typer")
+heavy = ("matplotlib", "pandas", "diffrax", "optimistix", "h5py", "rich", "typer", "xarray", "zarr",
+         "numba")
 print([name for name in heavy if name in sys.modules])
 """
     assert fresh(code)[0].strip() == "[]"
@@ -108,3 +109,41 @@ from eoi_jax.backend import _backend_runs
 print(_backend_runs())
 """
     assert fresh(code)[0].strip() == str(known)
+
+
+def test_lanes_spread_over_devices_add_up_to_the_same():
+    code = """
+import numpy as np
+import eoi_jax as eoi
+eoi.configure(cache=False, devices=2)
+import jax
+from eoi_jax.engines import Scan
+from eoi_jax.observers import SecondOrder, gains
+assert len(jax.devices()) == 2
+plant = eoi.plants.mass_spring_damper(true=True)
+t = 4e-3 * np.arange(600)
+record = eoi.simulate(plant, t, np.sin(3 * t) + np.sign(np.sin(t)))
+for sets in (1, 2, 5, 70):
+    given = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": np.linspace(50.0, 90.0, sets)})
+    one, two = (eoi.sweep(eoi.plants.mass_spring_damper(), record, given, eoi.LowPass(20.0),
+                          passes=2, substeps=1, engine=Scan(devices=n)) for n in (1, 2))
+    for name in one.data_vars:
+        np.testing.assert_allclose(one[name], two[name], 1e-9, 1e-18, err_msg=f"{sets} {name}")
+try:
+    eoi.configure(devices=3)
+except ValueError as error:
+    print(error)
+"""
+    shown, _ = fresh(code)
+    assert "must be asked for before JAX is used" in shown
+
+
+def test_devices_are_at_least_one():
+    code = """
+import eoi_jax
+try:
+    eoi_jax.configure(devices=0)
+except ValueError as error:
+    print(error)
+"""
+    assert "`devices` must be an integer ≥ 1" in fresh(code)[0]

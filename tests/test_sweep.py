@@ -45,7 +45,7 @@ SETTINGS = {"substeps": 1, "smoothing": False, "transient": 0.8, "passes": 4}
 
 def quick(**changes):
     """Two gain sets on one short record."""
-    observers = gains(SecondOrder, c1=60.0, c2=2e3, c3=[300.0, 200.0])
+    observers = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [300.0, 200.0]})
     given = {"plant": PLANT, "records": RECORDS[1], "observers": observers, "lowpass": FILTERS[0]}
     return sweep(**{**given, "passes": 2, "substeps": 1, "smoothing": False, **changes})
 
@@ -167,7 +167,7 @@ def test_two_outputs_with_gains_of_their_own():
         output_names=["y", "w"],
         hold="smooth",
     )
-    sets = gains(SecondOrder, c1=60.0, c2=2e3, c3=[[300.0, 200.0], [250.0, 400.0]])
+    sets = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [[300.0, 200.0], [250.0, 400.0]]})
     result = sweep(plant, record, sets, FILTERS[0], **SETTINGS)
     assert result.c3.dims == ("observer", "output")
     for i, c3 in enumerate(([300.0, 200.0], [250.0, 400.0])):
@@ -212,7 +212,7 @@ def test_resamples_do_not_depend_on_how_the_sweep_is_cut():
 
 
 def test_a_bad_gain_ends_its_own_lane_only():
-    sets = gains(SecondOrder, c1=60.0, c2=2e3, c3=[300.0, np.nan, -1.0, 200.0])
+    sets = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [300.0, np.nan, -1.0, 200.0]})
     result = quick(observers=sets).isel(record=0, lowpass=0, start=0, resample=0)
     meanings = result.status.attrs["flag_meanings"].split()
     codes = [meanings[i] for i in result.status.values]
@@ -268,7 +268,7 @@ class Failing(AbstractEngine):
 
 
 def many(**changes):
-    sets = gains(SecondOrder, c1=60.0, c2=2e3, c3=np.linspace(150.0, 300.0, 6))
+    sets = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": np.linspace(150.0, 300.0, 6)})
     return quick(observers=sets, chunk=2, **changes)
 
 
@@ -307,7 +307,7 @@ def test_a_store_of_another_sweep_is_refused(tmp_path):
         {"records": RECORDS[0]},
         {"lowpass": FILTERS[1]},
         {"starts": [{"alpha": 31.0}]},
-        {"observers": gains(SecondOrder, c1=60.0, c2=2e3, c3=[300.0, 201.0])},
+        {"observers": gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [300.0, 201.0]})},
         {"plant": eoi.Plant(bent, {"power": 1.0, "beta": 1.0, "rho": 2.0}, 2)},
     ):
         with pytest.raises(ValueError, match=r"this very sweep.*Give another folder"):
@@ -427,7 +427,9 @@ def test_a_long_record_in_pieces_is_the_record(tmp_path):
 
 
 def test_best_does_not_fall_for_a_low_cut_off():
-    sets = gains(SecondOrder, c1=60.0, c2=2e3, c3=[0.05, 300.0])  # the first is too weak to slide
+    sets = gains(
+        SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [0.05, 300.0]}
+    )  # the first is too weak to slide
     filters = [eoi.LowPass(1.5), eoi.LowPass(15.0)]
     result = sweep(PLANT, noisy(8000, size=0.3), sets, filters, passes=3,
                    substeps=1, smoothing=False)  # fmt: skip
@@ -443,7 +445,7 @@ def test_best_does_not_fall_for_a_low_cut_off():
 
 
 def test_best_of_nothing_says_so():
-    result = quick(observers=gains(SecondOrder, c1=60.0, c2=2e3, c3=[np.nan]))
+    result = quick(observers=gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [np.nan]}))
     with pytest.raises(ValueError, match=r"lane with an answer.*status"):
         eoi.best(result)
     with pytest.raises(ValueError, match="`plant` must be given"):

@@ -27,7 +27,7 @@ CHUNKS = 12
 def settings(samples=4000):
     t = grid(samples, 2e-3)
     u, y = moved_mass_spring(t, {"alpha": 40.0, "beta": 1.2, "rho": 3.0})
-    sets = gains(SecondOrder, c1=60.0, c2=2e3, c3=np.linspace(150.0, 300.0, 2 * CHUNKS))
+    sets = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": np.linspace(150.0, 300.0, 2 * CHUNKS)})
     return {
         "plant": PLANT,
         "records": eoi.Record(t, u, y, hold="smooth"),

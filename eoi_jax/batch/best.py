@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
@@ -23,11 +22,11 @@ _ALONG = ("lowpass", "observer", "start")
 
 
 def best(
-    sweep: xr.Dataset,
+    sweep: Any,
     plant: Plant | None = None,
     validation: Record | Sequence[Record] | None = None,
     shortlist: int = 16,
-) -> xr.Dataset:
+) -> Any:
     """The filter, observer and start that serve all records of a sweep best.
 
     Args:
@@ -51,8 +50,8 @@ def best(
     )
     check(shortlist >= 1, "shortlist", "must be an integer ≥ 1", shortlist)
     as_measured = sweep.sel(resample=0)
-    power: Any = as_measured["common_index"]
-    logs = xr.apply_ufunc(np.log, power).sum("output", skipna=False).where(as_measured["ok"])
+    logs = np.log(as_measured["common_index"]).sum("output", skipna=False)
+    logs = logs.where(as_measured["ok"])
     score = logs.mean("record", skipna=False).transpose(*_ALONG)
     count = int(np.isfinite(score).sum())
     check(
@@ -79,7 +78,7 @@ def best(
 
 
 def _free_run(
-    sweep: xr.Dataset, plant: Plant, validation: Record | Sequence[Record], lane: tuple
+    sweep: Any, plant: Plant, validation: Record | Sequence[Record], lane: tuple
 ) -> float:
     """Σ_j log NRMSE_j of one lane's estimates, mean over its records; inf if one diverges."""
     estimates: Any = sweep["parameters"].isel(dict(zip(_ALONG, map(int, lane), strict=True)))

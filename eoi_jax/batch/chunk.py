@@ -86,9 +86,12 @@ class _Lanes:
     def run(self) -> Arrays:
         part = self.part
         start = part.starts[self.start]
-        done = iterate(
-            lambda which, theta, _: self._pass(which, theta), part.plant, start, part.passes
-        )
+
+        def run(which: np.ndarray, theta: np.ndarray, number: int) -> Sums:
+            del number
+            return self._pass(which, theta)
+
+        done = iterate(run, part.plant, start, part.settings.passes)
         every = np.arange(len(start))
         one = done.best
         scored = self._pass(every, one.theta, "scores", one.increment, one.weights)
@@ -153,7 +156,7 @@ class _Lanes:
 
 def _added(part: Part, source: Source, lanes: Lanes, engine: AbstractEngine, store: str) -> Sums:
     total, first = None, 0
-    lanes = jax.tree.map(lambda leaf: leaf.astype(part.precision), lanes)
+    lanes = jax.tree.map(lambda leaf: leaf.astype(part.settings.precision), lanes)
     for i, (steps, lowpass) in enumerate(source):
         here = lanes
         if lanes.emphasis is not None:
@@ -177,7 +180,7 @@ def _draws(part: Part, source: Source, numbers: range) -> Float[np.ndarray, "dra
     count = sum(source.blocks)
     rows = []
     for number in numbers:
-        rng = np.random.default_rng([part.seed, part.number, number])
+        rng = np.random.default_rng([part.settings.seed, part.number, number])
         drawn = rng.multinomial(count, np.full(count, 1.0 / count))
         rows.append(drawn if number else np.ones(count))
     return np.asarray(rows, dtype=float)

@@ -7,7 +7,7 @@ them: one estimate. A chunk holds lanes of one record and one filter.
 import hashlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.batch.source import Choices
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_choice
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -50,6 +50,25 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """How all lanes of a sweep run.
+
+    Attributes:
+        resamples: bootstrap resamples along ``resample``, beside the data as they are (number 0).
+        passes: how many at most.
+        precision: of the loop.
+        seed: of the resamples.
+        chunk: lanes at a time, at most; a chunk holds at least one.
+    """
+
+    resamples: int
+    passes: int
+    precision: str
+    seed: int
+    chunk: int
+
+
+@dataclass(frozen=True)
 class Plan:
     """All lanes of a sweep.
 
@@ -59,11 +78,7 @@ class Plan:
         choices: along ``lowpass``.
         observers: along ``observer``, in groups that stack; None: one, chosen for each record.
         starts: θ_0, shape (starts, np).
-        resamples: bootstrap resamples along ``resample``, beside the data as they are (number 0).
-        passes: how many at most.
-        precision: of the loop.
-        seed: of the resamples.
-        chunk: lanes at a time, at most; a chunk holds at least one.
+        settings: how they run.
     """
 
     plant: Plant
@@ -71,11 +86,7 @@ class Plan:
     choices: tuple[Choices, ...]
     observers: tuple[GainSets, ...] | None
     starts: Float[np.ndarray, "starts np"]
-    resamples: int
-    passes: int
-    precision: str
-    seed: int
-    chunk: int = field(default=4096)
+    settings: Settings
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -85,7 +96,7 @@ class Plan:
             len(self.choices),
             1 if self.observers is None else sum(len(one) for one in self.observers),
             len(self.starts),
-            1 + self.resamples,
+            1 + self.settings.resamples,
         )
 
     @property
@@ -96,7 +107,7 @@ class Plan:
     @cached_property
     def steps(self) -> tuple[int, ...]:
         """Length of a chunk along each of `DIMENSIONS`."""
-        room, sizes = max(self.chunk, 1), []
+        room, sizes = self.settings.chunk, []
         for length in self.shape[:1:-1]:
             sizes.append(max(min(length, room), 1))
             room //= sizes[-1]
@@ -129,9 +140,7 @@ class Plan:
             None if self.observers is None else self._observers(region[2]),
             self.starts[region[3]],
             region[4],
-            self.passes,
-            self.precision,
-            self.seed,
+            self.settings,
         )
 
     def _observers(self, span: slice) -> tuple[GainSets, ...]:
@@ -151,8 +160,7 @@ class Plan:
             _equation(self.plant),
             [(one.name, one.data_hash) for one in self.groups],
             [(one.lowpass, one.transient, one.substeps, one.smoothing) for one in self.choices],
-            (self.starts.tolist(), self.resamples, self.passes, self.precision, self.seed),
-            self.steps,
+            (self.starts.tolist(), self.settings),
         ):
             digest.update(repr(part).encode())
         for group in self.observers or ():
@@ -167,7 +175,7 @@ class Part:
     """One chunk of a plan, on its own: small enough to be sent to another machine.
 
     Attributes:
-        plant, passes, precision, seed: of the plan.
+        plant, settings: of the plan.
         number: of the group.
         group: the records.
         choices: filter and preparation.
@@ -183,15 +191,16 @@ class Part:
     observers: tuple[GainSets, ...] | None
     starts: Float[np.ndarray, "starts np"]
     resamples: slice
-    passes: int
-    precision: str
-    seed: int
+    settings: Settings
 
     def sample(self, sets: int, precision: str) -> "Part":
         """A few of its gain sets at the first start, on the data as they are."""
         observers = None if self.observers is None else (self.observers[0][:sets],)
-        changed = {"starts": self.starts[:1], "resamples": slice(0, 1), "precision": precision}
-        return replace(self, observers=observers, **changed)
+        settings = replace(self.settings, precision=precision)
+        starts, measured = self.starts[:1], slice(0, 1)
+        return replace(
+            self, observers=observers, starts=starts, resamples=measured, settings=settings
+        )
 
 
 def plan(
@@ -200,25 +209,20 @@ def plan(
     observers: Any,
     lowpass: Any,
     starts: Any,
-    **settings: Any,
+    choices: Choices,
+    settings: Settings,
 ) -> Plan:
     """A checked plan from what a caller gave `sweep`.
 
     Raises:
         ValueError: whatever does not fit, before any work starts.
     """
-    choices = {key: settings.pop(key) for key in ("transient", "substeps", "smoothing")}
     for key, least in (("passes", 1), ("resamples", 0), ("chunk", 1)):
-        value = settings[key]
+        value = getattr(settings, key)
         check(
             isinstance(value, int) and value >= least, key, f"must be an integer ≥ {least}", value
         )
-    check(
-        settings["precision"] in PRECISIONS,
-        "precision",
-        f"must be one of {', '.join(PRECISIONS)}",
-        settings["precision"],
-    )
+    check_choice("precision", settings.precision, PRECISIONS)
     filters = _filters(lowpass)
     groups = None if observers is None else gain_sets(observers, len(plant.outputs))
     for group in groups or ():
@@ -226,10 +230,10 @@ def plan(
     return Plan(
         plant,
         _groups(plant, records),
-        tuple(Choices(one, **choices) for one in filters),
+        tuple(replace(choices, lowpass=one) for one in filters),
         groups,
         _starts(plant, starts),
-        **settings,
+        settings,
     )
 
 

@@ -13,9 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
-import zarr
-from zarr.storage import MemoryStore
 
 from eoi_jax.batch.chunk import CODES, OK, Arrays
 from eoi_jax.batch.plan import DIMENSIONS, Plan
@@ -42,9 +39,11 @@ class Store:
     def __init__(self, plan: Plan, path: str | Path | None, labels: dict[str, Any]):
         self._plan = plan
         self._path = None if path is None else Path(path)
+        import zarr.storage  # like xarray below, slow to import and needed by nothing else
+
         labels = {"format": _FORMAT, "sweep": plan.fingerprint, "version": _version(), **labels}
         if self._path is None:
-            self._store: Any = MemoryStore()
+            self._store: Any = zarr.storage.MemoryStore()
             _create(self._store, plan, labels)
         else:
             if not self._path.exists():
@@ -68,7 +67,7 @@ class Store:
         """A chunk whose workers failed; it is not marked as done, so that a resumed sweep tries."""
         self._array("status")[self._plan.region(place)] = CODES.index("lost")
 
-    def dataset(self, outcome: dict[str, Any] | None = None) -> xr.Dataset:
+    def dataset(self, outcome: dict[str, Any] | None = None) -> Any:
         """What is there, labelled; read from disk only when it is used.
 
         Args:
@@ -82,11 +81,14 @@ class Store:
         return self._root[name]
 
 
-def open_sweep(path: Any) -> xr.Dataset:
+def open_sweep(path: Any) -> Any:
     """A sweep's store as a labelled dataset; values are read when they are used.
 
     Args:
         path: of the store.
+
+    Returns:
+        The `xarray.Dataset` that `eoi_jax.sweep` gave, or would give by now.
 
     Raises:
         ValueError: it is not there, or no sweep's.
@@ -94,6 +96,8 @@ def open_sweep(path: Any) -> xr.Dataset:
     if isinstance(path, str | Path):
         check(Path(path).exists(), "store", "must exist", path)
         _labels(Path(path))
+    import xarray as xr
+
     raw = xr.open_zarr(path, consolidated=False, chunks=None)
     labels = json.loads(raw.attrs[_LABELS])
     coordinates = {
@@ -128,8 +132,10 @@ def _publish(path: Path, plan: Plan, labels: dict[str, Any]) -> None:
 
 
 def _create(store: Any, plan: Plan, labels: dict[str, Any]) -> None:
+    import zarr
+
     root = zarr.open_group(store, mode="w")
-    sizes = {"pass": plan.passes, "output": len(plan.plant.outputs)}
+    sizes = {"pass": plan.settings.passes, "output": len(plan.plant.outputs)}
     sizes["parameter"] = len(plan.plant.names)
     for name, (kind, extra, about) in _ARRAYS.items():
         tail = tuple(sizes[one] for one in extra)
@@ -162,6 +168,8 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
 
 
 def _labels(path: Path) -> dict[str, Any]:
+    import zarr
+
     try:
         return json.loads(zarr.open_group(str(path), mode="r").attrs[_LABELS])  # type: ignore[arg-type]
     except (KeyError, ValueError, FileNotFoundError, TypeError):

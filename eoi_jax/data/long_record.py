@@ -2,7 +2,7 @@
 
 import hashlib
 import mmap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -29,7 +29,10 @@ class LongRecord(Sequence[Record]):
         piece: samples at a time.
         overlap: samples by which a piece starts early; not less than the transient.
         name: what to call it.
-        **options: of each piece's `Record`: names, units, hold.
+        input_names: as of `Record`, like those that follow.
+        output_names: as of `Record`.
+        units: ``{name: unit}``.
+        hold: the input between two samples.
 
     Raises:
         ValueError: lengths that differ, a record shorter than a piece can be.
@@ -43,7 +46,11 @@ class LongRecord(Sequence[Record]):
         piece: int = 500_000,
         overlap: int = 20_000,
         name: str = "long record",
-        **options: Any,
+        *,
+        input_names: Sequence[str] | None = None,
+        output_names: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+        hold: str = "auto",
     ):
         check_positive("sample_period", sample_period, "It is in seconds.")
         check(
@@ -56,7 +63,9 @@ class LongRecord(Sequence[Record]):
         check(piece >= _SHORTEST, "piece", f"must be at least {_SHORTEST} samples", piece)
         check(0 <= overlap <= piece, "overlap", "must be from 0 to the length of a piece", overlap)
         self.sample_period, self.inputs, self.outputs = float(sample_period), inputs, outputs
-        self.piece, self.overlap, self.name, self.options = piece, overlap, name, options
+        self.piece, self.overlap, self.name = piece, overlap, name
+        self.input_names, self.output_names = input_names, output_names
+        self.units, self.hold = units, hold
 
     @property
     def samples(self) -> int:
@@ -105,8 +114,11 @@ class LongRecord(Sequence[Record]):
             _read(self.inputs, start, stop),
             _read(self.outputs, start, stop),
             f"{self.name}[{number}]",
+            input_names=self.input_names,
+            output_names=self.output_names,
+            units=self.units,
+            hold=self.hold,
             burn_in=burn_in,
-            **self.options,
         )
 
     def __iter__(self) -> Iterator[Record]:

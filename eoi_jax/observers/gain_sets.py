@@ -1,7 +1,7 @@
 """Many observers of one kind, their gains stacked: the lanes of a sweep."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,25 +51,27 @@ class GainSets:
 
 def gains(
     kind: Callable[..., AbstractObserver],
-    *,
+    values: Mapping[str, Any],
     scheme: str | None = None,
     grid: bool = False,
-    **values: Any,
 ) -> GainSets:
     """Gain sets of one observer, for `eoi_jax.sweep`.
 
     Args:
         kind: the observer's class, or a `functools.partial` of it, e.g. ``SecondOrder``.
+        values: of each gain: a number, or (sets,), or (sets, ny) for one value an output. A value
+            that is not positive is kept: its lanes end as ``"invalid_gains"``.
         scheme: ``"implicit"`` or ``"explicit"``; the observer's own default if left out.
         grid: try every combination of the values, instead of the first of each, the second, ….
-        **values: of each gain: a number, or (sets,), or (sets, ny) for one value an output. A value
-            that is not positive is kept: its lanes end as ``"invalid_gains"``.
+
+    Returns:
+        The sets, in the order of the values; of a grid the last gain runs fastest.
 
     Raises:
         ValueError: no such gain, lengths that differ without `grid`, no value at all.
 
     Example:
-        >>> gains(SecondOrder, c1=50.0, c2=[1e2, 1e3], c3=[10.0, 30.0, 100.0], grid=True)
+        >>> gains(SecondOrder, {"c1": 50.0, "c2": [1e2, 1e3], "c3": [10.0, 30.0]}, grid=True)
     """
     known = [name for name in inspect.signature(kind).parameters if name != "scheme"]
     arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from eoi_jax.report.tables import columns
 
@@ -12,20 +11,20 @@ _SHOWN = 5  # gains in the figure
 _TICKS = 6  # values that are named on an axis one by one
 
 
-def statuses(sweep: xr.Dataset) -> dict[str, int]:
+def statuses(sweep: Any) -> dict[str, int]:
     """How many lanes ended how."""
     names = sweep["status"].attrs["flag_meanings"].split()
     values, counts = np.unique(sweep["status"].values, return_counts=True)
     return {names[value]: int(count) for value, count in zip(values, counts, strict=True)}
 
 
-def gain_names(sweep: xr.Dataset) -> list[str]:
+def gain_names(sweep: Any) -> list[str]:
     """Coordinates along ``observer`` that are gains."""
     along = [str(name) for name, one in sweep.coords.items() if "observer" in one.dims]
     return [name for name in along if name not in ("observer", "kind")]
 
 
-def sweep_text(sweep: xr.Dataset, best: xr.Dataset | None) -> str:
+def sweep_text(sweep: Any, best: Any) -> str:
     """How the lanes ended, and the best of them.
 
     Args:
@@ -53,7 +52,7 @@ def _value(one: Any) -> str:
     return " ".join(shown)
 
 
-def _estimates(best: xr.Dataset) -> str:
+def _estimates(best: Any) -> str:
     """Estimate and standard error of each parameter, a row for each record."""
     names = [str(name) for name in best["parameter"].values]
     resampled = best.sizes["resample"] > 1
@@ -72,7 +71,7 @@ def _estimates(best: xr.Dataset) -> str:
     return columns(rows, "<" + ">" * len(names)) + note
 
 
-def sweep_figure(sweep: xr.Dataset) -> Any:
+def sweep_figure(sweep: Any) -> Any:
     """The common index of every lane against each gain that varies, one panel each.
 
     Args:
@@ -110,9 +109,9 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return np.unique(values[np.isfinite(values)])
 
 
-def _scatter(panel: Any, sweep: xr.Dataset, index: xr.DataArray, name: str, j: int) -> Any:
+def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int) -> Any:
     gain = sweep[name].isel(output=j) if "output" in sweep[name].dims else sweep[name]
-    tint = sweep["cutoff"] if "cutoff" in sweep.coords else xr.zeros_like(sweep["lowpass"])
+    tint = sweep["cutoff" if "cutoff" in sweep.coords else "lowpass"]
     x, y, colour = (
         np.ravel(one.broadcast_like(index).transpose(*index.dims).values)
         for one in (gain, index, tint)
