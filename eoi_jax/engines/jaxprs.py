@@ -255,8 +255,9 @@ def _scatter_add(
     hits = np.asarray(places)
     if np.sum(hits >= 0) != added.size:
         raise Untranslatable("scatter-add beyond its array, or twice at one place")
-    for at in zip(*np.nonzero(hits >= 0), strict=True):
-        out[at] = graph.make("add", array[at], flat[hits[at]])
+    for at in np.ndindex(hits.shape):
+        if hits[at] >= 0:
+            out[at] = graph.make("add", array.item(at), flat.item(hits[at]))
     return out
 
 

@@ -273,10 +273,25 @@ _STEPS = (
     "ptr noalias %carries, ptr noalias %shared, i64 %count) #0 {"
 )
 _LANES = (
-    "define void @lanes(ptr noalias %memory, i64 %vectors, ptr noalias readonly %shared, "
-    "ptr noalias readonly %rares, ptr noalias readonly %fixed, ptr noalias readonly %emphasis, "
-    "ptr noalias readonly %block, i64 %blocks, i64 %count) #0 {"
+    "define void @lanes(ptr noalias %memory, i64 %vectors, i64 %size, ptr noalias %taken, "
+    "ptr noalias readonly %shared, ptr noalias readonly %rares, ptr noalias readonly %fixed, "
+    "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, i64 %count) #0 {"
 )
+# Threads take tiles from one counter, so that none waits for Python or for a slower one.
+_TILE = """
+entry:
+  br label %tile
+tile:
+  %number = atomicrmw add ptr %taken, i64 1 monotonic
+  %first = mul i64 %number, %size
+  %left = sub i64 %vectors, %first
+  %any = icmp sgt i64 %left, 0
+  br i1 %any, label %tile.body, label %tile.out
+tile.body:
+  %last = icmp slt i64 %left, %size
+  %own = select i1 %last, i64 %left, i64 %size
+  br label %step
+"""
 
 
 def _loop(text: _Text, name: str, before: str, count: str) -> None:
@@ -343,10 +358,9 @@ def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
     ends = ", ".join(f"[ %{name}.after, %{name}.out ]" for name in ("plain", "rare"))
     text.add(
         _LANES,
-        "entry:",
-        "  br label %step",
+        _TILE,
         "step:",
-        f"  %step.k = phi i64 [ 0, %entry ], {ends}",
+        f"  %step.k = phi i64 [ 0, %tile.body ], {ends}",
         "  %step.more = icmp slt i64 %step.k, %count",
         "  br i1 %step.more, label %step.body, label %step.out",
         "step.body:",
@@ -364,11 +378,12 @@ def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
             k = text.let(f"mul i64 {k}, {len(where.shared)}")
             rows.append(text.place("%shared", k))
         text.add(f"  br label %{name}")
-        _loop(text, name, f"{name}.head", "%vectors")
-        _VectorSteps(text, program, where, f"%{name}.k", rows, updates).write()
+        _loop(text, name, f"{name}.head", "%own")
+        vector = text.let(f"add i64 %first, %{name}.k")
+        _VectorSteps(text, program, where, vector, rows, updates).write()
         _loop_end(text, name)
         text.add(f"  %{name}.after = add i64 %step.k, {steps}", "  br label %step")
-    text.add("step.out:", "  ret void", "}")
+    text.add("step.out:", "  br label %tile", "tile.out:", "  ret void", "}")
 
 
 class _VectorSteps:

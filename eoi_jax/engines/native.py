@@ -8,7 +8,6 @@ import ctypes
 import ctypes.util
 import functools
 import hashlib
-import itertools
 import os
 import tempfile
 from collections.abc import Callable
@@ -177,7 +176,7 @@ def _functions(text: str) -> tuple[Callable, Callable, Any]:
     engine.finalize_object()
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)
-    lanes = ctypes.CFUNCTYPE(None, pointer, number, *[pointer] * 5, number, number)
+    lanes = ctypes.CFUNCTYPE(None, pointer, number, number, *[pointer] * 6, number, number)
     return (
         steps(engine.get_function_address("steps")),
         lanes(engine.get_function_address("lanes")),
@@ -263,6 +262,7 @@ class _Run:
         fixed = self._start(plant, lowpass, steps)
         record = self._record(steps)
         rare, block, emphasis = self._events(steps)
+        size = self._tile(threads)
         count = max(1, _CHUNK_BYTES // (max(len(where.shared), 1) * dtype.itemsize))
         shared = _aligned((min(count, len(record)), max(len(where.shared), 1)), dtype)
         for first in range(0, len(record), count):
@@ -276,22 +276,24 @@ class _Run:
             )
             now = rare[first:last].copy()
             now[max(0, len(now) - where.together + 1) :] = 1  # no pair reaches into the next chunk
-
-            def tile(vectors: range) -> None:
-                at, size = vectors[0], len(vectors)
-                self._code.lanes(
-                    self._memory[at:].ctypes.data,
+            taken = np.zeros(1, np.int64)
+            _together(
+                functools.partial(
+                    self._code.lanes,
+                    self._memory.ctypes.data,
+                    self._vectors,
                     size,
+                    taken.ctypes.data,
                     shared.ctypes.data,
-                    now.ctypes.data,  # noqa: B023 - all tiles are done before it changes
+                    now.ctypes.data,
                     fixed.ctypes.data,
-                    emphasis[at:].ctypes.data,
-                    block[first:].ctypes.data,  # noqa: B023
+                    emphasis.ctypes.data,
+                    block[first:].ctypes.data,
                     emphasis.shape[1],
-                    last - first,  # noqa: B023
-                )
-
-            _spread(tile, self._tiles(threads), threads)
+                    last - first,
+                ),
+                min(threads, -(-self._vectors // size)),
+            )
 
     def sums(self) -> Sums:
         """What has been added up."""
@@ -354,13 +356,11 @@ class _Run:
         lines = emphasis[self._padding].reshape(self._vectors, self._code.where.width, -1)
         return rare.astype(np.uint8), block.astype(np.int64), _copied(lines.transpose(0, 2, 1))
 
-    def _tiles(self, threads: int) -> list[range]:
+    def _tile(self, threads: int) -> int:
         """Vectors that step together: as many as the cache holds, and work for every thread."""
         vector = self._code.where.rows * self._code.where.width * self._what.dtype.itemsize
         tiles = -(-self._vectors // max(1, _TILE_BYTES // vector))
-        tiles = min(self._vectors, threads * -(-tiles // threads))
-        ends = [self._vectors * i // tiles for i in range(tiles + 1)]
-        return [range(*pair) for pair in itertools.pairwise(ends)]
+        return -(-self._vectors // (threads * -(-tiles // threads)))
 
 
 def _copied(array: np.ndarray) -> np.ndarray:
@@ -383,10 +383,9 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lanes")
 
 
-def _spread(job: Callable, parts: list[range], threads: int) -> None:
-    """All parts, several at a time: compiled code runs without Python's lock."""
-    if threads == 1 or len(parts) == 1:
-        for part in parts:
-            job(part)
-    else:
-        list(_pool(threads).map(job, parts))
+def _together(job: Callable[[], None], threads: int) -> None:
+    """The same call in several threads; compiled code runs without Python's lock."""
+    others = [_pool(threads - 1).submit(job) for _ in range(threads - 1)] if threads > 1 else []
+    job()
+    for other in others:
+        other.result()

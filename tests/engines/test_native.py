@@ -39,7 +39,7 @@ def steps_of(plant, observer, samples=SAMPLES, hole=slice(150, 156)) -> Any:
     return jax.tree.map(lambda leaf: leaf[0], batch)
 
 
-def lanes_of(plant, observer, count, dtype=np.float64, blocks=0) -> Any:
+def lanes_of(plant, observer, count, dtype: Any = np.float64, blocks=0) -> Any:
     """Gains and θ spread around those given; with blocks, each lane has drawn its own."""
     spread = np.linspace(0.8, 1.3, count)
     gains = jax.tree.map(
@@ -167,8 +167,7 @@ def test_a_diverged_lane_shows_that_it_is(swinging):
     one, scan = (engine.run(PENDULUM, lanes, LOWPASS, steps) for engine in (Native(), Scan()))
     np.testing.assert_array_equal(np.isfinite(one.square), np.isfinite(scan.square))
     assert not np.isfinite(one.square[2, 0])
-    close(one[0] if isinstance(one, tuple) else jax.tree.map(lambda leaf: leaf[:2], one),
-          jax.tree.map(lambda leaf: leaf[:2], scan))  # fmt: skip
+    close(*(jax.tree.map(lambda leaf: leaf[:2], sums) for sums in (one, scan)))
 
 
 # -- what is computed, and how often ----------------------------------------------------------
