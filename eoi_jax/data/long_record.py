@@ -53,13 +53,14 @@ class LongRecord(Sequence[Record]):
         hold: str = "auto",
     ):
         check_positive("sample_period", sample_period, "It is in seconds.")
+        lengths = {name: one.shape[0] for name, one in (("u", inputs), ("y", outputs))}
         check(
-            len(inputs) == len(outputs),
+            lengths["u"] == lengths["y"],
             "inputs",
-            f"must be as long as the outputs, {len(outputs)} samples",
-            len(inputs),
+            f"must be as long as the outputs, {lengths['y']} samples",
+            lengths["u"],
         )
-        check(len(outputs) >= _SHORTEST, "outputs", f"must hold {_SHORTEST} samples", len(outputs))
+        check(lengths["y"] >= _SHORTEST, "outputs", f"must hold {_SHORTEST} samples", lengths["y"])
         check(piece >= _SHORTEST, "piece", f"must be at least {_SHORTEST} samples", piece)
         check(0 <= overlap <= piece, "overlap", "must be from 0 to the length of a piece", overlap)
         self.sample_period, self.inputs, self.outputs = float(sample_period), inputs, outputs
@@ -70,7 +71,7 @@ class LongRecord(Sequence[Record]):
     @property
     def samples(self) -> int:
         """N."""
-        return len(self.outputs)
+        return int(self.outputs.shape[0])
 
     @property
     def duration(self) -> float:

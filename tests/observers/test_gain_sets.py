@@ -1,6 +1,7 @@
 """Gain sets: what stacks, in which order, and what is refused."""
 
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from eoi_jax.observers.gain_sets import gain_sets
 
 
 def test_a_grid_is_every_combination_the_last_gain_fastest():
-    sets = gains(SecondOrder, {"c1": 5.0, "c2": [1.0, 2.0], "c3": [7.0, 8.0, 9.0]}, grid=True)
+    sets: Any = gains(SecondOrder, {"c1": 5.0, "c2": [1.0, 2.0], "c3": [7.0, 8.0, 9.0]}, grid=True)
     assert len(sets) == 6
     np.testing.assert_array_equal(sets.labels["c1"], [5.0] * 6)
     np.testing.assert_array_equal(sets.labels["c2"], [1, 1, 1, 2, 2, 2])
@@ -19,7 +20,7 @@ def test_a_grid_is_every_combination_the_last_gain_fastest():
 
 
 def test_without_a_grid_values_go_side_by_side_and_one_number_serves_all():
-    sets = gains(SecondOrder, {"c1": 5.0, "c2": [1.0, 2.0], "c3": [[7.0, 8.0], [9.0, 10.0]]})
+    sets: Any = gains(SecondOrder, {"c1": 5.0, "c2": [1.0, 2.0], "c3": [[7.0, 8.0], [9.0, 10.0]]})
     assert len(sets) == 2
     np.testing.assert_array_equal(sets.observer.c1, [5.0, 5.0])
     assert sets.observer.c3.shape == (2, 2)  # one value an output
@@ -27,7 +28,7 @@ def test_without_a_grid_values_go_side_by_side_and_one_number_serves_all():
 
 
 def test_gains_that_an_observer_chooses_from_others_are_chosen_in_each_set():
-    sets = gains(SuperTwisting, {"alpha": [4.0, 100.0]})
+    sets: Any = gains(SuperTwisting, {"alpha": [4.0, 100.0]})
     np.testing.assert_allclose(sets.observer.lambda1, [3.0, 15.0])
 
 
@@ -36,13 +37,13 @@ def test_the_scheme_and_fixed_arguments_are_kept():
         gains(SecondOrder, {"c1": 1, "c2": 1, "c3": [1, 2]}, "explicit").observer.scheme
         == "explicit"
     )
-    third = gains(functools.partial(HighOrder, degree=3), {"bound": [1.0, 2.0]})
+    third: Any = gains(functools.partial(HighOrder, degree=3), {"bound": [1.0, 2.0]})
     assert third.observer.degree == 3
     assert third.kind == "HighOrder"
 
 
 def test_sets_that_are_not_positive_are_known():
-    sets = gains(FirstOrder, {"delta": [1.0, 0.0, -1.0, np.nan, np.inf]})
+    sets: Any = gains(FirstOrder, {"delta": [1.0, 0.0, -1.0, np.nan, np.inf]})
     np.testing.assert_array_equal(sets.valid, [True, False, False, False, False])
 
 
