@@ -6,9 +6,9 @@ traced from the same `Kernel.init` and `Kernel.step` as every engine, number by 
 (`components.py`), for Triton knows neither small arrays nor sizes that are no powers of two.
 
 Experimental: compared with the scan by interpretation on a CPU, and lowered for CUDA; no speed
-has been measured on a GPU. Compiled by Triton 3.9 for compute capability 9.0, the pendulum's loop
-is some 210 instructions in 72 registers (float32; 143 registers in float64) and spills none. Of
-the paper's plants only the three masses spill, in float64.
+has been measured on a GPU. Compiled by Triton 3.9 for compute capability 9.0, a step of the
+pendulum is some 210 instructions in 71 registers (143 in float64), none of them spilled. Of seven
+plants only the three masses spill, in float64.
 """
 
 import functools
