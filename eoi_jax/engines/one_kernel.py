@@ -6,9 +6,9 @@ traced from the same `Kernel.init` and `Kernel.step` as every engine, number by 
 (`components.py`), for Triton knows neither small arrays nor sizes that are no powers of two.
 
 Experimental: compared with the scan by interpretation on a CPU, and lowered for CUDA; no speed
-has been measured on a GPU. Compiled by Triton 3.9 for compute capability 9.0, the pendulum's loop
-is some 210 instructions in 72 registers (float32; 143 registers in float64) and spills none. Of
-the paper's plants only the three masses spill, in float64.
+has been measured on a GPU. Compiled by Triton 3.9 for compute capability 9.0, a step of the
+pendulum is some 210 instructions in 71 registers (143 in float64), none of them spilled. Of seven
+plants only the three masses spill, in float64.
 """
 
 import functools
@@ -138,10 +138,10 @@ def _launch(
         jnp.zeros((1, count), dtype) if emphasis is None else jnp.asarray(emphasis, dtype).T,
         jnp.moveaxis(_packed(own, 2, dtype), 0, -1) if own else jnp.zeros((1, 1, count), dtype),
     ]
-    sums = jax.tree.leaves(loop.carry.sums)
-    size = sum(leaf.size for leaf in sums)
+    places = _places(loop)
+    size = places.sums
     call = pl.pallas_call(
-        functools.partial(_kernel, loop, ends.shape[0], tile),
+        functools.partial(_kernel, loop, places, ends.shape[0], tile),
         out_shape=jax.ShapeDtypeStruct((size, count), dtype),
         grid=(count // tile,),
         in_specs=[pl.BlockSpec() for _ in common] + [_tiled(one.shape, tile) for one in by_lane],
@@ -149,9 +149,23 @@ def _launch(
         compiler_params=None if interpret else _compiler(tile),
         interpret=interpret,
     )
-    parts = jnp.split(call(*common, *by_lane), np.cumsum([leaf.size for leaf in sums])[:-1])
-    leaves = [part.T.reshape(count, *leaf.shape) for part, leaf in zip(parts, sums, strict=True)]
-    return jax.tree.unflatten(jax.tree.structure(loop.carry.sums), leaves)
+    return _sums(loop.carry.sums, places, call(*common, *by_lane))
+
+
+def _sums(shapes: Sums, places: "_Places", table: jax.Array) -> Sums:
+    """Sums of all lanes from those of their numbers that the loop kept, shape (numbers, lanes)."""
+    leaves, structure = jax.tree.flatten(shapes)
+    where = places.where[-sum(leaf.size for leaf in leaves) :]
+    known = np.array([isinstance(place, np.generic) for place in where])
+    first = len(places.kept) - places.sums
+    rows = np.array([0 if isinstance(place, np.generic) else place - first for place in where])
+    values = np.where(known, where, 0).astype(table.dtype)
+    numbers = jnp.where(known[:, None], values[:, None], table[rows])
+    parts = jnp.split(numbers, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    return jax.tree.unflatten(
+        structure,
+        [part.T.reshape(-1, *leaf.shape) for part, leaf in zip(parts, leaves, strict=True)],
+    )
 
 
 def _compiler(tile: int) -> Any:
@@ -252,6 +266,7 @@ def _loop(structure: Any, store: str, arrays: tuple, weighed: bool, dtype: Any) 
 
 def _kernel(
     loop: _Loop,
+    places: "_Places",
     length: int,
     tile: int,
     used: Any,
@@ -264,10 +279,9 @@ def _kernel(
     out: Any,
 ) -> None:
     """One tile over the record; from `used` on these are references to memory."""
-    kept, places = _places(loop)
 
     def at(numbers: tuple[Number, ...], i: int) -> Number:
-        place = places[i]
+        place = places.where[i]
         return place if isinstance(place, np.generic) else numbers[place]
 
     def go() -> None:
@@ -279,7 +293,7 @@ def _kernel(
 
         def packed(carry: list[Components]) -> tuple[Number, ...]:
             items = _items(carry)
-            return tuple(_wide(items[i], tile) for i in kept)
+            return tuple(_wide(items[i], tile) for i in places.kept)
 
         def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
             values = fixed + _unpacked(loop.carry, lambda i: at(numbers, i)) + now(k)
@@ -289,20 +303,32 @@ def _kernel(
 
         begun = packed(evaluate(loop.start, fixed + now(0), _apply))
         ended = jax.lax.fori_loop(np.int32(0), np.int32(length), step, begun)
-        for i in range(out.shape[0]):  # the sums are the last of the carry
-            out[i, :] = _wide(at(ended, len(places) - out.shape[0] + i), tile)
+        for i, number in enumerate(ended[-places.sums :]):
+            out[i, :] = number
 
     # Tiles beyond those in use pad the grid to a power of two.
     pl.when(pl.program_id(0) < used[0])(go)
 
 
-def _places(loop: _Loop) -> tuple[list[int], list[Any]]:
+class _Places(NamedTuple):
     """Which numbers of the carry the loop keeps, and for each number which of these it is.
 
     A number that never changes (the derivative of an output with a parameter of another one, sums
     of it, scores that nobody asked for) stays known; its place is its value. Two leaves are
     symmetric matrices, most of what there is to carry: their lower half is the upper one.
+
+    Attributes:
+        kept: their indices in the carry.
+        where: index in `kept` of each number of the carry, or its value.
+        sums: how many of those kept are sums; they come last.
     """
+
+    kept: list[int]
+    where: list[Any]
+    sums: int
+
+
+def _places(loop: _Loop) -> _Places:
     leaves, structure = jax.tree.flatten(loop.carry)
     starts = np.cumsum([0] + [leaf.size for leaf in leaves])
     numbers = [
@@ -317,7 +343,9 @@ def _places(loop: _Loop) -> tuple[list[int], list[Any]]:
     known = _constants(loop)
     kept = [i for i, other in enumerate(twin) if i == other and i not in known]
     order = {number: place for place, number in enumerate(kept)}
-    return kept, [known[i] if i in known else order[i] for i in twin]
+    where = [known[i] if i in known else order[i] for i in twin]
+    first = len(twin) - sum(leaf.size for leaf in jax.tree.leaves(loop.carry.sums))
+    return _Places(kept, where, sum(i >= first for i in kept))
 
 
 def _upper(numbers: np.ndarray) -> np.ndarray:

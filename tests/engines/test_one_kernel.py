@@ -97,7 +97,7 @@ def agree(engine: OneKernel, plant: Plant, lanes: Lanes, store: str, rtol: float
         np.testing.assert_allclose(one, other, rtol=rtol, atol=rtol * np.max(np.abs(other)))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["pendulum, explicit", "level tank", "cascaded tanks", "driven"])
 def test_the_kernel_equals_the_scan(name: str):
     plant, observer = CASES[name]
     agree(OneKernel(tile=4), plant, lanes_of(plant, observer, 5), "nothing", 1e-12)
@@ -106,12 +106,12 @@ def test_the_kernel_equals_the_scan(name: str):
 @pytest.mark.parametrize("count", [1, 33])
 def test_any_number_of_lanes(count: int):
     """Padding up to whole tiles, and to a power of two of them, leaves no trace."""
-    plant, observer = CASES["pendulum"]
+    plant, observer = CASES["level tank"]
     agree(OneKernel(tile=8), plant, lanes_of(plant, observer, count), "nothing", 1e-12)
 
 
 @pytest.mark.parametrize("name", ["pendulum", "two masses"])
-def test_scores_with_emphasis(name: str):
+def test_the_kernel_equals_the_scan_in_scores_with_emphasis(name: str):
     plant, observer = CASES[name]
     agree(OneKernel(tile=4), plant, lanes_of(plant, observer, 5, True), "scores", 1e-12)
 
