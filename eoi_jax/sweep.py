@@ -20,8 +20,8 @@ from eoi_jax.backend import configure
 from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
 from eoi_jax.batch.plan import Part, Plan, Settings, plan
 from eoi_jax.batch.source import Choices
-from eoi_jax.batch.store import Store
-from eoi_jax.checks import RecordWarning, check
+from eoi_jax.batch.store import Labels, Store
+from eoi_jax.checks import check
 from eoi_jax.engines import AbstractEngine, Automatic
 from eoi_jax.plants.plant import Plant
 
@@ -172,24 +172,26 @@ def _spread(
 
 def remote_chunk(one: Part, engine: AbstractEngine, double: bool) -> Arrays:
     """`run_chunk` in a worker process, which sets up JAX first as the caller's is."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", (RecordWarning, RuntimeWarning))
+    if bool(jax.config.jax_enable_x64) != double:  # type: ignore[attr-defined]
         configure(float64=double)
     return run_chunk(one, engine)
 
 
-def _labels(whole: Plan) -> dict[str, Any]:
-    """Coordinates and attributes, as JSON can hold them."""
+def _labels(whole: Plan) -> Labels:
     plant = whole.plant
-    coordinates: dict[str, Any] = {
-        "record": _coordinate("record", [one.name for one in whole.groups]),
-        "parameter": _coordinate("parameter", list(plant.names)),
-        "output": _coordinate("output", list(plant.outputs)),
-        "pass": _coordinate("pass", list(range(1, whole.settings.passes + 1))),
-        "start": _coordinate("start", list(range(len(whole.starts)))),
-        "resample": _coordinate("resample", list(range(1 + whole.settings.resamples))),
-        "theta_0": {"dims": ["start", "parameter"], "values": whole.starts.tolist()},
-        "data_hash": _coordinate("record", [one.data_hash for one in whole.groups]),
+    texts = {
+        "record": ("record", [one.name for one in whole.groups]),
+        "data_hash": ("record", [one.data_hash for one in whole.groups]),
+        "parameter": ("parameter", list(plant.names)),
+        "output": ("output", list(plant.outputs)),
+    }
+    numbers = {
+        "pass": (("pass",), np.arange(1, whole.settings.passes + 1)),
+        "lowpass": (("lowpass",), np.arange(len(whole.choices))),
+        "observer": (("observer",), np.arange(whole.shape[2])),
+        "start": (("start",), np.arange(len(whole.starts))),
+        "resample": (("resample",), np.arange(1 + whole.settings.resamples)),
+        "theta_0": (("start", "parameter"), whole.starts),
         **_filters(whole),
         **_gains(whole),
     }
@@ -199,39 +201,35 @@ def _labels(whole: Plan) -> dict[str, Any]:
         "seed": whole.settings.seed,
         "common_index": "under the observer and the filter that would be chosen for the record",
     }
-    return {"coordinates": coordinates, "attributes": attributes}
-
-
-def _coordinate(dim: str, values: list) -> dict[str, Any]:
-    return {"dims": [dim], "values": values}
+    kinds = [one.kind for one in whole.observers or ()]
+    return Labels(texts, numbers, kinds, attributes)
 
 
 def _filters(whole: Plan) -> dict[str, Any]:
     given = [one.lowpass for one in whole.choices]
-    labels = {"lowpass": _coordinate("lowpass", list(range(len(given))))}
     known = [one for one in given if one is not None]
-    if len(known) == len(given):
-        labels["cutoff"] = _coordinate("lowpass", [one.cutoff for one in known])
-        labels["order"] = _coordinate("lowpass", [one.order for one in known])
-    return labels
+    if len(known) < len(given):
+        return {}
+    return {
+        "cutoff": (("lowpass",), np.asarray([one.cutoff for one in known])),
+        "order": (("lowpass",), np.asarray([one.order for one in known])),
+    }
 
 
 def _gains(whole: Plan) -> dict[str, Any]:
     """Every gain along ``observer``; NaN for observers that have no such gain."""
-    if whole.observers is None:
-        return {"observer": _coordinate("observer", ["chosen"])}
-    count = sum(len(one) for one in whole.observers)
-    labels: dict[str, Any] = {"observer": _coordinate("observer", list(range(count)))}
-    kinds = [one.kind for one in whole.observers for _ in range(len(one))]
-    labels["kind"] = _coordinate("observer", kinds)
-    for name in dict.fromkeys(name for one in whole.observers for name in one.labels):
-        parts = [one.labels.get(name, np.full(len(one), np.nan)) for one in whole.observers]
+    groups = whole.observers or ()
+    labels: dict[str, Any] = {}
+    if groups:
+        counts = [len(one) for one in groups]
+        labels["kind"] = (("observer",), np.repeat(np.arange(len(groups)), counts))
+    for name in dict.fromkeys(name for one in groups for name in one.labels):
+        parts = [one.labels.get(name, np.full(len(one), np.nan)) for one in groups]
         if any(part.ndim > 1 for part in parts):
             wide = len(whole.plant.outputs)
             parts = [np.broadcast_to(p.reshape(len(p), -1), (len(p), wide)) for p in parts]
         values = np.concatenate(parts)
-        dims = ["observer", "output"][: values.ndim]
-        labels[name] = {"dims": dims, "values": values.tolist()}
+        labels[name] = (("observer", "output")[: values.ndim], values)
     return labels
 
 

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import tempfile
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,25 +24,41 @@ _LABELS = "eoi_jax"
 _LEFT = {"f": np.nan, "i": 0}  # what a lane shows that has not run
 
 
+@dataclass(frozen=True)
+class Labels:
+    """Coordinates and attributes of a sweep.
+
+    Attributes:
+        texts: dimension and values by name.
+        numbers: dimensions and array by name.
+        kinds: what the numbers of the coordinate ``kind`` stand for; empty without it.
+        attributes: as JSON can hold them.
+    """
+
+    texts: dict[str, tuple[str, list[str]]]
+    numbers: dict[str, tuple[tuple[str, ...], np.ndarray]]
+    kinds: list[str]
+    attributes: dict[str, Any]
+
+
 class Store:
     """Arrays of a sweep over its lanes.
 
     Args:
         plan: of the sweep.
         path: folder; None for memory.
-        labels: coordinates and attributes for `dataset`, as JSON can hold them.
+        labels: for `dataset`.
 
     Raises:
         ValueError: the folder is something else, or belongs to another sweep or version.
         OSError: it cannot be written.
     """
 
-    def __init__(self, plan: Plan, path: str | Path | None, labels: dict[str, Any]):
+    def __init__(self, plan: Plan, path: str | Path | None, labels: Labels):
         self._plan = plan
         self._path = None if path is None else Path(path)
         import zarr.storage  # like xarray below, slow to import and needed by nothing else
 
-        labels = {"format": _FORMAT, "sweep": plan.fingerprint, "version": _version(), **labels}
         if self._path is None:
             self._store: Any = zarr.storage.MemoryStore()
             _create(self._store, plan, labels)
@@ -100,11 +117,13 @@ def open_sweep(path: Any) -> Any:
 
     raw = xr.open_zarr(path, consolidated=False, chunks=None)
     labels = json.loads(raw.attrs[_LABELS])
-    coordinates = {
-        name: xr.Variable(one["dims"], np.asarray(one["values"]), one.get("attrs"))
-        for name, one in labels["coordinates"].items()
-    }
-    lanes = raw.drop_vars("done").assign_coords(coordinates)
+    lanes = raw.drop_vars("done").set_coords(labels["numbers"])
+    if labels["kinds"]:
+        names = np.asarray(labels["kinds"])
+        lanes = lanes.assign_coords(kind=("observer", names[lanes["kind"].values]))
+    lanes = lanes.assign_coords(
+        {name: (dim, np.asarray(values)) for name, (dim, values) in labels["texts"].items()}
+    )
     lanes["status"].attrs.update(flag_values=list(range(len(CODES))), flag_meanings=" ".join(CODES))
     ok = lanes["status"].isin([CODES.index(name) for name in OK])
     attributes = {key: labels[key] for key in ("version", "sweep")} | labels["attributes"]
@@ -116,7 +135,7 @@ def _version() -> str:
     return version("eoi_jax")
 
 
-def _publish(path: Path, plan: Plan, labels: dict[str, Any]) -> None:
+def _publish(path: Path, plan: Plan, labels: Labels) -> None:
     """Made beside and moved into place whole: several machines may start one sweep at a time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
@@ -131,7 +150,7 @@ def _publish(path: Path, plan: Plan, labels: dict[str, Any]) -> None:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _create(store: Any, plan: Plan, labels: dict[str, Any]) -> None:
+def _create(store: Any, plan: Plan, labels: Labels) -> None:
     import zarr
 
     root = zarr.open_group(store, mode="w")
@@ -152,7 +171,18 @@ def _create(store: Any, plan: Plan, labels: dict[str, Any]) -> None:
     root.create_array(
         "done", shape=plan.grid, chunks=(1,) * 5, dtype="bool", dimension_names=places
     )
-    root.attrs[_LABELS] = json.dumps(labels)
+    for name, (dims, values) in labels.numbers.items():
+        root.create_array(name, data=values, chunks=values.shape, dimension_names=dims)
+    texts = {
+        "format": _FORMAT,
+        "sweep": plan.fingerprint,
+        "version": _version(),
+        "texts": labels.texts,
+        "numbers": list(labels.numbers),
+        "kinds": labels.kinds,
+        "attributes": labels.attributes,
+    }
+    root.attrs[_LABELS] = json.dumps(texts)
 
 
 _ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {

@@ -26,7 +26,7 @@ def steps():
     return jax.tree.map(lambda leaf: leaf[0], made)
 
 
-def lanes(count, dtype=float):
+def lanes(count, dtype: type = float):
     theta = np.tile(PLANT.theta, (count, 1)) * np.linspace(0.9, 1.1, count)[:, None]
     observer = SecondOrder(np.full(count, 60.0), np.full(count, 2e3), np.linspace(20, 300, count))
     return Lanes(
@@ -60,8 +60,8 @@ def test_single_precision_stays_single(steps):
 def test_a_shape_is_compiled_once(steps):
     filters, compiled = LOWPASS.discretise(H), []
 
-    def listen(event, duration, **details):
-        del duration, details
+    def listen(event: str, duration_secs: float, **details: str | int) -> None:
+        del duration_secs, details
         if event.endswith("backend_compile_duration"):
             compiled.append(event)
 
