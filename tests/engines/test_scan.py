@@ -41,8 +41,8 @@ def test_every_lane_is_a_pass_of_its_own(count, steps):
     assert len(got.square) == count
     for i in (0, count // 2, count - 1):
         own = jax.tree.map(lambda leaf, i=i: leaf[i], lanes(count))
-        batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (filters, steps))
-        want, _ = run_pass(PLANT, own.observer, *batch, own.theta, store="scores")
+        one, record = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (filters, steps))
+        want, _ = run_pass(PLANT, own.observer, one, record, own.theta, store="scores")
         for name in vars(got):
             np.testing.assert_allclose(
                 getattr(got, name)[i], getattr(want, name)[0], rtol=1e-9, atol=1e-12, err_msg=name
