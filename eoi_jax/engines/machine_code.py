@@ -273,7 +273,8 @@ _STEPS = (
     "ptr noalias %carries, ptr noalias %shared, i64 %count) #0 {"
 )
 _LANES = (
-    "define void @lanes(ptr noalias %memory, i64 %vectors, i64 %size, ptr noalias %taken, "
+    "define void @lanes(ptr noalias %memory, i64 %vectors, i64 %size, i64 %stride, "
+    "ptr noalias %taken, "
     "ptr noalias readonly %shared, ptr noalias readonly %rares, ptr noalias readonly %fixed, "
     "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, i64 %count) #0 {"
 )
@@ -288,6 +289,7 @@ tile:
   %any = icmp sgt i64 %left, 0
   br i1 %any, label %tile.body, label %tile.out
 tile.body:
+  %offset = mul i64 %number, %stride
   %last = icmp slt i64 %left, %size
   %own = select i1 %last, i64 %left, i64 %size
   br label %step
@@ -379,8 +381,7 @@ def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
             rows.append(text.place("%shared", k))
         text.add(f"  br label %{name}")
         _loop(text, name, f"{name}.head", "%own")
-        vector = text.let(f"add i64 %first, %{name}.k")
-        _VectorSteps(text, program, where, vector, rows, updates).write()
+        _VectorSteps(text, program, where, f"%{name}.k", rows, updates).write()
         _loop_end(text, name)
         text.add(f"  %{name}.after = add i64 %step.k, {steps}", "  br label %step")
     text.add("step.out:", "  br label %tile", "tile.out:", "  ret void", "}")
@@ -463,7 +464,8 @@ class _VectorSteps:
         let = self._text.let
         block = let("getelementptr i64, ptr %block, i64 %step.k")
         block = let(f"load i64, ptr {block}")
-        line = let(f"mul i64 {self._vector}, %blocks")
+        vector = let(f"add i64 %first, {self._vector}")
+        line = let(f"mul i64 {vector}, %blocks")
         line = let(f"add i64 {line}, {block}")
         line = let(f"mul i64 {line}, {self._where.width}")
         return self._text.load("%emphasis", line, self._always.real)

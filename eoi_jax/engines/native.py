@@ -32,7 +32,7 @@ from eoi_jax.plants.plant import Plant
 
 _TILE_BYTES = 24_000  # of lanes that step together: half of a first-level cache
 _CHUNK_BYTES = 16_000_000  # of what the lanes share of the record, at a time
-_LINE = 64  # bytes of a line of the cache
+_LINE, _PAGE = 64, 4096  # bytes that caches move, and beyond which none is fetched ahead
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class Native(AbstractEngine):
             Untranslatable: what `supports` says.
         """
         what, columns = _pass(plant, lanes, lowpass, steps, store)
-        run = _Run(_compiled(what, columns), what, lanes)
-        run.go(plant, lowpass, steps, self.threads or _cores())
+        run = _Run(_compiled(what, columns), what, lanes, self.threads or _cores())
+        run.go(plant, lowpass, steps)
         return run.sums()
 
 
@@ -176,7 +176,7 @@ def _functions(text: str) -> tuple[Callable, Callable, Any]:
     engine.finalize_object()
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)
-    lanes = ctypes.CFUNCTYPE(None, pointer, number, number, *[pointer] * 6, number, number)
+    lanes = ctypes.CFUNCTYPE(None, pointer, *[number] * 3, *[pointer] * 6, number, number)
     return (
         steps(engine.get_function_address("steps")),
         lanes(engine.get_function_address("lanes")),
@@ -246,23 +246,38 @@ def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
 class _Run:
     """Memory of one run of a compiled pass."""
 
-    def __init__(self, compiled: _Compiled, what: Pass, lanes: Lanes):
-        self._code, self._what, self._lanes = compiled, what, lanes
+    def __init__(self, compiled: _Compiled, what: Pass, lanes: Lanes, threads: int):
+        self._code, self._what, self._lanes, self._threads = compiled, what, lanes, threads
         width = compiled.where.width
         self._vectors = -(-len(lanes) // width)
+        self._memory = self._tiles()
         # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
-        self._padding = np.minimum(np.arange(self._vectors * width), len(lanes) - 1)
-        self._memory = _aligned((self._vectors, compiled.where.rows, width), what.dtype)
+        room = self._memory.shape[0] * self._memory.shape[1] * width
+        self._padding = np.minimum(np.arange(room), len(lanes) - 1)
         self._carries = np.zeros(0)
         self._spoilt = np.zeros(len(lanes), bool)
 
-    def go(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps, threads: int) -> None:
+    def _tiles(self) -> np.ndarray:
+        """Zeros of shape (tiles, vectors, rows, width): tiles that fit the cache, for all threads.
+
+        Tiles lie a page apart: what a core fetches ahead of its own, it would take from the core
+        that writes there.
+        """
+        where, dtype = self._code.where, self._what.dtype
+        block = where.rows * where.width
+        tiles = -(-self._vectors // max(1, _TILE_BYTES // (block * dtype.itemsize)))
+        size = -(-self._vectors // (self._threads * -(-tiles // self._threads)))
+        tiles = -(-self._vectors // size)
+        whole = _aligned((tiles, size * block + _PAGE // dtype.itemsize), dtype)
+        return whole[:, : size * block].reshape(tiles, size, where.rows, where.width)
+
+    def go(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps) -> None:
         """Fill the memory, and go through the record."""
         where, dtype = self._code.where, self._what.dtype
         fixed = self._start(plant, lowpass, steps)
         record = self._record(steps)
         rare, block, emphasis = self._events(steps)
-        size = self._tile(threads)
+        tiles, size = self._memory.shape[:2]
         count = max(1, _CHUNK_BYTES // (max(len(where.shared), 1) * dtype.itemsize))
         shared = _aligned((min(count, len(record)), max(len(where.shared), 1)), dtype)
         for first in range(0, len(record), count):
@@ -283,6 +298,7 @@ class _Run:
                     self._memory.ctypes.data,
                     self._vectors,
                     size,
+                    self._memory.strides[0] // dtype.itemsize,
                     taken.ctypes.data,
                     shared.ctypes.data,
                     now.ctypes.data,
@@ -292,7 +308,7 @@ class _Run:
                     emphasis.shape[1],
                     last - first,
                 ),
-                min(threads, -(-self._vectors // size)),
+                min(self._threads, tiles),
             )
 
     def sums(self) -> Sums:
@@ -305,7 +321,7 @@ class _Run:
         for at in np.ndindex(places.shape):
             i = program.same[places[at]]
             if i in where.carries:
-                value = self._memory[:, where.carries[i]].reshape(-1)[:count]
+                value = self._memory[:, :, where.carries[i]].reshape(-1)[:count]
             elif i in where.steps:
                 value = self._carries[where.steps[i]]
             else:
@@ -316,7 +332,7 @@ class _Run:
 
     def _start(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps) -> np.ndarray:
         """Write carries and constants of the lanes; returns what all lanes share."""
-        program, where, dtype = self._code.program, self._code.where, self._what.dtype
+        program, dtype = self._code.program, self._what.dtype
         lane = _numbers(_plain(self._lanes), dtype, skip=1).reshape(len(self._lanes), -1)
         ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
         all_lanes = _numbers((plant, lowpass, steps.sample_period, *ends), dtype)
@@ -327,7 +343,8 @@ class _Run:
             whole = np.broadcast_to(value, len(self._lanes))
             if row >= len(program.lane_carries):
                 self._spoilt |= np.isnan(whole)
-            self._memory[:, row] = whole[self._padding].reshape(self._vectors, where.width)
+            target = self._memory[:, :, row]
+            target[...] = whole[self._padding].reshape(target.shape)
         carries = [program.initial[i] for i in program.step_carries]
         fixed, self._carries = (
             np.array([*evaluated(nodes, lambda at: all_lanes[at[1]], dtype), 0.0], dtype)
@@ -353,14 +370,8 @@ class _Run:
             return rare.astype(np.uint8), np.zeros(len(ends), np.int64), np.zeros((1, 1))
         emphasis = np.asarray(self._lanes.emphasis, self._what.dtype)
         block = np.minimum(np.cumsum(ends) - ends, emphasis.shape[1] - 1)
-        lines = emphasis[self._padding].reshape(self._vectors, self._code.where.width, -1)
+        lines = emphasis[self._padding].reshape(-1, self._code.where.width, emphasis.shape[1])
         return rare.astype(np.uint8), block.astype(np.int64), _copied(lines.transpose(0, 2, 1))
-
-    def _tile(self, threads: int) -> int:
-        """Vectors that step together: as many as the cache holds, and work for every thread."""
-        vector = self._code.where.rows * self._code.where.width * self._what.dtype.itemsize
-        tiles = -(-self._vectors // max(1, _TILE_BYTES // vector))
-        return -(-self._vectors // (threads * -(-tiles // threads)))
 
 
 def _copied(array: np.ndarray) -> np.ndarray:
