@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import throughput  # pyright: ignore[reportMissingImports]
 import throughput_rivals as rivals  # pyright: ignore[reportMissingImports]
 
-BENCHMARKS = Path(throughput.__file__).parent
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
