@@ -404,9 +404,8 @@ class _VectorSteps:
         # What is stored as it was read needs no line.
         self._updates = [one for one in updates if one.node.value != (CARRY, one.carry)]
         self._next = {one.carry: one.node for one in updates}
-        self._base = text.place(
-            "%memory", text.let(f"mul i64 {vector}, {where.rows * where.width}")
-        )
+        offset = text.let(f"mul i64 {vector}, {where.rows * where.width}")
+        self._base = text.place("%memory", text.let(f"add i64 %offset, {offset}"))
         self._always = self._scope(self._outside_steps)
         self._each = [self._scope(functools.partial(self._outside, j)) for j in range(len(rows))]
         self._first: dict[int, str] = {}
