@@ -32,7 +32,10 @@ from eoi_jax.plants.plant import Plant
 
 _TILE_BYTES = 24_000  # of lanes that step together: half of a first-level cache
 _CHUNK_BYTES = 16_000_000  # of what the lanes share of the record, at a time
-_LINE, _PAGE = 64, 4096  # bytes that caches move, and beyond which none is fetched ahead
+_LINE = 64  # bytes that caches move at a time
+# Between tiles: what a core fetches ahead of its own it would take from the core that writes there.
+# At 0, 1, 4 and 8 kB two cores are 1.4, 1.3, 1.6 and 1.9 times as fast as one.
+_APART = 8192 + _LINE
 
 
 @dataclass(frozen=True)
@@ -258,17 +261,13 @@ class _Run:
         self._spoilt = np.zeros(len(lanes), bool)
 
     def _tiles(self) -> np.ndarray:
-        """Zeros of shape (tiles, vectors, rows, width): tiles that fit the cache, for all threads.
-
-        Tiles lie a page apart: what a core fetches ahead of its own, it would take from the core
-        that writes there.
-        """
+        """Zeros, (tiles, vectors, rows, width): tiles that fit the cache, some for every thread."""
         where, dtype = self._code.where, self._what.dtype
         block = where.rows * where.width
         tiles = -(-self._vectors // max(1, _TILE_BYTES // (block * dtype.itemsize)))
         size = -(-self._vectors // (self._threads * -(-tiles // self._threads)))
         tiles = -(-self._vectors // size)
-        whole = _aligned((tiles, size * block + _PAGE // dtype.itemsize), dtype)
+        whole = _aligned((tiles, size * block + _APART // dtype.itemsize), dtype)
         return whole[:, : size * block].reshape(tiles, size, where.rows, where.width)
 
     def go(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps) -> None:
