@@ -114,6 +114,7 @@ def test_labels_say_which_lane_is_which(whole):
     assert np.isnan(result.c3.values[2])
     assert list(result.parameter.values) == ["alpha", "beta", "rho"]
     assert result.theta_0.sel(start=1, parameter="alpha") == 55.0
+    assert [name for name in result.coords if name in ("c1", "c2", "c3")] == ["c1", "c2", "c3"]
     assert result.attrs["plant"] == "spring"
 
 

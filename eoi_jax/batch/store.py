@@ -117,7 +117,9 @@ def open_sweep(path: Any) -> Any:
 
     raw = xr.open_zarr(path, consolidated=False, chunks=None)
     labels = json.loads(raw.attrs[_LABELS])
-    lanes = raw.drop_vars("done").set_coords(labels["numbers"])
+    lanes = raw.drop_vars(["done", *labels["numbers"]])
+    # One by one, for a store lists its arrays in an order of its own.
+    lanes = lanes.assign_coords({name: raw[name].variable for name in labels["numbers"]})
     if labels["kinds"]:
         names = np.asarray(labels["kinds"])
         lanes = lanes.assign_coords(kind=("observer", names[lanes["kind"].values]))
