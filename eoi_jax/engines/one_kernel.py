@@ -11,8 +11,8 @@ has been measured on a GPU.
 """
 
 import functools
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -71,9 +71,9 @@ class OneKernel(AbstractEngine):
             Untranslatable: the plant or the observer does what a scalar program cannot.
         """
         count, most = len(lanes), len(lanes)
-        if plant.actuator is not None:
-            row = np.shape(steps.u)[0] * len(plant.inputs) * (1 + len(plant.names))
-            most = max(self.memory // (row * lanes.theta.dtype.itemsize), self.tile)
+        if row := _driven(plant):
+            size = np.shape(steps.u)[0] * row * lanes.theta.dtype.itemsize
+            most = max(self.memory // size, self.tile)
         parts = []
         for first in range(0, count, most):
             some = lanes[first : first + most]
@@ -113,6 +113,11 @@ class OneKernel(AbstractEngine):
 
 def _first(count: int, leaf: jax.Array) -> np.ndarray:
     return np.asarray(leaf)[:count]
+
+
+def _driven(plant: Plant) -> int:
+    """How many numbers of a step differ between lanes: inputs behind an actuator, ∂/∂θ too."""
+    return 0 if plant.actuator is None else len(plant.inputs) * (1 + len(plant.names))
 
 
 # -- what is traced ---------------------------------------------------------------------------
@@ -186,21 +191,21 @@ class _Loop:
     Attributes:
         carries: numbers of those that it carries.
         updates: of these, one each.
-        shown: what it writes in each step.
         kept: numbers of the carries that it writes after the last step.
-        fixed, own, row: place of each node in the tables of what all lanes and steps share, of
-            what each lane has for itself, and of what each step has for all lanes.
+        fixed, row, own: place of each node in the tables of what all lanes and steps share, of
+            what each step has for all lanes, and of what each lane has for itself.
         driven: place of each input behind an actuator, a lane's own in each step.
+        shown: what it writes in each step.
     """
 
     carries: tuple[int, ...]
     updates: tuple[Node, ...]
-    shown: tuple[Node, ...]
     kept: tuple[int, ...]
     fixed: dict[Node, int]
-    own: dict[Node, int]
     row: dict[Node, int]
-    driven: dict[Node, int]
+    own: dict[Node, int] = field(default_factory=dict)
+    driven: dict[Node, int] = field(default_factory=dict)
+    shown: tuple[Node, ...] = ()
 
     @functools.cached_property
     def carried(self) -> dict[Node, int]:
@@ -227,28 +232,19 @@ def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
     shared = [one.node for one in program.step_updates]
     recorded = _inputs([*shared, *program.shared], "step")
 
-    def loop(carries: tuple[int, ...], updates: Iterable[Node], **others: Any) -> _Loop:
+    def loop(carries: tuple[int, ...], updates: list[Node], **others: Any) -> _Loop:
         kept = tuple(i for i in carries if i in sums)
-        return _Loop(carries, tuple(updates), kept=kept, fixed=fixed, **others)
+        return _Loop(carries, tuple(updates), kept, fixed, **others)
 
     lanes = [one.node for one in program.rare]
     if driven:
-        row, behind = (
-            {node: i for node, i in recorded.items() if (i < driven) == own}
-            for own in (False, True)
-        )
+        row = {node: i for node, i in recorded.items() if i >= driven}
+        behind = {node: i for node, i in recorded.items() if i < driven}
         carries = program.lane_carries + program.step_carries
-        return None, loop(carries, lanes + shared, shown=(), own=own, row=row, driven=behind)
+        return None, loop(carries, lanes + shared, row=row, own=own, driven=behind)
     return (
-        loop(program.step_carries, shared, shown=program.shared, own={}, row=recorded, driven={}),
-        loop(
-            program.lane_carries,
-            lanes,
-            shown=(),
-            own=own,
-            row=_numbered(program.shared),
-            driven={},
-        ),
+        loop(program.step_carries, shared, row=recorded, shown=program.shared),
+        loop(program.lane_carries, lanes, row=_numbered(program.shared), own=own),
     )
 
 
@@ -284,33 +280,27 @@ def _launch(
 
     def table(nodes: Sequence[Node], *lanes: int) -> jax.Array:
         """Values before the first step, shape (nodes, *lanes)."""
-        known = {
-            node: values[i]
-            for group, values in inputs.items()
-            for node, i in _inputs(nodes, group).items()
-        }
-        values = [_real(one, dtype) for one in _computed(nodes, known, dtype)]
-        # A dummy where there is nothing, here and below: kernels take no empty arrays.
-        return jnp.stack([_wide(one, *lanes) for one in values] or [jnp.zeros(lanes, dtype)])
+        places = [(node, group, i) for group in inputs for node, i in _inputs(nodes, group).items()]
+        known = {node: inputs[group][i] for node, group, i in places}
+        values = [_wide(_real(one, dtype), *lanes) for one in _computed(nodes, known, dtype)]
+        # A row of nothing, here and below: kernels take no empty arrays.
+        return jnp.stack(values or [jnp.zeros(lanes, dtype)])
 
     def start(loop: _Loop, lanes: int) -> jax.Array:
         return table([program.initial[i] for i in loop.carries], lanes)
 
-    ends, none = jnp.asarray(steps.block_end), jnp.zeros((1, 1, 1), dtype)
-    blocks, fixed = (jnp.cumsum(ends) - ends).astype(jnp.int32), table(program.fixed)
-    rows, own = _columns(every, 1, dtype), table(program.own, count)
-    behind = jnp.zeros((1, 0, count), dtype)
-    if driven is not None:
-        behind = jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
-    first, second = _loops(program, behind.shape[1])
+    ends, fixed = jnp.asarray(steps.block_end), table(program.fixed)
+    blocks, rows = (jnp.cumsum(ends) - ends).astype(jnp.int32), _columns(every, 1, dtype)
+    first, second = _loops(program, _driven(plant))
     found = {}
     if first is not None:
-        common = (jnp.ones(1, jnp.int32), blocks, fixed, rows)
-        kept, shown = _call(first, common, (start(first, 1), none[0], none[0], none), 1, interpret)
+        common, none = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
+        kept, shown = _call(first, common, (start(first, 1), none, none, none[None]), 1, interpret)
         found, rows = dict(zip(first.kept, kept, strict=False)), shown[..., 0]
-    emphasis = jnp.zeros((1, count), dtype) if lanes.emphasis is None else lanes.emphasis.T
-    behind = behind if behind.size else jnp.zeros((1, 1, count), dtype)
-    by_lane = (start(second, count), own, jnp.asarray(emphasis, dtype), behind)
+    none, own = table((), count), table(program.own, count)
+    emphasis = none if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
+    behind = none[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
+    by_lane = (start(second, count), own, emphasis, behind)
     kept, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
     found |= dict(zip(second.kept, kept, strict=False))
     return _sums(program, found, jnp.isnan(own).any(0))
@@ -388,7 +378,8 @@ def _kernel(
             known = constants | {node: numbers[place] for node, place in loop.carried.items()}
             known |= {node: _read(node, row[k, c]) for node, c in loop.row.items()}
             known |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
-            known |= dict.fromkeys(loop.emphasis, emphasis[blocks[k], :])
+            for node in loop.emphasis:
+                known[node] = emphasis[blocks[k], :]
             values = _computed([*loop.updates, *loop.shown], known, dtype)
             values = [_wide(_real(value, dtype), tile) for value in values]
             for c, value in enumerate(values[len(loop.updates) :]):
@@ -453,7 +444,7 @@ def _round_even(x: Number) -> Number:
     """Halves to the even neighbour."""
     low = lax.floor(x)
     over, odd = x - low, low - 2 * lax.floor(low / 2)
-    return low + jnp.where(2 * over + odd > 1, 1, 0).astype(x.dtype)
+    return low + jnp.where(over == 0.5, odd, (over > 0.5).astype(x.dtype))
 
 
 # What JAX calls otherwise, or Triton does not know.
