@@ -1,36 +1,37 @@
 """An engine for GPUs: the whole loop over a record is one kernel, a lane is a thread.
 
 Under `lax.scan` every step of a record launches kernels anew, and the launches take longer than
-the arithmetic. Here one Pallas kernel runs over the record with its carry in registers. It is
-traced from the same `Kernel.init` and `Kernel.step` as every engine, number by number
-(`components.py`), for Triton knows neither small arrays nor sizes that are no powers of two.
+the arithmetic. Here a Pallas kernel runs over the record with its carry in registers. What it
+computes is a lane program (`lane_program.py`), number by number, for Triton knows neither small
+arrays nor sizes that are no powers of two. A kernel of one thread goes before it: through all that
+depends on the record alone, of which it writes what the lanes need, one row a step.
 
 Experimental: compared with the scan by interpretation on a CPU, and lowered for CUDA; no speed
-has been measured on a GPU. Compiled by Triton 3.9 for compute capability 9.0, a step of the
-pendulum is some 210 instructions in 71 registers (143 in float64), none of them spilled. Of seven
-plants only the three masses spill, in float64.
+has been measured on a GPU.
 """
 
 import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.experimental import pallas as pl
-from jax.extend.core import ClosedJaxpr
 
 from eoi_jax.checks import check
-from eoi_jax.engines.components import Components, Number, evaluate
 from eoi_jax.engines.engine import AbstractEngine, Lanes
+from eoi_jax.engines.lane_program import BLOCK, CARRY, LaneProgram, Pass, lane_program, shapes_of
+from eoi_jax.engines.scalars import Node, ordered
 from eoi_jax.lowpass import DiscreteFilter
-from eoi_jax.passes import Carry, Kernel, Step, Steps, Sums
+from eoi_jax.passes import Step, Steps, Sums
 from eoi_jax.plants.plant import Plant
 
 _WARP = 32  # threads
+Number = Any  # of all lanes of a tile, or one that they share
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,17 @@ class OneKernel(AbstractEngine):
         steps: Steps,
         store: str = "nothing",
     ) -> Sums:
-        """One pass of every lane; compiled once for a number of tiles rounded up to 2ⁿ."""
+        """One pass of every lane; compiled once for a number of tiles rounded up to 2ⁿ.
+
+        A lane with a NaN among its gains or parameters has NaN in all its sums.
+
+        Raises:
+            Untranslatable: the plant or the observer does what a scalar program cannot.
+        """
         count, most = len(lanes), len(lanes)
-        if plant.actuator is not None:
-            row = np.shape(steps.u)[0] * len(plant.inputs) * (1 + len(plant.names))
-            most = max(self.memory // (row * lanes.theta.dtype.itemsize), self.tile)
+        if row := _driven(plant):
+            size = np.shape(steps.u)[0] * row * lanes.theta.dtype.itemsize
+            most = max(self.memory // size, self.tile)
         parts = []
         for first in range(0, count, most):
             some = lanes[first : first + most]
@@ -99,73 +106,239 @@ class OneKernel(AbstractEngine):
         room = self.tile * 2 ** int(np.ceil(np.log2(used)))
         padded = lanes[np.minimum(np.arange(room), count - 1)]
         interpret = jax.default_backend() == "cpu" if self.interpret is None else self.interpret
-        return _launch(
-            plant, padded, lowpass, steps, store, jnp.asarray(used), self.tile, interpret
-        )
+        what = _pass(plant, lanes, lowpass, steps, store)
+        used = jnp.asarray(used, jnp.int32).reshape(1)
+        return _launch(what, plant, padded, lowpass, steps, used, self.tile, interpret)
 
 
 def _first(count: int, leaf: jax.Array) -> np.ndarray:
     return np.asarray(leaf)[:count]
 
 
+def _driven(plant: Plant) -> int:
+    """How many numbers of a step differ between lanes: inputs behind an actuator, ∂/∂θ too."""
+    return 0 if plant.actuator is None else len(plant.inputs) * (1 + len(plant.names))
+
+
+# -- what is traced ---------------------------------------------------------------------------
+
+
+def _pass(plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str) -> Pass:
+    """What the program is made of: shapes, so that its arrays may be traced ones."""
+    dtype = np.dtype(lanes.theta.dtype)
+    every, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
+    lane, step = _shapes(_plain(lanes), dtype, 1), _shapes(every, dtype, 1)
+    return Pass(_shapes(plant, dtype), lane, _shapes(lowpass, dtype), step, store, dtype)
+
+
+def _shapes(tree: Any, dtype: np.dtype, skip: int = 0) -> Any:
+    def stand_in(leaf: Any) -> Any:
+        abstract = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct) and leaf.dtype.kind in "fb"
+        return np.broadcast_to(np.zeros((), leaf.dtype), leaf.shape) if abstract else leaf
+
+    return shapes_of(jax.tree.map(stand_in, tree), dtype, skip)
+
+
+def _plain(lanes: Lanes) -> Lanes:
+    return Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
+
+
+def _rows(
+    plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str
+) -> tuple[Step, Any]:
+    """The steps of a record for the first lane, and all lanes' inputs if behind an actuator."""
+    steps = jax.tree.map(lambda leaf: _cast(leaf, lanes.theta.dtype), steps)
+
+    def rows(lane: Lanes) -> Step:
+        emphasis = None if lane.emphasis is None else jnp.asarray(lane.emphasis)
+        return lane.kernel(plant, lowpass, store).rows(steps, emphasis)
+
+    def inputs(lane: Lanes) -> tuple[jax.Array, jax.Array | None]:
+        return rows(lane).u, rows(lane).slope
+
+    return rows(lanes[0]), None if plant.actuator is None else jax.vmap(inputs)(lanes)
+
+
+def _cast(leaf: Any, dtype: Any) -> jax.Array:
+    """Numbers in the precision of the lanes; flags as they are."""
+    array = jnp.asarray(leaf)
+    return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
+
+
+def _columns(tree: Any, leading: int, dtype: np.dtype) -> jax.Array:
+    """Real numbers and flags as one array, shape (…, columns), in the order of `shapes_of`."""
+    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    flat = [
+        leaf.astype(dtype).reshape(*leaf.shape[:leading], -1)
+        for leaf in leaves
+        if not jnp.issubdtype(leaf.dtype, jnp.integer)
+    ]
+    return jnp.concatenate(flat, axis=-1)
+
+
+@functools.lru_cache(maxsize=256)
+def _program(what: Pass) -> LaneProgram:
+    return lane_program(what)
+
+
+# -- the loops --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Loop:
+    """What one kernel computes, and where it finds what it does not.
+
+    Attributes:
+        carries: numbers of those that it carries.
+        updates: of these, one each.
+        kept: numbers of the carries that it writes after the last step.
+        fixed, row, own: place of each node in the tables of what all lanes and steps share, of
+            what each step has for all lanes, and of what each lane has for itself.
+        driven: place of each input behind an actuator, a lane's own in each step.
+        shown: what it writes in each step.
+    """
+
+    carries: tuple[int, ...]
+    updates: tuple[Node, ...]
+    kept: tuple[int, ...]
+    fixed: dict[Node, int]
+    row: dict[Node, int]
+    own: dict[Node, int] = field(default_factory=dict)
+    driven: dict[Node, int] = field(default_factory=dict)
+    shown: tuple[Node, ...] = ()
+
+    @functools.cached_property
+    def carried(self) -> dict[Node, int]:
+        """Place of each carried number before the step."""
+        places = {i: place for place, i in enumerate(self.carries)}
+        found = _inputs([*self.updates, *self.shown], CARRY)
+        return {node: places[i] for node, i in found.items() if i in places}
+
+    @functools.cached_property
+    def emphasis(self) -> dict[Node, int]:
+        """The factor on the scores of a block, if there is one."""
+        return _inputs(self.updates, BLOCK)
+
+
+def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
+    """Of what lanes share, and of the lanes; inputs of their own leave them nothing to share.
+
+    Args:
+        program: of both.
+        driven: how many numbers of a step are inputs behind an actuator; they come first.
+    """
+    sums = {program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()}
+    fixed, own = _numbered(program.fixed), _numbered(program.own)
+    shared = [one.node for one in program.step_updates]
+    recorded = _inputs([*shared, *program.shared], "step")
+
+    def loop(carries: tuple[int, ...], updates: list[Node], **others: Any) -> _Loop:
+        kept = tuple(i for i in carries if i in sums)
+        return _Loop(carries, tuple(updates), kept, fixed, **others)
+
+    lanes = [one.node for one in program.rare]
+    if driven:
+        row = {node: i for node, i in recorded.items() if i >= driven}
+        behind = {node: i for node, i in recorded.items() if i < driven}
+        carries = program.lane_carries + program.step_carries
+        return None, loop(carries, lanes + shared, row=row, own=own, driven=behind)
+    return (
+        loop(program.step_carries, shared, row=recorded, shown=program.shared),
+        loop(program.lane_carries, lanes, row=_numbered(program.shared), own=own),
+    )
+
+
+def _numbered(nodes: Sequence[Node]) -> dict[Node, int]:
+    return {node: place for place, node in enumerate(nodes)}
+
+
+def _inputs(nodes: Sequence[Node], group: str) -> dict[Node, int]:
+    """Those of one group on which the nodes depend, and their numbers in it."""
+    inputs = (node for node in ordered(nodes) if node.op == "input")
+    return {node: node.value[1] for node in inputs if node.value[0] == group}
+
+
+# -- both kernels -----------------------------------------------------------------------------
+
+
 @eqx.filter_jit
 def _launch(
+    what: Pass,
     plant: Plant,
     lanes: Lanes,
     lowpass: DiscreteFilter,
     steps: Steps,
-    store: str,
     used: jax.Array,
     tile: int,
     interpret: bool,
 ) -> Sums:
-    """The kernel over the first `used` tiles of lanes."""
-    dtype, count, emphasis = lanes.theta.dtype, len(lanes), lanes.emphasis
-    plain, structure = eqx.partition(plant, eqx.is_array)
-    shared = (plain, lowpass, jnp.asarray(steps.sample_period))
-    gains = Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
-    row, own = _rows(plant, lanes, lowpass, steps, store)
-    loop = _loop(structure, store, (shared, gains, row, own), emphasis is not None, dtype)
-    ends = jnp.asarray(steps.block_end)
-    common = [
-        used.astype(jnp.int32).reshape(1),
-        (jnp.cumsum(ends) - ends).astype(jnp.int32),
-        _packed(shared, 0, dtype),
-        _packed(row, 1, dtype),
-    ]
-    by_lane = [  # a dummy where there is nothing: kernels take no empty arrays
-        _packed(gains, 1, dtype).T,
-        jnp.zeros((1, count), dtype) if emphasis is None else jnp.asarray(emphasis, dtype).T,
-        jnp.moveaxis(_packed(own, 2, dtype), 0, -1) if own else jnp.zeros((1, 1, count), dtype),
-    ]
-    places = _places(loop)
-    size = places.sums
+    """Both loops, that of the lanes over the first `used` tiles."""
+    program, dtype, count = _program(what), what.dtype, len(lanes)
+    every, driven = _rows(plant, lanes, lowpass, steps, what.store)
+    all_lanes = (plant, lowpass, steps.sample_period, every.y[0], every.y_next[0])
+    inputs = {"fixed": _columns(all_lanes, 0, dtype), "lane": _columns(_plain(lanes), 1, dtype).T}
+
+    def table(nodes: Sequence[Node], *lanes: int) -> jax.Array:
+        """Values before the first step, shape (nodes, *lanes)."""
+        places = [(node, group, i) for group in inputs for node, i in _inputs(nodes, group).items()]
+        known = {node: inputs[group][i] for node, group, i in places}
+        values = [_wide(_real(one, dtype), *lanes) for one in _computed(nodes, known, dtype)]
+        # A row of nothing, here and below: kernels take no empty arrays.
+        return jnp.stack(values or [jnp.zeros(lanes, dtype)])
+
+    def start(loop: _Loop, lanes: int) -> jax.Array:
+        return table([program.initial[i] for i in loop.carries], lanes)
+
+    ends, fixed = jnp.asarray(steps.block_end), table(program.fixed)
+    blocks, rows = (jnp.cumsum(ends) - ends).astype(jnp.int32), _columns(every, 1, dtype)
+    first, second = _loops(program, _driven(plant))
+    found = {}
+    if first is not None:
+        common, none = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
+        kept, shown = _call(first, common, (start(first, 1), none, none, none[None]), 1, interpret)
+        found, rows = dict(zip(first.kept, kept, strict=False)), shown[..., 0]
+    none, own = table((), count), table(program.own, count)
+    emphasis = none if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
+    behind = none[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
+    by_lane = (start(second, count), own, emphasis, behind)
+    kept, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
+    found |= dict(zip(second.kept, kept, strict=False))
+    return _sums(program, found, jnp.isnan(own).any(0))
+
+
+def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
+    """Sums of all lanes from the carried numbers that were kept; what never changed is known."""
+    dtype = next(iter(found.values())).dtype
+    places = [program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()]
+    known = {i: program.initial[i].value for i in places if i not in found}
+    values = found | {i: jnp.asarray(value, dtype) for i, value in known.items()}
+    row = {i: place for place, i in enumerate(values)}
+    table = jnp.stack([jnp.where(spoilt, np.nan, one).astype(dtype) for one in values.values()])
+
+    def gathered(leaf: np.ndarray) -> jax.Array:
+        rows = np.reshape([row[program.same[i]] for i in leaf.ravel()], leaf.shape)
+        return jnp.moveaxis(table[rows], -1, 0)
+
+    return jax.tree.map(gathered, program.sums)
+
+
+def _call(
+    loop: _Loop, common: tuple, by_lane: tuple, tile: int, interpret: bool
+) -> Sequence[jax.Array]:
+    """What a loop keeps, shape (kept, lanes), and what its steps show, (steps, shown, lanes)."""
+    length, (_, count) = common[-1].shape[0], by_lane[0].shape
+    shown = (length, len(loop.shown), count) if loop.shown else (1, 1, count)
+    shapes = ((max(len(loop.kept), 1), count), shown)
     call = pl.pallas_call(
-        functools.partial(_kernel, loop, places, ends.shape[0], tile),
-        out_shape=jax.ShapeDtypeStruct((size, count), dtype),
+        functools.partial(_kernel, loop, length, tile),
+        out_shape=[jax.ShapeDtypeStruct(shape, by_lane[0].dtype) for shape in shapes],
         grid=(count // tile,),
         in_specs=[pl.BlockSpec() for _ in common] + [_tiled(one.shape, tile) for one in by_lane],
-        out_specs=_tiled((size, count), tile),
+        out_specs=[_tiled(shape, tile) for shape in shapes],
         compiler_params=None if interpret else _compiler(tile),
         interpret=interpret,
     )
-    return _sums(loop.carry.sums, places, call(*common, *by_lane))
-
-
-def _sums(shapes: Sums, places: "_Places", table: jax.Array) -> Sums:
-    """Sums of all lanes from those of their numbers that the loop kept, shape (numbers, lanes)."""
-    leaves, structure = jax.tree.flatten(shapes)
-    where = places.where[-sum(leaf.size for leaf in leaves) :]
-    known = np.array([isinstance(place, np.generic) for place in where])
-    first = len(places.kept) - places.sums
-    rows = np.array([0 if isinstance(place, np.generic) else place - first for place in where])
-    values = np.where(known, where, 0).astype(table.dtype)
-    numbers = jnp.where(known[:, None], values[:, None], table[rows])
-    parts = jnp.split(numbers, np.cumsum([leaf.size for leaf in leaves])[:-1])
-    return jax.tree.unflatten(
-        structure,
-        [part.T.reshape(-1, *leaf.shape) for part, leaf in zip(parts, leaves, strict=True)],
-    )
+    return call(*common, *by_lane)
 
 
 def _compiler(tile: int) -> Any:
@@ -179,211 +352,107 @@ def _tiled(shape: tuple[int, ...], tile: int) -> pl.BlockSpec:
     return pl.BlockSpec((*shape[:-1], tile), lambda i: (0,) * (len(shape) - 1) + (i,))
 
 
-# -- packing ----------------------------------------------------------------------------------
-
-
-def _rows(
-    plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str
-) -> tuple[dict, dict]:
-    """Fields of `Step` along the record: those that all lanes share, and those of each lane."""
-    every = lanes[0].kernel(plant, lowpass, store).rows(steps)
-    row = {key: value for key, value in vars(every).items() if value is not None}
-    if plant.actuator is None:
-        return row, {}
-
-    def inputs(lane: Lanes) -> dict:
-        here = lane.kernel(plant, lowpass, store).rows(steps)
-        return {"u": here.u, "slope": here.slope}
-
-    own = jax.vmap(inputs)(lanes)
-    return {key: value for key, value in row.items() if key not in own}, own
-
-
-def _packed(tree: Any, leading: int, dtype: Any) -> jax.Array:
-    """All leaves as one array, shape (…, columns) after so many leading axes; flags as 0 and 1."""
-    leaves = [jnp.asarray(leaf).astype(dtype) for leaf in jax.tree.leaves(tree)]
-    flat = [leaf.reshape(*leaf.shape[:leading], -1) for leaf in leaves]
-    return jnp.concatenate(flat, axis=-1)
-
-
-def _unpacked(shapes: Any, column: Callable[[int], Number]) -> list[Components]:
-    """The leaves of one lane or step from the columns of `_packed`."""
-    values, first = [], 0
-    for shape in jax.tree.leaves(shapes):
-        items = [column(first + i) for i in range(shape.size)]
-        if shape.dtype == bool:
-            items = [item != 0 for item in items]
-        values.append(Components(shape.shape, tuple(items)))
-        first += shape.size
-    return values
-
-
-# -- the loop ---------------------------------------------------------------------------------
-
-
-class _Loop(NamedTuple):
-    """One lane's loop as jaxprs, and the shapes of what it takes."""
-
-    start: ClosedJaxpr  # of shared, gains, row
-    step: ClosedJaxpr  # of shared, gains, carry, row, own, emphasis
-    shared: Any
-    gains: Any
-    row: Any
-    own: Any
-    emphasis: Any
-    carry: Carry
-
-
-def _loop(structure: Any, store: str, arrays: tuple, weighed: bool, dtype: Any) -> _Loop:
-    def shapes(tree: Any, leading: int) -> Any:
-        def shape(leaf: Any) -> jax.ShapeDtypeStruct:
-            kind = bool if leaf.dtype == bool else dtype
-            return jax.ShapeDtypeStruct(leaf.shape[leading:], kind)
-
-        return jax.tree.map(shape, tree)
-
-    shared, gains, row, own = (
-        shapes(tree, n) for tree, n in zip(arrays, (0, 1, 1, 2), strict=True)
-    )
-    emphasis = {"emphasis": jax.ShapeDtypeStruct((), dtype)} if weighed else {}
-
-    def kernel_of(shared: tuple, gains: Lanes) -> Kernel:
-        return gains.kernel(eqx.combine(shared[0], structure), shared[1], store)
-
-    def start(shared: tuple, gains: Lanes, row: dict) -> Carry:
-        return kernel_of(shared, gains).init(row["y"], row["y_next"], shared[2])
-
-    def step(
-        shared: tuple, gains: Lanes, carry: Carry, row: dict, own: dict, emphasis: dict
-    ) -> Carry:
-        now = Step(**{"slope": None, **row, **own, **emphasis})
-        return kernel_of(shared, gains).step(carry, now, shared[2])[0]
-
-    first, carry = jax.make_jaxpr(start, return_shape=True)(shared, gains, row)
-    then = jax.make_jaxpr(step)(shared, gains, carry, row, own, emphasis)
-    return _Loop(first, then, shared, gains, row, own, emphasis, carry)
-
-
 def _kernel(
     loop: _Loop,
-    places: "_Places",
     length: int,
     tile: int,
     used: Any,
     blocks: Any,
-    shared: Any,
+    fixed: Any,
     row: Any,
-    gains: Any,
-    emphasis: Any,
+    start: Any,
     own: Any,
-    out: Any,
+    emphasis: Any,
+    driven: Any,
+    kept: Any,
+    shown: Any,
 ) -> None:
     """One tile over the record; from `used` on these are references to memory."""
-
-    def at(numbers: tuple[Number, ...], i: int) -> Number:
-        place = places.where[i]
-        return place if isinstance(place, np.generic) else numbers[place]
+    dtype = np.dtype(start.dtype)
 
     def go() -> None:
-        fixed = _unpacked(loop.shared, lambda c: shared[c])
-        fixed += _unpacked(loop.gains, lambda c: gains[c, :])
-
-        def now(k: Any) -> list[Components]:
-            return _unpacked(loop.row, lambda c: row[k, c])
-
-        def packed(carry: list[Components]) -> tuple[Number, ...]:
-            items = _items(carry)
-            return tuple(_wide(items[i], tile) for i in places.kept)
+        constants = {node: _read(node, fixed[c]) for node, c in loop.fixed.items()}
+        constants |= {node: _read(node, own[c, :]) for node, c in loop.own.items()}
 
         def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
-            values = fixed + _unpacked(loop.carry, lambda i: at(numbers, i)) + now(k)
-            values += _unpacked(loop.own, lambda c: own[k, c, :])
-            values += _unpacked(loop.emphasis, lambda _: emphasis[blocks[k], :])
-            return packed(evaluate(loop.step, values, _apply))
+            known = constants | {node: numbers[place] for node, place in loop.carried.items()}
+            known |= {node: _read(node, row[k, c]) for node, c in loop.row.items()}
+            known |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
+            for node in loop.emphasis:
+                known[node] = emphasis[blocks[k], :]
+            values = _computed([*loop.updates, *loop.shown], known, dtype)
+            values = [_wide(_real(value, dtype), tile) for value in values]
+            for c, value in enumerate(values[len(loop.updates) :]):
+                shown[k, c, :] = value
+            return tuple(values[: len(loop.updates)])
 
-        begun = packed(evaluate(loop.start, fixed + now(0), _apply))
-        ended = jax.lax.fori_loop(np.int32(0), np.int32(length), step, begun)
-        for i, number in enumerate(ended[-places.sums :]):
-            out[i, :] = number
+        begun = tuple(start[c, :] for c in range(len(loop.carries)))
+        ended = lax.fori_loop(np.int32(0), np.int32(length), step, begun)
+        last = dict(zip(loop.carries, ended, strict=True))
+        for c, i in enumerate(loop.kept):
+            kept[c, :] = last[i]
 
     # Tiles beyond those in use pad the grid to a power of two.
     pl.when(pl.program_id(0) < used[0])(go)
 
 
-class _Places(NamedTuple):
-    """Which numbers of the carry the loop keeps, and for each number which of these it is.
-
-    A number that never changes (the derivative of an output with a parameter of another one, sums
-    of it, scores that nobody asked for) stays known; its place is its value. Two leaves are
-    symmetric matrices, most of what there is to carry: their lower half is the upper one.
-
-    Attributes:
-        kept: their indices in the carry.
-        where: index in `kept` of each number of the carry, or its value.
-        sums: how many of those kept are sums; they come last.
-    """
-
-    kept: list[int]
-    where: list[Any]
-    sums: int
+# -- numbers ----------------------------------------------------------------------------------
 
 
-def _places(loop: _Loop) -> _Places:
-    leaves, structure = jax.tree.flatten(loop.carry)
-    starts = np.cumsum([0] + [leaf.size for leaf in leaves])
-    numbers = [
-        np.arange(first, first + leaf.size).reshape(leaf.shape)
-        for first, leaf in zip(starts, leaves, strict=False)
-    ]
-    numbered = jax.tree.unflatten(structure, numbers)
-    twins = eqx.tree_at(
-        lambda one: (one.sums.information, one.sums.meat), numbered, replace_fn=_upper
-    )
-    twin = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(twins)]).tolist()
-    known = _constants(loop)
-    kept = [i for i, other in enumerate(twin) if i == other and i not in known]
-    order = {number: place for place, number in enumerate(kept)}
-    where = [known[i] if i in known else order[i] for i in twin]
-    first = len(twin) - sum(leaf.size for leaf in jax.tree.leaves(loop.carry.sums))
-    return _Places(kept, where, sum(i >= first for i in kept))
+def _computed(nodes: Sequence[Node], known: dict[Node, Number], dtype: np.dtype) -> list[Number]:
+    """Values of nodes, given those of others; what stands before these only is not computed."""
+    values, waiting = dict(known), list(nodes)[::-1]
+    while waiting:
+        node = waiting[-1]
+        missing = [arg for arg in node.args if arg not in values]
+        if node in values:
+            waiting.pop()
+        elif node.op == "constant":
+            values[node] = np.asarray(node.value, bool if node.is_bool else dtype)[()]
+        elif missing:
+            waiting.extend(missing)
+        else:
+            values[node] = _applied(node.op, [values[arg] for arg in node.args])
+    return [values[node] for node in nodes]
 
 
-def _upper(numbers: np.ndarray) -> np.ndarray:
-    return np.minimum(numbers, np.swapaxes(numbers, -1, -2))
-
-
-def _constants(loop: _Loop) -> dict[int, np.generic]:
-    """Numbers of the carry that are known at the start and by no step changed."""
-
-    def unknown(*shapes: Any) -> list[Components]:
-        return [
-            Components(shape.shape, tuple(object() for _ in range(shape.size)))
-            for shape in jax.tree.leaves(shapes)
-        ]
-
-    def after(jaxpr: ClosedJaxpr, values: list[Components]) -> dict[int, np.generic]:
-        results = evaluate(jaxpr, values, lambda *_: object())
-        return {i: one for i, one in enumerate(_items(results)) if isinstance(one, np.generic)}
-
-    fixed, row = unknown(loop.shared, loop.gains), unknown(loop.row)
-    known, before = after(loop.start, fixed + row), None
-    while known != before:
-        carry = _unpacked(loop.carry, lambda i, known=known: known.get(i, object()))
-        values = fixed + carry + row + unknown(loop.own, loop.emphasis)
-        then = after(loop.step, values)
-        before, known = known, {i: one for i, one in known.items() if then.get(i) == one}
-    return known
-
-
-def _items(values: Sequence[Components]) -> list[Number]:
-    return [item for value in values for item in value.items]
-
-
-def _apply(primitive: Any, numbers: Sequence[Number], params: dict) -> Number:
-    """Arithmetic on lanes; numbers that all of them share stay single while they can."""
+def _applied(op: str, numbers: Sequence[Number]) -> Number:
+    """One operation; numbers that all lanes share stay single while they can."""
     shape = max((np.shape(number) for number in numbers), key=len)
-    return primitive.bind(*(_wide(number, *shape) for number in numbers), **params)
+    function = _FORMS.get(op) or getattr(lax, op)
+    return function(*(_wide(number, *shape) for number in numbers))
 
 
 def _wide(number: Number, *shape: int) -> Number:
     return number if np.shape(number) == shape else jnp.full(shape, number)
+
+
+def _read(node: Node, number: Number) -> Number:
+    """Flags lie in memory as numbers."""
+    return number != 0 if node.is_bool else number
+
+
+def _real(value: Number, dtype: np.dtype) -> Number:
+    return value if value.dtype == dtype else jnp.where(value, dtype.type(1), dtype.type(0))
+
+
+def _trunc(x: Number) -> Number:
+    return lax.sign(x) * lax.floor(lax.abs(x))
+
+
+def _round_even(x: Number) -> Number:
+    """Halves to the even neighbour."""
+    low = lax.floor(x)
+    over, odd = x - low, low - 2 * lax.floor(low / 2)
+    return low + jnp.where(over == 0.5, odd, (over > 0.5).astype(x.dtype))
+
+
+# What JAX calls otherwise, or Triton does not know.
+_FORMS = {
+    "and": lax.bitwise_and,
+    "or": lax.bitwise_or,
+    "xor": lax.bitwise_xor,
+    "not": lax.bitwise_not,
+    "trunc": _trunc,
+    "round_even": _round_even,
+}
