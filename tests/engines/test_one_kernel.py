@@ -18,6 +18,15 @@ H, S, BLOCKS = 5e-3, 240, 4
 FILTER = LowPass(15.0).discretise(H)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _hardly_optimised():
+    """These loops take no time to run but seconds to compile."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
 def delayed(t, u, p):
     """Half-way to the input before, an actuator with a parameter."""
     return u - p.lag * (u - jnp.concatenate([u[:1], u[:-1]]))
