@@ -12,7 +12,7 @@ has been measured on a GPU.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
@@ -203,7 +203,7 @@ class _Loop:
     kept: tuple[int, ...]
     fixed: dict[Node, int]
     row: dict[Node, int]
-    own: dict[Node, int] = field(default_factory=dict)
+    own: dict[Node, int]
     driven: dict[Node, int] = field(default_factory=dict)
     shown: tuple[Node, ...] = ()
 
@@ -232,20 +232,18 @@ def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
     shared = [one.node for one in program.step_updates]
     recorded = _inputs([*shared, *program.shared], "step")
 
-    def loop(carries: tuple[int, ...], updates: list[Node], **others: Any) -> _Loop:
+    def loop(carries: tuple[int, ...], updates: list[Node], row: dict, own: dict) -> _Loop:
         kept = tuple(i for i in carries if i in sums)
-        return _Loop(carries, tuple(updates), kept, fixed, **others)
+        return _Loop(carries, tuple(updates), kept, fixed, row, own)
 
     lanes = [one.node for one in program.rare]
     if driven:
         row = {node: i for node, i in recorded.items() if i >= driven}
         behind = {node: i for node, i in recorded.items() if i < driven}
-        carries = program.lane_carries + program.step_carries
-        return None, loop(carries, lanes + shared, row=row, own=own, driven=behind)
-    return (
-        loop(program.step_carries, shared, row=recorded, shown=program.shared),
-        loop(program.lane_carries, lanes, row=_numbered(program.shared), own=own),
-    )
+        whole = loop(program.lane_carries + program.step_carries, lanes + shared, row, own)
+        return None, replace(whole, driven=behind)
+    first = replace(loop(program.step_carries, shared, recorded, {}), shown=program.shared)
+    return first, loop(program.lane_carries, lanes, _numbered(program.shared), own)
 
 
 def _numbered(nodes: Sequence[Node]) -> dict[Node, int]:
