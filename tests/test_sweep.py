@@ -484,3 +484,16 @@ def test_best_of_nothing_says_so():
 def test_what_does_not_fit_is_refused_before_any_work(changes, message):
     with pytest.raises((ValueError, TypeError), match=message):
         quick(engine=Failing(0, AssertionError), **changes)
+
+
+# -- progress -----------------------------------------------------------------------------------
+
+
+def test_progress_counts_lanes_and_leaves_standard_output_alone(capfd, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    monkeypatch.setenv("TERM", "xterm")
+    same(many(progress=True), many())
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert "sweep" in printed.err
+    assert "/6" in printed.err
