@@ -32,6 +32,13 @@ def test_rivals_written_by_hand_add_up_the_same(rival, case):
     throughput.agree(rival.__name__, rival(case.problem(128), 2)(), ours, np.dtype(np.float64))
 
 
+def test_rivals_leave_denormal_numbers_alone(case):
+    if not rivals.C.available():
+        pytest.skip("no gcc")
+    rivals.C(case.problem(128), 1)()
+    assert np.nextafter(0.0, 1.0) * 1.0 > 0.0
+
+
 def test_a_rival_that_differs_is_found(case):
     ours = case.engine(Native(), 128)()
     wrong = throughput.as_rows(ours) * (1.0 + 1e-6)
