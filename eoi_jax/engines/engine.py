@@ -46,10 +46,28 @@ class Lanes(eqx.Module):
         """Some of the lanes, by slice or indices."""
         return jax.tree.map(lambda leaf: leaf[which], self)
 
+    def padded(self, room: int) -> "Lanes":
+        """As many lanes as there is room for, the last one repeated."""
+        return self[np.minimum(np.arange(room), len(self) - 1)]
+
+    def without_emphasis(self) -> "Lanes":
+        """What a lane is traced from: how often a block counts is read step by step."""
+        return Lanes(self.observer, self.theta, self.increment, self.weights)
+
     def kernel(self, plant: Plant, lowpass: DiscreteFilter, store: str) -> Kernel:
         """The loop of one lane; of a single one, or inside `vmap`."""
         theta, increment, weights = map(jnp.asarray, (self.theta, self.increment, self.weights))
         return Kernel(plant, self.observer, lowpass, theta, increment, weights, store)
+
+
+def in_precision(tree: Any, dtype: Any) -> Any:
+    """Numbers of a tree in the precision of the lanes, as JAX arrays; flags as they are."""
+
+    def cast(leaf: Any) -> jax.Array:
+        array = jnp.asarray(leaf)
+        return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
+
+    return jax.tree.map(cast, tree)
 
 
 class AbstractEngine(abc.ABC):

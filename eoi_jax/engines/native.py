@@ -128,7 +128,7 @@ def _pass(
     if lanes.emphasis is not None:
         shapes.append(jax.ShapeDtypeStruct((), dtype))
     step = jax.tree.unflatten(_step_structure(lanes.emphasis is not None), shapes)
-    lane = shapes_of(_plain(lanes), dtype, skip=1)
+    lane = shapes_of(lanes.without_emphasis(), dtype, skip=1)
     what = Pass(shapes_of(plant, dtype), lane, shapes_of(lowpass, dtype), step, store, dtype)
     return what, sum(int(np.prod(column.shape[1:])) for column in columns)
 
@@ -152,10 +152,6 @@ def _step_names() -> list[str]:
     structure = _step_structure(False)
     step = jax.tree.unflatten(structure, range(structure.num_leaves))
     return [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(step)]
-
-
-def _plain(lanes: Lanes) -> Lanes:
-    return Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
 
 
 @functools.lru_cache(maxsize=256)
@@ -332,7 +328,7 @@ class _Run:
     def _start(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps) -> np.ndarray:
         """Write carries and constants of the lanes; returns what all lanes share."""
         program, dtype = self._code.program, self._what.dtype
-        lane = _numbers(_plain(self._lanes), dtype, skip=1).reshape(len(self._lanes), -1)
+        lane = _numbers(self._lanes.without_emphasis(), dtype, skip=1).reshape(len(self._lanes), -1)
         ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
         all_lanes = _numbers((plant, lowpass, steps.sample_period, *ends), dtype)
         groups = {"lane": lane.T, "fixed": all_lanes}

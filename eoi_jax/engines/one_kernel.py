@@ -23,7 +23,7 @@ from jax import lax
 from jax.experimental import pallas as pl
 
 from eoi_jax.checks import check
-from eoi_jax.engines.engine import AbstractEngine, Lanes
+from eoi_jax.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.engines.lane_program import BLOCK, CARRY, LaneProgram, Pass, lane_program, shapes_of
 from eoi_jax.engines.scalars import Node, ordered
 from eoi_jax.lowpass import DiscreteFilter
@@ -104,7 +104,7 @@ class OneKernel(AbstractEngine):
         count = len(lanes)
         used = -(-count // self.tile)
         room = self.tile * 2 ** int(np.ceil(np.log2(used)))
-        padded = lanes[np.minimum(np.arange(room), count - 1)]
+        padded = lanes.padded(room)
         interpret = jax.default_backend() == "cpu" if self.interpret is None else self.interpret
         what = _pass(plant, lanes, lowpass, steps, store)
         used = jnp.asarray(used, jnp.int32).reshape(1)
@@ -127,7 +127,7 @@ def _pass(plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, sto
     """What the program is made of: shapes, so that its arrays may be traced ones."""
     dtype = np.dtype(lanes.theta.dtype)
     every, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
-    lane, step = _shapes(_plain(lanes), dtype, 1), _shapes(every, dtype, 1)
+    lane, step = _shapes(lanes.without_emphasis(), dtype, 1), _shapes(every, dtype, 1)
     return Pass(_shapes(plant, dtype), lane, _shapes(lowpass, dtype), step, store, dtype)
 
 
@@ -139,15 +139,11 @@ def _shapes(tree: Any, dtype: np.dtype, skip: int = 0) -> Any:
     return shapes_of(jax.tree.map(stand_in, tree), dtype, skip)
 
 
-def _plain(lanes: Lanes) -> Lanes:
-    return Lanes(lanes.observer, lanes.theta, lanes.increment, lanes.weights)
-
-
 def _rows(
     plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str
 ) -> tuple[Step, Any]:
     """The steps of a record for the first lane, and all lanes' inputs if behind an actuator."""
-    steps = jax.tree.map(lambda leaf: _cast(leaf, lanes.theta.dtype), steps)
+    steps = in_precision(steps, lanes.theta.dtype)
 
     def rows(lane: Lanes) -> Step:
         emphasis = None if lane.emphasis is None else jnp.asarray(lane.emphasis)
@@ -157,12 +153,6 @@ def _rows(
         return rows(lane).u, rows(lane).slope
 
     return rows(lanes[0]), None if plant.actuator is None else jax.vmap(inputs)(lanes)
-
-
-def _cast(leaf: Any, dtype: Any) -> jax.Array:
-    """Numbers in the precision of the lanes; flags as they are."""
-    array = jnp.asarray(leaf)
-    return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
 
 
 def _columns(tree: Any, leading: int, dtype: np.dtype) -> jax.Array:
@@ -274,7 +264,10 @@ def _launch(
     program, dtype, count = _program(what), what.dtype, len(lanes)
     every, driven = _rows(plant, lanes, lowpass, steps, what.store)
     all_lanes = (plant, lowpass, steps.sample_period, every.y[0], every.y_next[0])
-    inputs = {"fixed": _columns(all_lanes, 0, dtype), "lane": _columns(_plain(lanes), 1, dtype).T}
+    inputs = {
+        "fixed": _columns(all_lanes, 0, dtype),
+        "lane": _columns(lanes.without_emphasis(), 1, dtype).T,
+    }
 
     def table(nodes: Sequence[Node], *lanes: int) -> jax.Array:
         """Values before the first step, shape (nodes, *lanes)."""

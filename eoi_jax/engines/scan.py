@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from eoi_jax.engines.engine import AbstractEngine, Lanes
+from eoi_jax.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import Steps, Sums
 from eoi_jax.plants.plant import Plant
@@ -46,11 +46,8 @@ class Scan(AbstractEngine):
         tile = next(n for n in (1, 8, self.tile) if n >= self.tile or n * len(devices) >= count)
         used = -(-count // (tile * len(devices)))  # tiles of each device
         room = tile * len(devices) * 2 ** int(np.ceil(np.log2(used)))
-        padded = lanes[np.minimum(np.arange(room), count - 1)]
-        dtype = lanes.theta.dtype
-        tiles, lowpass, steps = jax.tree.map(
-            lambda leaf: _cast(leaf, dtype), (padded, lowpass, steps)
-        )
+        whole = (lanes.padded(room), lowpass, steps)
+        tiles, lowpass, steps = in_precision(whole, lanes.theta.dtype)
         tiles = jax.tree.map(lambda leaf: leaf.reshape(-1, tile, *leaf.shape[1:]), tiles)
         # Tiles go to the devices in turn, so that those that are only padding come last on each.
         order = np.arange(room // tile).reshape(-1, len(devices)).T.ravel()
@@ -60,12 +57,6 @@ class Scan(AbstractEngine):
         return jax.tree.map(
             lambda leaf: np.asarray(leaf)[back].reshape(room, *leaf.shape[2:])[:count], sums
         )
-
-
-def _cast(leaf: Any, dtype: Any) -> jax.Array:
-    """Numbers in the precision of the lanes; flags as they are."""
-    array = jnp.asarray(leaf)
-    return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
 
 
 @eqx.filter_jit
