@@ -10,9 +10,10 @@ likelihood when each output has noise of its own. The smallest index is then tha
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,8 +39,7 @@ Watch = Callable[[int, int, np.ndarray], None]
 Run = Callable[[Int[np.ndarray, " some"], Float[np.ndarray, "some np"], int], Sums]
 
 
-@dataclass(frozen=True)
-class Pass:
+class Pass(eqx.Module):
     """One pass of every lane, and where it leads.
 
     Attributes:
@@ -167,7 +167,7 @@ def iterate(
             again = _solve(plant, base.theta, base.sums, damping)
             moved = again.increment + base.theta - theta
             increment = np.where(damped[:, None], moved, one.increment)
-            one = Pass(one.theta, one.sums, one.index, one.weights, one.solution, increment)
+            one = replace(one, increment=increment)
         lower = active & ((number == 0) | (one.cost < least.cost))
         reference, least = _chosen(better, one, reference), _chosen(lower, one, least)
         best_pass = np.where(lower, number, best_pass)
@@ -267,11 +267,7 @@ def _chosen(mask: Bool[np.ndarray, " lanes"], yes: Pass, no: Pass) -> Pass:
     def leaf(a: Any, b: Any) -> np.ndarray:
         return np.where(mask.reshape(-1, *(1,) * (np.ndim(a) - 1)), a, b)
 
-    return Pass(*(jax.tree.map(leaf, a, b) for a, b in zip(_fields(yes), _fields(no), strict=True)))
-
-
-def _fields(one: Pass) -> tuple:
-    return one.theta, one.sums, one.index, one.weights, one.solution, one.increment
+    return jax.tree.map(leaf, yes, no)
 
 
 _least_squares = jax.jit(jax.vmap(least_squares, (0, 0, None, 0)))

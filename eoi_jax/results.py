@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+# Ends of a fit that give every free parameter a value.
+ANSWERED = ("converged", "passes_exhausted", "stalled")
+
 
 @dataclass(frozen=True)
 class Status:
@@ -20,7 +23,7 @@ class Status:
     @property
     def ok(self) -> bool:
         """Whether a fit has an answer for every free parameter."""
-        return self.code in ("converged", "passes_exhausted", "stalled")
+        return self.code in ANSWERED
 
     def __str__(self) -> str:
         return f"{self.code}: {self.message}"

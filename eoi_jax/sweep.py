@@ -98,7 +98,7 @@ def sweep(
     choices = Choices(None, transient, substeps, smoothing)
     settings = Settings(resamples, passes, precision, seed, chunk)
     whole = plan(plant, records, observers, lowpass, starts, choices, settings)
-    double = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+    double = _double()
     check(
         precision == "float32" or double,
         "precision",
@@ -128,6 +128,11 @@ def sweep(
     return target.dataset(outcome)
 
 
+def _double() -> bool:
+    """Whether JAX runs in double precision."""
+    return bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+
+
 def _results(
     whole: Plan, places: list[Place], engine: AbstractEngine, executor: Executor | None
 ) -> Iterator[tuple[Place, Arrays | None]]:
@@ -144,15 +149,13 @@ def _spread(
     """Chunks on an executor's workers, as they come; None for one that failed again and again."""
     waiting = deque((place, _TRIES) for place in places)
     running: dict[Future, tuple[Place, int]] = {}
-    double = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)
+    double = _double()
     try:
         while waiting or running:
             while waiting and len(running) < _AHEAD:
                 place, tries = waiting.popleft()
-                running[executor.submit(remote_chunk, whole.only(place), engine, double)] = (
-                    place,
-                    tries,
-                )
+                future = executor.submit(remote_chunk, whole.only(place), engine, double)
+                running[future] = (place, tries)
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 place, tries = running.pop(future)
                 try:
@@ -172,7 +175,7 @@ def _spread(
 
 def remote_chunk(one: Part, engine: AbstractEngine, double: bool) -> Arrays:
     """`run_chunk` in a worker process, which sets up JAX first as the caller's is."""
-    if bool(jax.config.jax_enable_x64) != double:  # type: ignore[attr-defined]
+    if _double() != double:
         configure(float64=double)
     return run_chunk(one, engine)
 

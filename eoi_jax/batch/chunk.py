@@ -16,6 +16,7 @@ from eoi_jax.observers import AbstractObserver
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.passes import Sums
 from eoi_jax.plants.plant import Plant
+from eoi_jax.results import ANSWERED
 
 CODES = (
     "not_run",
@@ -28,7 +29,7 @@ CODES = (
     "invalid_gains",
     "lost",
 )
-OK = ("converged", "passes_exhausted", "stalled")
+OK = tuple(CODES.index(name) for name in ANSWERED)
 Arrays = dict[str, np.ndarray]
 
 
@@ -42,7 +43,7 @@ def run_chunk(part: Part, engine: AbstractEngine) -> Arrays:
     Returns:
         Arrays by name, leading axes (observer, start, resample): ``parameters`` and
         ``standard_error`` (np), ``index`` (passes, ny), ``common_index`` and ``sliding_fraction``
-        (ny), ``status`` (number in `CODES`), ``best_pass`` (from 0), ``passes``, ``cutoff``.
+        (ny), ``status`` (number in `CODES`), ``best_pass`` (from 0), ``passes``.
     """
     groups = part.observers
     if groups is None:
@@ -55,12 +56,12 @@ def precision_error(part: Part, engine: AbstractEngine, sets: int) -> dict[str, 
     """What single precision costs, on a few gain sets: largest relative error against double.
 
     Returns:
-        Of the index of the best pass, and of the parameters (each against its largest value).
+        Of the common index and of the parameters, each against its largest value.
     """
     single, double = (
         run_chunk(part.sample(sets, precision), engine) for precision in ("float32", "float64")
     )
-    ok = np.isin(double["status"], [CODES.index(name) for name in OK])
+    ok = np.isin(double["status"], OK)
     errors = {}
     for name in ("common_index", "parameters"):
         a, b = single[name][ok], double[name][ok]
@@ -99,7 +100,7 @@ class _Lanes:
         errors = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
         codes = self._codes(done)
         valid = codes != CODES.index("invalid_gains")
-        known = np.isin(codes, [CODES.index(name) for name in OK])
+        known = np.isin(codes, OK)
         arrays = {
             "parameters": np.where(known[:, None], one.theta, np.nan),
             "standard_error": np.where(known[:, None], errors, np.nan),
@@ -125,11 +126,8 @@ class _Lanes:
         weights: np.ndarray | None = None,
     ) -> Sums:
         """Sums over all records of the estimate, of some of the lanes."""
-        observer = jax.tree.map(
-            lambda leaf: np.asarray(leaf)[self.gain[which]], self.gains.observer
-        )
         lanes = Lanes(
-            observer,
+            self.gains[self.gain[which]].observer,
             theta,
             np.zeros_like(theta) if increment is None else increment,
             np.ones((len(theta), len(self.part.plant.outputs))) if weights is None else weights,
@@ -146,10 +144,9 @@ class _Lanes:
         choices = replace(part.choices, lowpass=None)
         source, observer = _default(part, choices)
         (gains,) = gain_sets(observer, len(part.plant.outputs))
-        each = np.zeros(len(theta), int)
-        stacked = jax.tree.map(lambda leaf: np.asarray(leaf)[each], gains.observer)
+        alike = gains[np.zeros(len(theta), int)].observer
         ones = np.ones((len(theta), len(part.plant.outputs)))
-        lanes = Lanes(stacked, theta, np.zeros_like(theta), ones)
+        lanes = Lanes(alike, theta, np.zeros_like(theta), ones)
         sums = _added(part, source, lanes, self.engine, "nothing")
         return np.where(sums.weight > 0, mean(sums.square, sums.weight), np.nan)
 

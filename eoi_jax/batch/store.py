@@ -127,10 +127,10 @@ def open_sweep(path: Any) -> Any:
         {name: (dim, np.asarray(values)) for name, (dim, values) in labels["texts"].items()}
     )
     lanes["status"].attrs.update(flag_values=list(range(len(CODES))), flag_meanings=" ".join(CODES))
-    ok = lanes["status"].isin([CODES.index(name) for name in OK])
+    ok = lanes["status"].isin(OK)
     attributes = {key: labels[key] for key in ("version", "sweep")} | labels["attributes"]
     data = lanes.assign(ok=ok.assign_attrs(long_name="whether the lane has an answer"))
-    return data.assign_attrs(attributes).drop_attrs(deep=False).assign_attrs(attributes)
+    return data.drop_attrs(deep=False).assign_attrs(attributes)
 
 
 def _version() -> str:
