@@ -18,6 +18,7 @@ plant has outputs with dry friction, and never more.
 """
 
 import math
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -111,6 +112,30 @@ def trajectory(
     every = slice(driven_by.substeps - 1, None, driven_by.substeps)
     y, z = x.y[every], x.z[every]
     return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
+
+
+def advanced(
+    plant: Plant,
+    theta: Theta,
+    time: Scalar,
+    step: Scalar,
+    inputs: Float[Array, "3 nu"],
+    x: State,
+    friction: tuple[bool, ...],
+) -> State:
+    """The state one step later, without a loop of unknown length: for `engines`.
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        theta: parameter values.
+        time: start of the step [s].
+        step: its length [s].
+        inputs: at its start, middle and end.
+        x: state at its start.
+        friction: which outputs stick, see `frictional`.
+    """
+    problem = _Problem(plant, theta, time, step, inputs, friction)
+    return (_sticking_step_unrolled if any(friction) else _smooth_step)(problem, x)
 
 
 def chained(
@@ -256,6 +281,21 @@ def _sticking_step(problem: _Problem, x: State) -> State:
     return lax.while_loop(unfinished, piece, (x, start, start))[0]
 
 
+def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
+    """The same, piece by piece: at most one cut for each output that sticks."""
+    most = sum(problem.friction)
+    done = jnp.zeros_like(problem.step)
+    for cuts in range(most + 1):
+        piece = partial(_until_stop, problem, x, done, jnp.asarray(cuts < most))
+        # The first piece always runs; the others where the one before ended at a stop.
+        x, done = lax.cond(done < 1.0, piece, partial(_kept, x, done)) if cuts else piece()
+    return x
+
+
+def _kept(x: State, done: Scalar) -> tuple[State, Scalar]:
+    return x, done
+
+
 def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
     direction = _direction(problem, x, done)
@@ -313,8 +353,9 @@ def _land(
 ) -> tuple[State, Scalar]:
     """One Newton step in time onto the exact zero of the velocity that stops here."""
     slope = _slope(problem, x, at, direction)
-    which = jnp.argmax(stopped)
-    v, a = x.y[1][which], slope.y[1][which]
+    before = np.tri(len(stopped), k=-1, dtype=bool)
+    first = stopped & ~jnp.any(before & stopped, axis=1)
+    v, a = (jnp.sum(jnp.where(first, one, 0.0)) for one in (x.y[1], slope.y[1]))
     shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
     # A grazing stop has next to no acceleration: never leave the step.
     shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)

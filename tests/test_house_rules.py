@@ -24,6 +24,7 @@ LAYERS = (
     ("effects",),
     ("augment",),
     ("trajectory",),
+    ("sensitivity",),
     ("simulate",),
     ("observers",),
     ("lowpass",),

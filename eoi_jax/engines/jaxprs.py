@@ -128,14 +128,29 @@ def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
 
 def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
     """All branches, and of their results the right one: branches have no other effect."""
-    branches = [_run(graph, branch, args) for branch in params["branches"]]
+    chosen = _flag_of(graph, which.item())
+    outer, branches = graph.branches, []
+    for i, branch in enumerate(params["branches"]):
+        graph.branches = None if outer is None else []
+        branches.append(_run(graph, branch, args))
+        if outer is not None and i == 1 and chosen.is_bool:
+            # Inside a branch that is not taken nothing happens.
+            inner = [graph.make("and", chosen, one) for one in graph.branches or []]
+            outer.extend([chosen, *inner])
+    graph.branches = outer
     out = []
     for ways in zip(*branches, strict=True):
         array = np.empty(ways[0].shape, object)
         for at in np.ndindex(array.shape):
-            array[at] = _choose(graph, which.item(), *(way[at] for way in ways))
+            array[at] = _choose(graph, chosen, *(way[at] for way in ways))
         out.append(array)
     return out
+
+
+def _flag_of(graph: Graph, which: Node) -> Node:
+    """The flag that was made a number to choose between two branches."""
+    plain = which.op == "select" and which.args[1:] == (graph.constant(1.0), graph.constant(0.0))
+    return which.args[0] if plain else which
 
 
 def _choose(graph: Graph, which: Node, *ways: Node) -> Node:
@@ -159,7 +174,13 @@ def _unstack(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
     return list(np.moveaxis(array, params["axis"], 0))
 
 
-_MANY: dict[str, Callable] = {"scan": _scan, "cond": _cond, "split": _split, "unstack": _unstack}
+def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
+    """Which of several forms of a function is meant for the CPU."""
+    fits = [names is None or "cpu" in names for names in params["platforms"]]
+    return [nodes_of(graph, fits.index(True))]
+
+
+_MANY: dict[str, Callable] = {"platform_index": _platform, "scan": _scan, "cond": _cond, "split": _split, "unstack": _unstack}
 
 
 # -- components moved, known in advance -------------------------------------------------------

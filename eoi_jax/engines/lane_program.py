@@ -11,11 +11,12 @@ Carried values are of the kind that their own updates are; those that only the r
 filtered input, its sums) are carried once for all lanes, and those that never move are constants.
 """
 
+import abc
 import functools
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -56,7 +57,12 @@ class LaneProgram:
         same: as which carried number each one always is.
         lane_carries, step_carries: those carried for each lane, and once for all.
         step_updates: of the carries that all lanes share.
-        plain, rare: updates of the lanes' carries in a step in which no flag is set, and in any.
+        plain, rare: updates of the lanes' carries in a step in which no flag is set and nothing
+            happens, and in any.
+        events: what may happen to a lane in a step, found where the program branches; each as
+            it is if none before it did.
+        flagged: whether there are flags.
+        shown: what each step shows of each lane where nothing happens, and in any step.
         shared: what lanes need of each step.
         fixed: what is needed that is the same in all steps and lanes.
         own: what lanes need that is the same in all steps.
@@ -71,6 +77,9 @@ class LaneProgram:
     step_updates: tuple[Update, ...]
     plain: tuple[Update, ...]
     rare: tuple[Update, ...]
+    events: tuple[Node, ...]
+    flagged: bool
+    shown: tuple[tuple[Node, ...], tuple[Node, ...]]
     shared: tuple[Node, ...]
     fixed: tuple[Node, ...]
     own: tuple[Node, ...]
@@ -78,8 +87,51 @@ class LaneProgram:
     level: Callable[[Node], int]
 
 
+class AbstractLoop(abc.ABC):
+    """A recursion over the rows of a record, the same for every lane; its trees hold shapes only.
+
+    Attributes:
+        lane: one lane.
+        dtype: of all numbers.
+        flags: names of the row's parts that are set in few rows only.
+        branches: whether the code branches where `lax.cond` does, because it seldom goes there.
+    """
+
+    lane: Any
+    dtype: np.dtype
+    flags: ClassVar[tuple[str, ...]] = ()
+    branches: ClassVar[bool] = False
+
+    @property
+    @abc.abstractmethod
+    def row(self) -> Any:
+        """One row."""
+
+    @property
+    def by_block(self) -> bool:
+        """Whether the last number of a row is the lane's own in each block."""
+        return False
+
+    @property
+    @abc.abstractmethod
+    def fixed(self) -> Any:
+        """What all lanes and rows share."""
+
+    @abc.abstractmethod
+    def begin(self, lane: Any, fixed: Any) -> Any:
+        """What is carried before the first row."""
+
+    @abc.abstractmethod
+    def advance(self, lane: Any, fixed: Any, carry: Any, row: Any) -> tuple[Any, Any]:
+        """What is carried after a row, and what is shown of it."""
+
+    @abc.abstractmethod
+    def result(self, carry: Any) -> Any:
+        """What is wanted in the end."""
+
+
 @dataclass(frozen=True, eq=False)
-class Pass:
+class Pass(AbstractLoop):
     """What is traced: trees whose numbers are given by shape and type only (`shapes_of`).
 
     Two of them are equal if one program serves both.
@@ -98,6 +150,7 @@ class Pass:
     step: Step
     store: str
     dtype: np.dtype
+    flags: ClassVar[tuple[str, ...]] = ("restart", "block_end")
 
     @property
     def fixed(self) -> tuple:
@@ -105,19 +158,49 @@ class Pass:
         scalar = jax.ShapeDtypeStruct((), self.dtype)
         return self.plant, self.lowpass, scalar, self.step.y, self.step.y_next
 
-    def _key(self) -> tuple:
-        leaves, structure = jax.tree.flatten((self.plant, self.lane, self.lowpass, self.step))
-        known = tuple(
-            leaf if isinstance(leaf, jax.ShapeDtypeStruct) else np.asarray(leaf).tobytes()
-            for leaf in leaves
-        )
-        return structure, known, self.store, self.dtype
+    @property
+    def row(self) -> Step:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def by_block(self) -> bool:
+        """Whether each lane has an emphasis."""
+        return self.step.emphasis is not None
+
+    def begin(self, lane: Lanes, fixed: tuple) -> Carry:
+        """Before the first step."""
+        plant, lowpass, h, y, y_next = fixed
+        return lane.kernel(plant, lowpass, self.store).init(y, y_next, h)
+
+    def advance(self, lane: Lanes, fixed: tuple, carry: Carry, row: Step) -> tuple[Carry, Any]:
+        """One step; it shows nothing."""
+        plant, lowpass, h, _, _ = fixed
+        return lane.kernel(plant, lowpass, self.store).step(carry, row, h)[0], ()
+
+    def result(self, carry: Carry) -> Any:
+        """What is wanted after the last step."""
+        return carry.sums
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pass) and self._key() == other._key()
+        return isinstance(other, Pass) and _key(self) == _key(other)
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return hash(_key(self))
+
+
+def _key(what: Pass) -> tuple:
+    return traced_key((what.plant, what.lane, what.lowpass, what.step), what.store, what.dtype)
+
+
+def traced_key(trees: Any, *other: Any) -> tuple:
+    """What a program depends on: shapes, and the numbers that are known."""
+    leaves, structure = jax.tree.flatten(trees)
+    known = tuple(
+        leaf if isinstance(leaf, jax.ShapeDtypeStruct) else np.asarray(leaf).tobytes()
+        for leaf in leaves
+    )
+    return structure, known, *other
 
 
 def shapes_of(tree: Any, dtype: Any, skip: int = 0) -> Any:
@@ -139,51 +222,83 @@ def shapes_of(tree: Any, dtype: Any, skip: int = 0) -> Any:
     return jax.tree.map(shape, tree)
 
 
-def lane_program(what: Pass) -> LaneProgram:
-    """Trace a pass and sort it.
+def lane_program(what: AbstractLoop) -> LaneProgram:
+    """Trace a loop and sort it.
 
     Raises:
         Untranslatable: the plant or the observer does what a scalar program cannot.
     """
     graph = Graph()
     with jax.enable_x64(what.dtype == np.float64):
-        initial, updated, flags, sums = _traced(graph, what)
-    updated, _, carried = _levelled(graph.make, graph, initial, updated)
+        initial, traced, flags, sums = _traced(graph, what)
+    traced, _, carried = _levelled(graph.make, graph, initial, traced)
     # Terms that differ in the order of their factors only are found equal in the second round.
     make = _Lowering(graph, Levels(carried))
-    updated, same, carried = _levelled(make, graph, initial, rewritten(updated, {}, make))
+    traced, same, carried = _levelled(make, graph, initial, traced.rewritten({}, make))
     level = Levels(carried)
     make = _Lowering(graph, level)
     unset = {flag: graph.constant(False) for flag in flags}
-    plain = rewritten(updated, unset, make)
-    return _sorted(initial, updated, plain, same, carried, level, sums)
+    quiet, events = _without_events(graph, traced.rewritten(unset, make), make)
+    return _sorted(initial, traced, quiet, events, bool(flags), same, carried, level, sums)
 
 
-def _traced(graph: Graph, what: Pass) -> tuple[list[Node], list[Node], list[Node], Any]:
-    """Carried numbers at first and after a step, flags of rare events, places of the sums."""
+@dataclass(frozen=True)
+class _Traced:
+    """What a step computes.
 
-    def start(lane: Lanes, fixed: tuple) -> Carry:
-        plant, lowpass, h, y, y_next = fixed
-        return lane.kernel(plant, lowpass, what.store).init(y, y_next, h)
+    Attributes:
+        updated: each carried number after it.
+        shown: what it shows.
+        events: where it branches.
+    """
 
-    def step(lane: Lanes, fixed: tuple, carry: Carry, row: Step) -> Carry:
-        plant, lowpass, h, _, _ = fixed
-        return lane.kernel(plant, lowpass, what.store).step(carry, row, h)[0]
+    updated: list[Node]
+    shown: list[Node]
+    events: list[Node]
 
-    carry = jax.eval_shape(start, what.lane, what.fixed)
+    def rewritten(self, known: dict[Node, Node], make: Callable[..., Node]) -> "_Traced":
+        """With some nodes replaced."""
+        new = rewritten([*self.updated, *self.shown, *self.events], known, make)
+        count, shown = len(self.updated), len(self.shown)
+        return _Traced(new[:count], new[count : count + shown], new[count + shown :])
+
+
+def _without_events(
+    graph: Graph, traced: _Traced, make: Callable[..., Node]
+) -> tuple[_Traced, list[Node]]:
+    """A step in which nothing happens, and what must be found false for that."""
+    found: list[Node] = []
+    left = traced
+    while any(event.op != "constant" for event in left.events):
+        event = next(event for event in left.events if event.op != "constant")
+        found.append(event)
+        left = left.rewritten({event: graph.constant(False)}, make)
+    return left, found
+
+
+def _traced(graph: Graph, what: AbstractLoop) -> tuple[list[Node], _Traced, list[Node], Any]:
+    """Carried numbers at first, a step, flags of rare events, places of the result."""
+    carry = jax.eval_shape(what.begin, what.lane, what.fixed)
     if any(leaf.dtype != what.dtype for leaf in jax.tree.leaves(carry)):
         raise Untranslatable("a carry of another type than the lanes")
     lane, fixed = _inputs(graph, "lane", what.lane), _inputs(graph, "fixed", what.fixed)
-    row, before = _inputs(graph, "step", what.step), _inputs(graph, CARRY, carry)
-    if what.step.emphasis is not None:  # the last of a step's leaves
-        row[-1] = _inputs(graph, BLOCK, what.step.emphasis)[0]
-    initial = _translated(graph, start, (what.lane, what.fixed), [*lane, *fixed])
-    trees = (what.lane, what.fixed, carry, what.step)
-    updated = _translated(graph, step, trees, [*lane, *fixed, *before, *row])
-    names = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(what.step)]
-    flags = [row[names.index(name)].item() for name in ("restart", "block_end")]
+    row, before = _inputs(graph, "step", what.row), _inputs(graph, CARRY, carry)
+    if what.by_block:  # the last of a row's leaves
+        row[-1] = _inputs(graph, BLOCK, jax.tree.leaves(what.row)[-1])[0]
+    initial = _translated(graph, what.begin, (what.lane, what.fixed), [*lane, *fixed])
+    trees = (what.lane, what.fixed, carry, what.row)
+    graph.branches = [] if what.branches else None
+    after = _translated(graph, what.advance, trees, [*lane, *fixed, *before, *row])
+    names = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(what.row)]
+    flags = [row[names.index(name)].item() for name in what.flags]
     places = [np.vectorize(lambda node: node.value[1], otypes=[int])(one) for one in before]
-    return initial, updated, flags, jax.tree.unflatten(jax.tree.structure(carry), places).sums
+    count = len(initial)
+    return (
+        initial,
+        _Traced(after[:count], after[count:], graph.branches or []),
+        flags,
+        what.result(jax.tree.unflatten(jax.tree.structure(carry), places)),
+    )
 
 
 def _inputs(graph: Graph, group: str, tree: Any) -> list[np.ndarray]:
@@ -215,9 +330,9 @@ def _translated(graph: Graph, function: Callable, trees: tuple, inputs: list) ->
 
 
 def _levelled(
-    make: Callable[..., Node], graph: Graph, initial: list[Node], updated: list[Node]
-) -> tuple[list[Node], list[int], list[int]]:
-    """Updates, as which other each carried number always is, and how often each is computed.
+    make: Callable[..., Node], graph: Graph, initial: list[Node], traced: _Traced
+) -> tuple[_Traced, list[int], list[int]]:
+    """A step, as which other each carried number always is, and how often each is computed.
 
     Start from the most hopeful answer: carried numbers that begin alike stay alike, those that
     begin with a constant keep it, and only the first value decides how often they are computed.
@@ -232,7 +347,7 @@ def _levelled(
             own: start if rests else inputs[other]
             for own, start, rests, other in zip(inputs, initial, still, same, strict=True)
         }
-        new = rewritten(updated, known, make)
+        new = rewritten(traced.updated, known, make)
         level, before = Levels(carried), (same, still, carried)
         still = [was and node is at for was, node, at in zip(still, new, initial, strict=True)]
         kinds = list(zip(same, new, strict=True))
@@ -242,7 +357,7 @@ def _levelled(
             for rests, old, node in zip(still, carried, new, strict=True)
         ]
         if (same, still, carried) == before:
-            return new, same, carried
+            return traced.rewritten(known, make), same, carried
 
 
 class Levels:
@@ -333,8 +448,10 @@ class _Lowering:
 
 def _sorted(
     initial: list[Node],
-    rare: list[Node],
-    plain: list[Node],
+    rare: _Traced,
+    plain: _Traced,
+    events: list[Node],
+    flagged: bool,
     same: list[int],
     carried: list[int],
     level: Levels,
@@ -344,9 +461,12 @@ def _sorted(
         [i for i, one in enumerate(carried) if one == kind and same[i] == i]
         for kind in (BOTH, STEP)
     )
-    step_updates = tuple(Update(i, rare[i]) for i in steps)
-    plain_updates, rare_updates = (tuple(Update(i, new[i]) for i in lanes) for new in (plain, rare))
-    by_lanes = _used([one.node for one in (*plain_updates, *rare_updates)], level, BOTH)
+    step_updates = tuple(Update(i, rare.updated[i]) for i in steps)
+    plain_updates, rare_updates = (
+        tuple(Update(i, way.updated[i]) for i in lanes) for way in (plain, rare)
+    )
+    wanted = [one.node for one in (*plain_updates, *rare_updates)]
+    by_lanes = _used([*wanted, *plain.shown, *rare.shown, *events], level, BOTH)
     shared = _of(by_lanes, level, STEP)
     by_steps = _used([*(one.node for one in step_updates), *shared], level, STEP)
     return LaneProgram(
@@ -357,6 +477,9 @@ def _sorted(
         step_updates=step_updates,
         plain=plain_updates,
         rare=rare_updates,
+        events=tuple(events),
+        flagged=flagged,
+        shown=(tuple(plain.shown), tuple(rare.shown)),
         shared=shared,
         fixed=_of(by_lanes | by_steps, level, ONCE),
         own=_of(by_lanes, level, LANE),

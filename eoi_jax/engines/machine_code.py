@@ -78,12 +78,21 @@ class Layout:
     together: int
 
 
-def layout(program: LaneProgram, columns: int, dtype: Any) -> Layout:
-    """Where a program's numbers lie, for records of so many columns."""
+def layout(program: LaneProgram, columns: int, dtype: Any, width: int | None = None) -> Layout:
+    """Where a program's numbers lie.
+
+    Args:
+        program: sorted.
+        columns: numbers in a row of the record.
+        dtype: of all numbers.
+        width: lanes in one vector; what fills two registers if None.
+    """
     count = len(program.lane_carries)
+    # What happens, and what is shown, is known after each step.
+    single = program.events or program.shown[0]
     rows = count + len(program.own)
     return Layout(
-        width=_REGISTERS * register_bytes() // np.dtype(dtype).itemsize,
+        width=width or _REGISTERS * register_bytes() // np.dtype(dtype).itemsize,
         # Odd: rows of vectors a power of two apart would compete for the same lines of the cache.
         rows=rows + 1 - rows % 2,
         carries={i: row for row, i in enumerate(program.lane_carries)},
@@ -92,7 +101,7 @@ def layout(program: LaneProgram, columns: int, dtype: Any) -> Layout:
         fixed={node: place for place, node in enumerate(program.fixed)},
         steps={i: place for place, i in enumerate(program.step_carries)},
         columns=columns,
-        together=TOGETHER,
+        together=1 if single else TOGETHER,
     )
 
 
@@ -276,7 +285,8 @@ _LANES = (
     "define void @lanes(ptr noalias %memory, i64 %vectors, i64 %size, i64 %stride, "
     "ptr noalias %taken, "
     "ptr noalias readonly %shared, ptr noalias readonly %rares, ptr noalias readonly %fixed, "
-    "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, i64 %count) #0 {"
+    "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, "
+    "ptr noalias %shown, i64 %count) #0 {"
 )
 # Threads take tiles from one counter, so that none waits for Python or for a slower one.
 _TILE = """
@@ -357,7 +367,10 @@ def _write_steps(text: _Text, program: LaneProgram, where: Layout) -> None:
 
 
 def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
-    ends = ", ".join(f"[ %{name}.after, %{name}.out ]" for name in ("plain", "rare"))
+    ways = (
+        [("plain", where.together), ("rare", 1)] if program.flagged else [("plain", where.together)]
+    )
+    ends = ", ".join(f"[ %{name}.after, %{name}.out ]" for name, _ in ways)
     text.add(
         _LANES,
         _TILE,
@@ -367,12 +380,14 @@ def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
         "  br i1 %step.more, label %step.body, label %step.out",
         "step.body:",
     )
-    flag = text.let("getelementptr i8, ptr %rares, i64 %step.k")
-    flag = text.let(f"load i8, ptr {flag}")
-    flag = text.let(f"icmp ne i8 {flag}, 0")
-    text.add(f"  br i1 {flag}, label %rare.head, label %plain.head")
-    ways = (("plain", program.plain, where.together), ("rare", program.rare, 1))
-    for name, updates, steps in ways:
+    if program.flagged:
+        flag = text.let("getelementptr i8, ptr %rares, i64 %step.k")
+        flag = text.let(f"load i8, ptr {flag}")
+        flag = text.let(f"icmp ne i8 {flag}, 0")
+        text.add(f"  br i1 {flag}, label %rare.head, label %plain.head")
+    else:
+        text.add("  br label %plain.head")
+    for name, steps in ways:
         text.add(f"{name}.head:")
         rows = []
         for j in range(steps):
@@ -381,7 +396,7 @@ def _write_lanes(text: _Text, program: LaneProgram, where: Layout) -> None:
             rows.append(text.place("%shared", k))
         text.add(f"  br label %{name}")
         _loop(text, name, f"{name}.head", "%own")
-        _VectorSteps(text, program, where, f"%{name}.k", rows, updates).write()
+        _VectorSteps(text, program, where, name, rows).write()
         _loop_end(text, name)
         text.add(f"  %{name}.after = add i64 %step.k, {steps}", "  br label %step")
     text.add("step.out:", "  br label %tile", "tile.out:", "  ret void", "}")
@@ -391,20 +406,13 @@ class _VectorSteps:
     """Some steps of one vector of lanes: one scope for each step, one for what they share."""
 
     def __init__(
-        self,
-        text: _Text,
-        program: LaneProgram,
-        where: Layout,
-        vector: str,
-        rows: Sequence[str],
-        updates: Sequence[Update],
+        self, text: _Text, program: LaneProgram, where: Layout, name: str, rows: Sequence[str]
     ):
         self._text, self._program, self._where = text, program, where
-        self._vector, self._rows = vector, rows
-        # What is stored as it was read needs no line.
-        self._updates = [one for one in updates if one.node.value != (CARRY, one.carry)]
-        self._next = {one.carry: one.node for one in updates}
-        offset = text.let(f"mul i64 {vector}, {where.rows * where.width}")
+        self._name, self._vector, self._rows = name, f"%{name}.k", rows
+        self._updates = program.plain if name == "plain" else program.rare
+        self._next = {one.carry: one.node for one in self._updates}
+        offset = text.let(f"mul i64 {self._vector}, {where.rows * where.width}")
         self._base = text.place("%memory", text.let(f"add i64 %offset, {offset}"))
         self._always = self._scope(self._outside_steps)
         self._each = [self._scope(functools.partial(self._outside, j)) for j in range(len(rows))]
@@ -412,14 +420,56 @@ class _VectorSteps:
 
     def write(self) -> None:
         """All lines: what is needed for each carry's last value, and that value's way back."""
-        nodes = ordered([update.node for update in self._updates])
+        usual, rare = self._program.plain, self._program.rare
+        if self._name == "rare" or not self._program.events:
+            way = self._name == "rare"
+            self._stored(rare if way else usual, self._program.shown[way])
+            return
+        # The usual way is computed before the branch: the other one uses much of it.
+        for node in (*(one.node for one in usual), *self._program.shown[0]):
+            self._each[0].value(node)
+        self._text.add(f"  br i1 {self._any_event()}, label %event, label %usual", "usual:")
+        self._stored(usual, self._program.shown[0])
+        self._text.add(f"  br label %{self._name}.end", "event:")
+        self._stored(rare, self._program.shown[1])
+
+    def _any_event(self) -> str:
+        """Whether anything happens to any lane of the vector."""
+        scope, width, let = self._each[0], self._where.width, self._text.let
+        flag = scope.value(self._program.events[0])
+        for event in self._program.events[1:]:
+            flag = let(f"or {scope.flag} {flag}, {scope.value(event)}")
+        if width == 1:
+            return flag
+        name = f"@llvm.vector.reduce.or.v{width}i1"
+        self._text.declared.add(f"declare i1 {name}({scope.flag})")
+        return let(f"call i1 {name}({scope.flag} {flag})")
+
+    def _stored(self, updates: Sequence[Update], shown: Sequence[Node]) -> None:
+        scope, width = self._each[-1], self._where.width
+        # What is stored as it was read needs no line.
+        changed = [one for one in updates if one.node.value != (CARRY, one.carry)]
+        nodes = ordered([*(one.node for one in changed), *shown])
         old = {node.value[1] for node in nodes if node.op == "input" and node.value[0] == CARRY}
-        for update in self._updates:
-            value = self._each[-1].value(update.node)
+        out = [_as_number(scope, self._text, node, scope.value(node)) for node in shown]
+        for update in changed:
+            value = scope.value(update.node)
             if update.carry in old:  # others may still want what is about to be overwritten
                 self._carry(0, update.carry)
-            place = self._where.carries[update.carry] * self._where.width
+            place = self._where.carries[update.carry] * width
             self._text.store(value, self._base, place, self._always.real)
+        if out:
+            self._show(out)
+
+    def _show(self, out: Sequence[str]) -> None:
+        """One line of vectors for each step and vector of lanes."""
+        let, width = self._text.let, self._where.width
+        line = let("mul i64 %step.k, %vectors")
+        vector = let(f"add i64 %first, {self._vector}")
+        line = let(f"add i64 {line}, {vector}")
+        start = self._text.place("%shown", let(f"mul i64 {line}, {len(out) * width}"))
+        for i, value in enumerate(out):
+            self._text.store(value, start, i * width, self._always.real)
 
     def _scope(self, outside: Callable[[Node], str | None]) -> _Scope:
         def never_nan(node: Node) -> bool:

@@ -101,9 +101,15 @@ OPERATIONS = {
 
 
 class Graph:
-    """Nodes, each made once: equal operations on equal arguments are the same node."""
+    """Nodes, each made once: equal operations on equal arguments are the same node.
+
+    Attributes:
+        branches: conditions on which a program takes its rarer way, in the order in which they
+            were met; None while nobody asks.
+    """
 
     def __init__(self):
+        self.branches: list[Node] | None = None
         self._known: dict[tuple, Node] = {}
         self._order = itertools.count()
 

@@ -11,6 +11,7 @@ from problems import LEVEL, SWAY, grid
 from eoi_jax import plants
 from eoi_jax.data.record import Record
 from eoi_jax.engines import Lanes, Native, Scan, lane_program, machine_code, native
+from eoi_jax.engines import compiled as compiled_code
 from eoi_jax.engines.scalars import Untranslatable, ordered
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder, SuperTwisting
@@ -220,8 +221,8 @@ def test_one_compilation_for_all_lanes_and_lengths(monkeypatch):
     def dynamics(t, x, u, p):
         return -p.k * jnp.tanh(x.y[0]) - p.d * x.y[1] + u
 
-    compiled, original = [], native._translate
-    monkeypatch.setattr(native, "_translate", lambda *a: compiled.append(1) or original(*a))
+    compiled, original = [], compiled_code._translate
+    monkeypatch.setattr(compiled_code, "_translate", lambda *a: compiled.append(1) or original(*a))
     plant = Plant(dynamics, {"k": 5.0, "d": 0.4}, 2)
     for count, samples in ((3, 200), (40, 200), (3, 321)):
         steps = steps_of(plant, RELAY, samples)
@@ -237,13 +238,13 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-        native._compiled.cache_clear()
-        native._functions.cache_clear()
+        compiled_code.translated.cache_clear()
+        compiled_code.functions.cache_clear()
         Native().run(PENDULUM, lanes, LOWPASS, swinging)
         assert len(list((tmp_path / "native").iterdir())) == 1
-        native._compiled.cache_clear()
-        native._functions.cache_clear()
-        monkeypatch.setattr(native, "_translate", lambda *a: pytest.fail("compiled again"))
+        compiled_code.translated.cache_clear()
+        compiled_code.functions.cache_clear()
+        monkeypatch.setattr(compiled_code, "_translate", lambda *a: pytest.fail("compiled again"))
         again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     finally:
         jax.config.update("jax_compilation_cache_dir", folder)
@@ -255,8 +256,8 @@ def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, swinging):
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-        native._compiled.cache_clear()
-        native._functions.cache_clear()
+        compiled_code.translated.cache_clear()
+        compiled_code.functions.cache_clear()
         Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
     finally:
         jax.config.update("jax_compilation_cache_dir", folder)

@@ -1,0 +1,264 @@
+"""Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores."""
+
+import functools
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from eoi_jax.engines.compiled import Compiled, aligned, cores, numbers, together, translated
+from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
+from eoi_jax.engines.scalars import Untranslatable, evaluated
+from eoi_jax.sensitivity import RunCarry, RunKernel, RunLane, RunRow
+
+_ALONE = 4  # so many lanes run one by one: a vector of them would take longer
+_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
+
+Table = Float[np.ndarray, "runs rows columns"]
+
+
+@dataclass(frozen=True, eq=False)
+class _FreeRun(AbstractLoop):
+    """What is traced."""
+
+    kernel: RunKernel
+    lane: RunLane
+    step: RunRow
+    dtype: np.dtype
+    branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
+
+    @property
+    def row(self) -> RunRow:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """The plant and the length of a step."""
+        return self.kernel, jax.ShapeDtypeStruct((), self.dtype)
+
+    def begin(self, lane: RunLane, fixed: tuple) -> RunCarry:
+        """Before the first step."""
+        return fixed[0].init(lane)
+
+    def advance(
+        self, lane: RunLane, fixed: tuple, carry: RunCarry, row: RunRow
+    ) -> tuple[RunCarry, Any]:
+        """One step."""
+        kernel, h = fixed
+        return kernel.step(lane, carry, row, h)
+
+    def result(self, carry: RunCarry) -> Any:
+        """The normal equations."""
+        return carry.sums
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _FreeRun) and _key(self) == _key(other)
+
+    def __hash__(self) -> int:
+        return hash(_key(self))
+
+
+def _key(what: _FreeRun) -> tuple:
+    return traced_key((what.kernel, what.lane, what.step), what.dtype)
+
+
+def supports(kernel: RunKernel) -> str | None:
+    """Why free runs of a plant cannot be compiled here (JAX runs any); None if they can."""
+    if kernel.plant.actuator is not None:
+        return "inputs behind an actuator"
+    try:
+        _code(kernel, 1)
+    except Untranslatable as reason:
+        return str(reason)
+    return None
+
+
+def table(time: Any, inputs: Any, y: Any, use: Any) -> Float[np.ndarray, "rows columns"]:
+    """Rows of `RunRow` as one matrix, in the order of its parts."""
+    parts = [np.asarray(one, float) for one in (time, inputs, y, use)]
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+
+def summed(
+    kernel: RunKernel,
+    lanes: RunLane,
+    tables: Table,
+    steps: Float[np.ndarray, " runs"],
+    counts: Int[np.ndarray, " runs"],
+) -> Float[np.ndarray, "lanes runs size size"]:
+    """Normal equations of every run, from every lane's parameters.
+
+    Args:
+        kernel: the recursion; its plant's own parameter values are not used.
+        lanes: leading axes (lanes, runs) on each part.
+        tables: of each run, padded to one length.
+        steps: their length, of each run [s].
+        counts: rows of each run that are not padding.
+
+    Raises:
+        Untranslatable: what `supports` says.
+    """
+    many, runs = lanes.theta.shape[:2]
+    code = _code(kernel, 1 if many < _ALONE else None)
+    jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
+            for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
+    out = np.empty((many, runs, *code.program.sums.shape))
+    waiting = iter(jobs)
+
+    def work() -> None:
+        for job in waiting:  # threads take from one iterator
+            out[job.which, job.run] = job.sums()
+
+    together(work, min(cores(), len(jobs)))
+    return out
+
+
+def shown(
+    kernel: RunKernel,
+    lane: RunLane,
+    rows: Float[np.ndarray, "rows columns"],
+    step: float,
+    substeps: int,
+) -> Float[np.ndarray, "samples ny size"]:
+    """c of every sample of one run of one lane: minus the slopes of ŷ, and the error, weighed.
+
+    Args:
+        kernel: the recursion, storing signals.
+        lane: without leading axes.
+        rows: of the run.
+        step: length of a step [s].
+        substeps: rows in each sample.
+    """
+    code = _code(kernel, 1)
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
+    job = _Job(code, kernel, one, rows[None], np.array([step]), np.array([len(rows)]), 0, slice(1))
+    flat = job.shown(substeps)
+    return flat.reshape(len(flat), len(kernel.plant.outputs), -1)
+
+
+def _code(kernel: RunKernel, width: int | None) -> Compiled:
+    dtype = np.dtype(float)
+    plant, (nu, ny) = kernel.plant, (len(kernel.plant.inputs), len(kernel.plant.outputs))
+    own = len(kernel.rows) + len(np.asarray(plant.internal_start(np.asarray(plant.theta))))
+    number = functools.partial(jax.ShapeDtypeStruct, dtype=dtype)
+    lane = RunLane(
+        number((len(plant.names),)), number((own,)), number(()), number((ny,)), number(())
+    )
+    row = RunRow(number(()), number((3, nu)), number((ny,)), number((ny,)))
+    what = _FreeRun(shapes_of(kernel, dtype), lane, row, dtype)
+    return translated(what, 1 + 3 * nu + 2 * ny, width)
+
+
+def _parts(lanes: int, width: int, runs: int) -> list[slice]:
+    """Lanes for each job: whole vectors, so many that there is a job for every core."""
+    vectors = -(-lanes // width)
+    pieces = min(vectors, max(1, -(-cores() // runs)))
+    edges = width * np.round(np.linspace(0, vectors, pieces + 1)).astype(int)
+    return [slice(int(a), min(int(b), lanes)) for a, b in itertools.pairwise(edges)]
+
+
+class _Job:
+    """Some lanes of one run, with their memory."""
+
+    def __init__(
+        self,
+        code: Compiled,
+        kernel: RunKernel,
+        lanes: RunLane,
+        tables: Table,
+        steps: np.ndarray,
+        counts: np.ndarray,
+        run: int,
+        which: slice,
+    ):
+        self.run, self.which = run, which
+        self._code = code
+        self._rows = np.ascontiguousarray(tables[run, : counts[run]], float)
+        own = jax.tree.map(lambda leaf: np.asarray(leaf)[which, run], lanes)
+        self._count = len(own.theta)
+        self._begin(kernel, own, float(steps[run]))
+
+    def _begin(self, kernel: RunKernel, lanes: RunLane, h: float) -> None:
+        program, where = self._code.program, self._code.where
+        groups = {"lane": numbers(lanes, float, skip=1).T, "fixed": numbers((kernel, h), float)}
+        vectors = -(-self._count // where.width)
+        room = np.minimum(np.arange(vectors * where.width), self._count - 1)
+        memory = aligned((vectors, where.rows, where.width), float)
+        wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
+        values = evaluated(wanted, lambda at: groups[at[0]][at[1]], float)
+        self._spoilt = np.zeros(self._count, bool)
+        for row, value in enumerate(values):
+            whole = np.broadcast_to(value, self._count)
+            self._spoilt |= np.isnan(whole)
+            memory[:, row] = whole[room].reshape(vectors, where.width)
+        self._memory = memory
+        self._fixed, self._carries = (
+            np.array([*evaluated(nodes, lambda at: groups[at[0]][at[1]], float), 0.0])
+            for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
+        )
+
+    def sums(self) -> np.ndarray:
+        """The normal equations of the lanes."""
+        self._go(None)
+        program, where = self._code.program, self._code.where
+        out = np.empty((self._count, *program.sums.shape))
+        for at in np.ndindex(program.sums.shape):
+            i = program.same[program.sums[at]]
+            known = i not in where.carries
+            out[(slice(None), *at)] = (
+                program.initial[i].value
+                if known
+                else self._memory[:, where.carries[i]].reshape(-1)[: self._count]
+            )
+        out[self._spoilt] = np.nan
+        return out
+
+    def shown(self, substeps: int) -> np.ndarray:
+        """What the only lane shows of each sample."""
+        parts: list[np.ndarray] = []
+
+        def keep(first: int, part: np.ndarray) -> None:
+            parts.append(part[-first % substeps :: substeps].copy())
+
+        self._go(keep)
+        return np.concatenate(parts)
+
+    def _go(self, keep: Callable[[int, np.ndarray], None] | None) -> None:
+        where, total = self._code.where, len(self._rows)
+        count, vectors = min(_CHUNK, total), len(self._memory)
+        shared = aligned((count, max(len(where.shared), 1)), float)
+        width = len(self._code.program.shown[0])
+        out = aligned((count, max(width, 1)), float) if keep is not None else np.zeros(1)
+        none, zeros = np.zeros(1), np.zeros(count, np.int64)
+        for first in range(0, total, count):
+            now = min(count, total - first)
+            self._code.steps(
+                self._rows[first:].ctypes.data,
+                self._fixed.ctypes.data,
+                self._carries.ctypes.data,
+                shared.ctypes.data,
+                now,
+            )
+            taken = np.zeros(1, np.int64)
+            self._code.lanes(
+                self._memory.ctypes.data,
+                vectors,
+                vectors,
+                0,
+                taken.ctypes.data,
+                shared.ctypes.data,
+                zeros.ctypes.data,  # no row has a flag
+                self._fixed.ctypes.data,
+                none.ctypes.data,
+                zeros.ctypes.data,
+                1,
+                out.ctypes.data,
+                now,
+            )
+            if keep is not None:
+                keep(first, out[:now])

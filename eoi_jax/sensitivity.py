@@ -1,0 +1,147 @@
+r"""Free runs with their forward sensitivities, as a recursion that adds up normal equations.
+
+With unknowns $\vartheta$ (the start of the run, then the free parameters) and
+$S = \partial x/\partial\vartheta$, a step $x_{k+1} = \Phi_k(x_k; \theta)$ of `trajectory.py` gives
+
+$S_{k+1} = \frac{\partial\Phi_k}{\partial x} S_k + \frac{\partial\Phi_k}{\partial\vartheta}$
+
+by forward-mode differentiation, through every stop of dry friction. With the weighed error
+$r = (y - \hat y)/\sigma$ of a scored output and
+$c = (-\partial\hat y/\partial\vartheta/\sigma, r)$, the sums are $\sum w\,c\,c^\top$:
+information, gradient and cost, and no trajectory is stored.
+The weights are those of Huber's loss (P. J. Huber, *Robust Statistics*, section 7.8):
+$w = 1$ up to $|r| = \kappa$, $\kappa/|r|$ beyond.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax.plants.plant import Plant, State
+from eoi_jax.trajectory import advanced
+from eoi_jax.types import Scalar
+
+Host = Array | np.ndarray
+
+
+class RunLane(eqx.Module):
+    """What differs between lanes; every array may have a leading axis (lanes,).
+
+    Attributes:
+        theta: all parameters, shape (np,).
+        start: unknowns of the initial state: outputs and derivatives, then z, shape (own,).
+        declared: 1 where z starts as the plant declares, 0 where `start` says how.
+        scale: 1/σ of each output, shape (ny,).
+        threshold: κ of Huber's loss; infinite for squares.
+    """
+
+    theta: Float[Host, "*lanes np"]
+    start: Float[Host, "*lanes own"]
+    declared: Float[Host, "*lanes"]
+    scale: Float[Host, "*lanes ny"]
+    threshold: Float[Host, "*lanes"]
+
+
+class RunRow(eqx.Module):
+    """A step: when, with which inputs, and what was measured at its start.
+
+    Attributes:
+        time: of its start [s].
+        inputs: at its start, middle and end, shape (3, nu).
+        y: outputs at its start, anything finite where not scored.
+        use: 1 where scored, 0 where not; shape (ny,).
+    """
+
+    time: Float[Host, "*steps"]
+    inputs: Float[Host, "*steps 3 nu"]
+    y: Float[Host, "*steps ny"]
+    use: Float[Host, "*steps ny"]
+
+
+class RunCarry(eqx.Module):
+    """State, its derivatives with the unknowns (a leading axis), and the sums."""
+
+    x: State
+    slopes: State
+    sums: Float[Array, "size size"]
+
+
+class RunKernel(eqx.Module):
+    """The recursion of one lane.
+
+    Attributes:
+        plant: the equations.
+        friction: which outputs stick.
+        free: numbers of the parameters that are unknown.
+        rows, columns: of `State.y` that are states, in the order of `RunLane.start`.
+        store: ``"sums"`` adds up the normal equations; ``"signals"`` shows c instead.
+    """
+
+    plant: Plant
+    friction: tuple[bool, ...] = eqx.field(static=True)
+    free: tuple[int, ...] = eqx.field(static=True)
+    rows: tuple[int, ...] = eqx.field(static=True)
+    columns: tuple[int, ...] = eqx.field(static=True)
+    store: str = eqx.field(static=True)
+
+    def init(self, lane: RunLane) -> RunCarry:
+        """Before the first step."""
+        own, size = lane.start.shape[0], lane.start.shape[0] + len(self.free)
+
+        def start(values: Array, theta: Array) -> State:
+            count = len(self.rows)
+            empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
+            y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
+            z = jnp.where(lane.declared > 0, self.plant.internal_start(theta), values[count:])
+            return State(y, z)
+
+        def along(moved: Array, turned: Array) -> tuple[State, State]:
+            return jax.jvp(start, (lane.start, lane.theta), (moved, turned))
+
+        moved, turned = self._directions(own, lane.theta)
+        x, slopes = jax.vmap(along, out_axes=(None, 0))(moved, turned)
+        return RunCarry(x, slopes, jnp.zeros((size + 1, size + 1), lane.theta.dtype))
+
+    def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:
+        """Score the sample at the start of a step, then take it; also what is shown."""
+        shown = self._scored(lane, carry, row)
+        sums = carry.sums
+        if self.store == "sums":
+            sums, shown = sums + self._square(lane, shown), ()
+
+        def flow(x: State, theta: Array) -> State:
+            return advanced(self.plant, theta, row.time, h, row.inputs, x, self.friction)
+
+        def along(slope: State, turned: Array) -> tuple[State, State]:
+            return jax.jvp(flow, (carry.x, lane.theta), (slope, turned))
+
+        _, turned = self._directions(lane.start.shape[0], lane.theta)
+        x, slopes = jax.vmap(along, out_axes=(None, 0))(carry.slopes, turned)
+        return RunCarry(x, slopes, sums), shown
+
+    def _directions(self, own: int, theta: Array) -> tuple[Array, Array]:
+        """Of each unknown, in the start and in θ."""
+        size = own + len(self.free)
+        turned = np.zeros((size, theta.shape[0]))
+        turned[own + np.arange(len(self.free)), list(self.free)] = 1.0
+        return jnp.eye(size, own, dtype=theta.dtype), jnp.asarray(turned, theta.dtype)
+
+    def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
+        """c of each output; zero where not scored."""
+        error = row.y - carry.x.y[0]
+        columns = jnp.concatenate([-carry.slopes.y[:, 0, :].T, error[:, None]], axis=1)
+        return (row.use * lane.scale)[:, None] * columns
+
+    def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
+        """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
+        error = scored[:, -1]
+        far = jnp.abs(error) > lane.threshold
+        size = jnp.where(far, jnp.abs(error), 1.0)
+        weight = jnp.where(far, lane.threshold / size, 1.0)
+        square = (weight[:, None] * scored).T @ scored
+        beyond = jnp.where(far, lane.threshold * (size - lane.threshold), 0.0)
+        return square.at[-1, -1].add(jnp.sum(beyond))
