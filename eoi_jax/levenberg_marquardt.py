@@ -1,8 +1,9 @@
 r"""Levenberg-Marquardt for many runs that share parameters and start each on its own.
 
-Optimistix's solver; its first steps are all but Gauss-Newton. The Jacobian has the shape of an
-arrow: the initial states are eliminated run by run, for QR of the rows of each run leaves a small
-triangle (Å. Björck, *Numerical Methods for Least Squares Problems*, section 6.3).
+Optimistix's solver; its first steps are all but Gauss-Newton. Each run is given by a small square
+root of its normal equations. The Jacobian has the shape of an arrow: the initial states are
+eliminated run by run, for QR of the rows of each run leaves a small triangle (Å. Björck,
+*Numerical Methods for Least Squares Problems*, section 6.3).
 """
 
 from collections.abc import Callable
@@ -44,6 +45,7 @@ class _Arrow(optx.AbstractDescent):
 
     lower: Float[Array, " free"]
     upper: Float[Array, " free"]
+    scored: Scalar
 
     def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
         """Anything of the right shape."""
@@ -76,7 +78,7 @@ class _Arrow(optx.AbstractDescent):
         least = jnp.asarray(1e-12, error.dtype)
         _, left = _shared_step(_damped(triangles, own, least), own, least)
         cost = jnp.sum(error**2)
-        promise = (cost - left) / jnp.maximum(cost, _FLOOR * error.size)
+        promise = (cost - left) / jnp.maximum(cost, _FLOOR * self.scored)
         return _Reduced(triangles, *lengths, room, promise)
 
     def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
@@ -150,19 +152,23 @@ def solve(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
 @eqx.filter_jit
 def _solve(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
     solver = _LevenbergMarquardt(
-        0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper),
+        0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most,
     )  # fmt: skip
     found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
-    info, steps = found.state.f_info, found.stats["num_steps"]
+    steps = found.stats["num_steps"]
     return Outcome(
         found.value,
-        info.residual,
-        _columns(info.jac, found.value),
+        jnp.sum(found.state.f_info.residual**2),
         found.state.descent_state.promise,
         steps,
         (steps >= most) & ~_lost(found.state),
     )
+
+
+def _scored(problem: Problem) -> Scalar:
+    """How many values are scored."""
+    return jnp.sum(problem.tables[..., -len(problem.scale) :])
 
 
 def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:

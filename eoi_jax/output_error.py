@@ -1,13 +1,15 @@
 r"""Errors of free runs over parameters and initial states, and their derivatives.
 
 The runs of `refine`: fixed-step simulations, in which dry friction sticks, with forward-mode
-sensitivities. A run depends on no other run's initial state, so one sweep over all runs gives all
-columns of the Jacobian. The least squares over them is in `levenberg_marquardt.py`.
+sensitivities (`sensitivity.py`). A run depends on no other run's initial state, so one sweep over
+all runs gives the normal equations of all unknowns. The least squares over them is in
+`levenberg_marquardt.py`.
 """
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -17,11 +19,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
+from eoi_jax.engines import free_runs
 from eoi_jax.plants.plant import Plant, State
+from eoi_jax.sensitivity import RunKernel, RunLane, RunRow
 from eoi_jax.simulate import acted, behind, drive
-from eoi_jax.trajectory import Drive, frictional, trajectory
-from eoi_jax.types import Scalar, Theta
-from eoi_jax.validate import Run, initial_states, unpacked
+from eoi_jax.trajectory import Drive, frictional
+from eoi_jax.types import Scalar
+from eoi_jax.validate import Run, initial_states, owned
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
@@ -61,153 +65,318 @@ def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
 class Unknowns(eqx.Module):
     """Free parameters, and the initial state of each run (outputs and derivatives, then z)."""
 
-    theta: Float[Array, " free"]
-    starts: Float[Array, "runs unknowns"]
+    theta: Float[Array, "*lanes free"]
+    starts: Float[Array, "*lanes runs unknowns"]
 
 
 class Problem(eqx.Module):
-    """All runs side by side, padded to one length; padding and what is not scored weigh nothing.
+    """All runs side by side, padded to one length; what is not scored weighs nothing.
 
     Attributes:
+        kernel: a run as a recursion.
         theta: all parameters; those of `free` are replaced.
-        drives: what drives each run; its inputs are those before any actuator.
+        tables: rows of each run, in the order of `RunRow`; beyond its end the last one again.
+        counts: rows of each run. steps: their length [s].
         whole: of a plant with actuators, what drives each record: behind them its inputs change
-            with θ, and with all that came before a run. rows: steps of these, one after the other,
-            that each run takes.
-        declared: whether the run starts a record, where internal states are the plant's own.
-        weight: 1/σ of each output where scored, else 0.
+            with θ, and with all that came before a run. places: rows of these, one record after
+            the other, that each run takes.
+        declared: 1 where the run starts a record: internal states are then the plant's own.
+        scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
+        substeps: rows of a sample.
+        compiled: whether runs are compiled by `engines.free_runs`; else they are scans.
     """
 
-    plant: Plant
-    theta: Theta
-    drives: Drive
+    kernel: RunKernel
+    theta: Float[Array, " np"]
+    tables: Float[Array, "runs rows columns"]
+    counts: Int[Array, " runs"]
+    steps: Float[Array, " runs"]
     whole: tuple[Drive, ...]
-    rows: Int[Array, "runs steps"]
-    declared: Bool[Array, " runs"]
-    y: Float[Array, "runs time ny"]
-    weight: Float[Array, "runs time ny"]
+    places: Int[Array, "runs rows"] | None
+    declared: Float[Array, " runs"]
+    scale: Float[Array, " ny"]
+    threshold: Scalar
     lower: Float[Array, " free"]
     upper: Float[Array, " free"]
-    friction: tuple[bool, ...] = eqx.field(static=True)
-    free: tuple[int, ...] = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    compiled: bool = eqx.field(static=True)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Numbers of the parameters that are unknown."""
+        return self.kernel.free
+
+    @property
+    def use(self) -> Bool[np.ndarray, "runs time ny"]:
+        """Which samples are scored."""
+        return self._samples[1] > 0
+
+    @property
+    def y(self) -> Float[np.ndarray, "runs time ny"]:
+        """Outputs; zero where not scored."""
+        return self._samples[0]
+
+    @property
+    def _samples(self) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.asarray(self.tables)[:, :: self.substeps]
+        ny = len(self.kernel.plant.outputs)
+        return rows[..., -2 * ny : -ny], rows[..., -ny:]
 
 
 def problem_of(
     plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Problem:
     """The least squares of these runs, with the outputs weighed by their spread."""
-    longest = max(span.count for span in spans)
-    y, use = (np.zeros((len(spans), longest + 1, len(plant.outputs))) for _ in range(2))
-    for i, span in enumerate(spans):
-        part = slice(span.first, span.first + span.count + 1)
-        y[i, : span.count + 1] = records[span.record].outputs[part]
-        use[i, : span.count + 1] = span.use[:, None]
+    drives = [drive(one.time, one.inputs, one.hold, substeps) for one in records]
+    tables = _tables(records, drives, spans)
+    kernel = kernel_of(plant, "sums")
+    free = np.asarray(kernel.free)
+    acting = plant.actuator is not None
+    problem = Problem(
+        kernel=kernel,
+        theta=jnp.asarray(plant.theta),
+        tables=jnp.asarray(tables),
+        counts=jnp.asarray([substeps * span.count + 1 for span in spans]),
+        steps=jnp.asarray([float(drives[span.record].step) for span in spans]),
+        whole=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
+        places=jnp.asarray(_places(drives, spans)) if acting else None,
+        declared=jnp.asarray([float(span.first == 0) for span in spans]),
+        scale=jnp.ones(len(plant.outputs)),
+        threshold=jnp.asarray(jnp.inf),
+        lower=jnp.asarray(np.asarray(plant.lower)[free]),
+        upper=jnp.asarray(np.asarray(plant.upper)[free]),
+        substeps=substeps,
+        compiled=free_runs.supports(kernel) is None,
+    )
     # σ of the first fit: the spread of each output, for want of a residual.
+    y, use = problem.y, problem.use
     count = np.sum(use, axis=(0, 1))
     mean = np.sum(use * y, axis=(0, 1)) / count
     spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
-    free = np.flatnonzero(plant.free)
-    whole = _whole(records, substeps)
-    return Problem(
-        plant,
-        jnp.asarray(plant.theta),
-        _drives(whole, spans, longest),
-        () if plant.actuator is None else tuple(jax.tree.map(jnp.asarray, whole)),
-        jnp.asarray(_rows(whole, spans, longest)),
-        jnp.asarray([span.first == 0 for span in spans]),
-        jnp.asarray(y),
-        jnp.asarray(use / np.where(spread > 0, spread, 1.0)),
-        jnp.asarray(np.asarray(plant.lower)[free]),
-        jnp.asarray(np.asarray(plant.upper)[free]),
-        frictional(plant),
-        tuple(free.tolist()),
+    return weighed(problem, spread)
+
+
+def kernel_of(plant: Plant, store: str) -> RunKernel:
+    """The recursion of a plant's free runs, over its free parameters."""
+    rows, columns = (tuple(one.tolist()) for one in owned(plant))
+    free = tuple(np.flatnonzero(plant.free).tolist())
+    return RunKernel(plant, frictional(plant), free, rows, columns, store)
+
+
+def weighed(
+    problem: Problem, sigma: Float[np.ndarray, " ny"], threshold: float = np.inf
+) -> Problem:
+    """With other weights: an output without spread counts as it is."""
+    scale = jnp.asarray(1.0 / np.where(sigma > 0, sigma, 1.0))
+    return eqx.tree_at(
+        lambda one: (one.scale, one.threshold), problem, (scale, jnp.asarray(float(threshold)))
     )
 
 
-def _whole(records: Sequence[Record], substeps: int) -> list[Drive]:
-    return [drive(one.time, one.inputs, one.hold, substeps) for one in records]
-
-
-def _rows(
-    whole: Sequence[Drive], spans: Sequence[Span], count: int
-) -> Int[np.ndarray, "runs steps"]:
-    """Steps of each run among those of all records; beyond the end of a record its last one."""
-    ends, rows = np.cumsum([len(one.time) for one in whole]), []
+def _tables(
+    records: Sequence[Record], drives: Sequence[Drive], spans: Sequence[Span]
+) -> Float[np.ndarray, "runs rows columns"]:
+    """Rows of every run; a last row scores its last sample."""
+    longest, parts = max(span.count for span in spans), []
     for span in spans:
-        n, length = whole[span.record].substeps, len(whole[span.record].time)
-        index = n * span.first + np.arange(n * count)
-        rows.append(ends[span.record] - length + np.minimum(index, length - 1))
+        record, one = records[span.record], drives[span.record]
+        n, part = one.substeps, slice(span.first, span.first + span.count + 1)
+        y, use = (np.zeros((n * longest + 1, record.outputs.shape[1])) for _ in range(2))
+        use[: n * span.count + 1 : n] = span.use[:, None]
+        y[: n * span.count + 1 : n] = np.where(span.use[:, None], record.outputs[part], 0.0)
+        last = n * (span.first + span.count)
+        index = np.minimum(n * span.first + np.arange(n * longest + 1), last)
+        inside = np.minimum(index, len(one.time) - 1)
+        time = np.append(one.time, record.time[-1])[index]
+        parts.append(free_runs.table(time, np.asarray(one.inputs)[inside], y, use))
+    return np.stack(parts)
+
+
+def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "runs rows"]:
+    """Rows of each run among those of all records; beyond the end of a record its last one."""
+    ends = np.cumsum([len(one.time) for one in drives])
+    longest, rows = max(span.count for span in spans), []
+    for span in spans:
+        n, length = drives[span.record].substeps, len(drives[span.record].time)
+        index = np.minimum(n * span.first + np.arange(n * longest + 1), length - 1)
+        rows.append(ends[span.record] - length + index)
     return np.stack(rows)
 
 
-def _drives(whole: Sequence[Drive], spans: Sequence[Span], count: int) -> Drive:
-    """What drives each run, runs first; beyond the end of a record its last step, held."""
-    step = np.stack([np.asarray(whole[span.record].step) for span in spans])
-    begin = np.stack([whole[one.record].time[one.first * whole[0].substeps] for one in spans])
-    time = begin[:, None] + step[:, None] * np.arange(whole[0].substeps * count)
-    inputs = np.concatenate([one.inputs for one in whole])[_rows(whole, spans, count)]
-    return Drive(jnp.asarray(time), jnp.asarray(step), jnp.asarray(inputs), whole[0].substeps)
-
-
 def guessed_starts(
-    problem: Problem, records: Sequence[Record], spans: Sequence[Span], substeps: int
+    plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Float[np.ndarray, "runs unknowns"]:
-    """Initial states fitted to the first samples of each run, at the starting parameters."""
+    """Initial states fitted to the first samples of each run, at the plant's own parameters."""
     count = min([_HEAD, *(span.count for span in spans)])
-    run = Run(problem.plant, problem.friction, count, substeps)
-    whole = [acted(problem.plant, one) for one in _whole(records, substeps)]
-    heads = _drives(whole, spans, count - 1)
-    y = np.asarray(problem.y[:, :count])
-    valid = np.stack([records[one.record].valid[one.first : one.first + count] for one in spans])
+    run = Run(plant, frictional(plant), count, substeps)
+    drives = [acted(plant, drive(one.time, one.inputs, one.hold, substeps)) for one in records]
+    heads = _heads(drives, spans, count - 1)
+    seen = [slice(span.first, span.first + count) for span in spans]
+    pairs = list(zip(spans, seen, strict=True))
+    valid = np.stack([records[span.record].valid[part] for span, part in pairs])
+    y = np.stack([records[span.record].outputs[part] for span, part in pairs])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return initial_states(run, problem.theta, heads, y, valid)
+        return initial_states(run, jnp.asarray(plant.theta), heads, y, valid)
 
 
-# -- residuals and their Jacobian -------------------------------------------------------------
+def _heads(drives: Sequence[Drive], spans: Sequence[Span], count: int) -> Drive:
+    """What drives the beginning of each run, runs first."""
+    n = drives[0].substeps
+    cut = [(drives[span.record], slice(n * span.first, n * (span.first + count))) for span in spans]
+    time = np.stack([np.asarray(one.time)[part] for one, part in cut])
+    inputs = np.stack([np.asarray(one.inputs)[part] for one, part in cut])
+    step = np.stack([np.asarray(one.step) for one, _ in cut])
+    return Drive(time, step, inputs, n)
 
 
-def start_of(plant: Plant, theta: Theta, values: Array, declared: Array) -> State:
+# -- sums and signals -------------------------------------------------------------------------
+
+
+def start_of(plant: Plant, theta: Any, values: Array, declared: Any) -> State:
     """Initial state from its unknowns; internal states by the plant where it declares them."""
-    start = unpacked(plant, values)
+    rows, columns = owned(plant)
+    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), values.dtype)
+    y = empty.at[rows, columns].set(values[: len(rows)])
     own = plant.internal_start(theta)
-    return eqx.tree_at(lambda x: x.z, start, jnp.where(declared, own, start.z))
+    return State(y, jnp.where(declared > 0, own, values[len(rows) :]))
 
 
-def _errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
+def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
     theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
-
-    def one(run: Any) -> Float[Array, " rows"]:
-        driven_by, y, weight, declared, values = run
-        start = start_of(problem.plant, theta, values, declared)
-        y_hat = trajectory(problem.plant, theta, driven_by, start, problem.friction)[0][:, 0, :]
-        return jnp.where(weight > 0, weight * (y - y_hat), 0.0).ravel()
-
-    drives = _acted(problem, theta)
-    runs = (drives, problem.y, problem.weight, problem.declared, unknowns.starts)
-    if any(problem.friction):  # one after the other: then only the steps with a stop pay for it
-        return jax.lax.map(one, runs)
-    return jax.vmap(one)(runs)
-
-
-def _acted(problem: Problem, theta: Theta) -> Drive:
-    """What drives the runs behind the actuators: cut from whole records, as a function of θ."""
-    if problem.plant.actuator is None:
-        return problem.drives
-    inputs = jnp.concatenate([behind(problem.plant, theta, one) for one in problem.whole])
-    return eqx.tree_at(lambda drives: drives.inputs, problem.drives, inputs[problem.rows])
+    if not problem.compiled:
+        return _scanned(problem, theta, unknowns.starts)[0]
+    leaves, structure = jax.tree.flatten(problem.kernel)
+    runs, size = len(problem.counts), unknowns.starts.shape[-1] + len(problem.free) + 1
+    return jax.pure_callback(
+        partial(_on_host, structure),
+        jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
+        theta,
+        unknowns.starts,
+        problem.declared,
+        problem.scale,
+        problem.threshold,
+        problem.tables,
+        problem.steps,
+        problem.counts,
+        *leaves,
+        vmap_method="expand_dims",
+    )
 
 
-@eqx.filter_jit  # traced once, wherever a solver asks for it
-def linearised(
-    unknowns: Unknowns, problem: Problem
-) -> tuple[Float[Array, "runs rows"], Float[Array, "unknowns runs rows"]]:
-    """Weighed errors, and their derivatives with the unknowns of each run, its start first."""
+def _on_host(structure: Any, theta: Any, *rest: Any) -> np.ndarray:
+    """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
+    one = np.ndim(theta) == 1
+    arrays = [np.asarray(part)[None] if one else np.asarray(part) for part in (theta, *rest)]
+    theta, starts, declared, scale, threshold, tables, steps, counts, *leaves = arrays
+    many, runs = max(len(theta), len(starts)), starts.shape[1]
 
-    def slope(along: Array) -> tuple[Array, Array]:
-        moved = direction(unknowns, along)
-        return jax.jvp(lambda at: _errors(at, problem), (unknowns,), (moved,))
+    def spread(array: np.ndarray, *shape: int) -> np.ndarray:
+        return np.broadcast_to(array, (many, runs, *shape))
 
-    return jax.vmap(slope, out_axes=(None, 0))(each(unknowns))
+    lanes = RunLane(
+        spread(theta[:, None], theta.shape[1]),
+        spread(starts, starts.shape[2]),
+        spread(declared),
+        spread(scale[:, None], scale.shape[1]),
+        spread(threshold[:, None]),
+    )
+    kernel = jax.tree.unflatten(structure, [leaf[0] for leaf in leaves])
+    out = free_runs.summed(kernel, lanes, tables[0], steps[0], counts[0])
+    return out[0] if one else out
+
+
+def _scanned(
+    problem: Problem, theta: Array, starts: Array, store: str = "sums"
+) -> tuple[Array, Any]:
+    """All runs, each by a scan: sums, and what their rows show."""
+    kernel = eqx.tree_at(lambda one: one.plant, problem.kernel, problem.kernel.plant)
+    kernel = RunKernel(
+        kernel.plant, kernel.friction, kernel.free, kernel.rows, kernel.columns, store
+    )
+    plant, tables = kernel.plant, problem.tables
+    ny, nu = len(plant.outputs), len(plant.inputs)
+    time, inputs, y, use = jnp.split(tables, [1, 1 + 3 * nu, 1 + 3 * nu + ny], axis=2)
+    inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
+    if problem.places is not None:
+        inputs, slope = _acted(problem, theta)
+
+    def one(run: Any) -> Any:
+        start, declared, rows, h = run
+        lane = RunLane(theta, start, declared, problem.scale, problem.threshold)
+        return kernel.run(lane, rows, h)
+
+    rows = RunRow(time[..., 0], inputs, y, use, slope)
+    runs = (starts, problem.declared, rows, problem.steps)
+    # One after the other with dry friction: then only the steps with a stop pay for it.
+    return jax.lax.map(one, runs) if any(kernel.friction) else jax.vmap(one)(runs)
+
+
+def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
+    """Inputs of the runs behind the actuators, and their derivatives with θ."""
+
+    def whole(theta: Array) -> tuple[Array, Array]:
+        parts = [behind(problem.kernel.plant, theta, one) for one in problem.whole]
+        inputs = jnp.concatenate(parts)
+        return inputs, inputs
+
+    slope, inputs = jax.jacfwd(whole, has_aux=True)(theta)
+    return inputs[problem.places], slope[problem.places]
+
+
+def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:
+    """c of every sample: derivatives of the weighed errors, start first, and the errors."""
+    theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
+    if not problem.compiled:
+        return np.asarray(_shown(problem, theta, unknowns.starts))[:, :: problem.substeps]
+    counts, out = np.asarray(problem.counts), None
+    kernel = kernel_of(problem.kernel.plant, "signals")
+    for i, count in enumerate(counts):
+        lane = RunLane(
+            theta, unknowns.starts[i], problem.declared[i], problem.scale, problem.threshold
+        )
+        rows = np.asarray(problem.tables)[i, :count]
+        part = free_runs.shown(kernel, lane, rows, float(problem.steps[i]), problem.substeps)
+        if out is None:
+            out = np.zeros((len(counts), problem.use.shape[1], *part.shape[1:]))
+        out[i, : len(part)] = part
+    assert out is not None
+    return out
+
+
+@eqx.filter_jit
+def _shown(problem: Problem, theta: Array, starts: Array) -> Float[Array, "runs rows ny size"]:
+    return _scanned(problem, theta, starts, "signals")[1]
+
+
+@eqx.filter_custom_jvp
+def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size"]:
+    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
+    return _roots(unknowns, problem)[..., -1]
+
+
+@errors.def_jvp
+def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """The whole Jacobian in one sweep; then products with it cost next to nothing."""
+    unknowns, problem = primals
+    moved, _ = tangents
+    own = unknowns.starts.shape[1]
+    roots = _roots(unknowns, problem)
+    along = jnp.einsum("riu,ru->ri", roots[..., :own], moved.starts)
+    return roots[..., -1], along + jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
+
+
+def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+    r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
+    square = sums(unknowns, problem)
+    length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
+    length = jnp.where(length > 0, length, 1.0)
+    scaled = square / (length[:, :, None] * length[:, None, :])
+    values, vectors = jnp.linalg.eigh(scaled)
+    root = jnp.sqrt(jnp.maximum(values, 0.0))[:, :, None] * jnp.swapaxes(vectors, 1, 2)
+    # NaN must stay: the maximum above would hide a run that has diverged.
+    bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2), keepdims=True)
+    return jnp.where(bad, jnp.nan, root * length[:, None, :])
 
 
 def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
@@ -221,37 +390,18 @@ def direction(unknowns: Unknowns, along: Float[Array, " unknowns"]) -> Unknowns:
     return Unknowns(along[own:], jnp.broadcast_to(along[:own], unknowns.starts.shape))
 
 
-@eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs rows"]:
-    """Weighed errors of all runs, zero where not scored."""
-    return _errors(unknowns, problem)
-
-
-@errors.def_jvp
-def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """The whole Jacobian in one sweep; then products with it cost next to nothing."""
-    unknowns, problem = primals
-    moved, _ = tangents
-    error, jacobian = linearised(unknowns, problem)
-    own = unknowns.starts.shape[1]
-    along = jnp.einsum("uir,iu->ir", jacobian[:own], moved.starts)
-    return error, along + jnp.einsum("uir,u->ir", jacobian[own:], moved.theta)
-
-
 class Outcome(eqx.Module):
     """Where the solver ended.
 
     Attributes:
         unknowns: the best ones.
-        error: weighed errors there.
-        columns: derivatives of `error` with the unknowns of each run, its start first.
+        cost: there, with the weights of the problem.
         promise: share of the cost that least squares still promises to take away.
         steps: simulations with sensitivities. exhausted: whether there were too few.
     """
 
     unknowns: Unknowns
-    error: Float[Array, "runs rows"]
-    columns: Float[Array, "runs rows unknowns"]
-    promise: Scalar
-    steps: Int[Array, ""]
-    exhausted: Bool[Array, ""]
+    cost: Float[Array, "*lanes"]
+    promise: Float[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    exhausted: Bool[Array, "*lanes"]

@@ -11,10 +11,9 @@ Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marqua
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
@@ -27,8 +26,10 @@ from eoi_jax.output_error import (
     Unknowns,
     guessed_starts,
     problem_of,
+    signals,
     spans_of,
     start_of,
+    weighed,
 )
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records
@@ -85,66 +86,78 @@ def refine(
     problem = problem_of(nominal, several, spans, substeps)
     unknowns = Unknowns(
         jnp.asarray(nominal.theta)[np.asarray(problem.free)],
-        jnp.asarray(guessed_starts(problem, several, spans, substeps)),
+        jnp.asarray(guessed_starts(nominal, several, spans, substeps)),
     )
     fit = _fitted(problem, unknowns, max_steps)
-    if not np.all(np.isfinite(fit.before)):
+    if fit is None:
         return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
     return _refinement(fit, several, spans, window)
 
 
-def _fitted(problem: Problem, unknowns: Unknowns, max_steps: int) -> "_Fit":
+def _fitted(problem: Problem, unknowns: Unknowns, max_steps: int) -> "_Fit | None":
     """Fits until the outputs are weighed by their residuals (one output: a single fit).
 
     Each lowers the sum of squares under weights that were the best ones before: alternating
-    minimisation of the likelihood over the unknowns and σ, which never goes up.
+    minimisation of the likelihood over the unknowns and σ, which never goes up. None where the
+    runs diverge from the start.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve
 
-    # The first step is only an evaluation, by the code that is compiled for all of them.
-    before = _unweighed(problem, solve(problem, unknowns, 1).error)
-    one = solve(problem, unknowns, max_steps)
-    fit = _Fit(problem, one, before, int(one.steps))
-    if problem.y.shape[2] == 1 or not np.all(np.isfinite(fit.before)):
-        return fit
-    for _ in range(_ROUNDS):
-        sigma = _rms(_unweighed(fit.problem, fit.outcome.error), fit.use)
+    before = _unweighed(problem, signals(unknowns, problem))
+    if not np.all(np.isfinite(before)):
+        return None
+    steps = 0
+    for _ in range(1 + _ROUNDS):
+        outcome = solve(problem, unknowns, max_steps)
+        unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
+        fit = _Fit(problem, signals(unknowns, problem), before, outcome, steps)
+        sigma = _rms(fit.error, fit.use)
         # An output without any error would weigh infinitely.
-        sigma = np.maximum(sigma, 1e-9 * np.max(np.abs(np.asarray(problem.y)), axis=(0, 1)))
-        weight = fit.use / np.where(sigma > 0, sigma, 1.0)
-        ratio = np.max(weight, axis=(0, 1)) / np.max(np.asarray(fit.problem.weight), axis=(0, 1))
+        sigma = np.maximum(sigma, 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
+        ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
         if np.max(ratio) < (1.0 + _SETTLED) * np.min(ratio):
             break
-        new = eqx.tree_at(lambda one: one.weight, problem, jnp.asarray(weight))
-        one = solve(new, fit.outcome.unknowns, max_steps)
-        fit = _Fit(new, one, fit.before, fit.steps + int(one.steps))
+        problem = weighed(problem, sigma)
     return fit
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """The last fit, and the errors at the very start."""
+    """The last fit.
+
+    Attributes:
+        problem: with the weights of this fit.
+        shown: `signals` where it ended.
+        before: errors at the very start.
+        outcome: of the solver.
+        steps: of all fits.
+    """
 
     problem: Problem
-    outcome: Outcome
+    shown: Float[np.ndarray, "runs time ny size"]
     before: Float[np.ndarray, "runs time ny"]
+    outcome: Outcome
     steps: int
 
     @property
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
         """Which samples are scored."""
-        return np.asarray(self.problem.weight) > 0
+        return self.problem.use
+
+    @property
+    def error(self) -> Float[np.ndarray, "runs time ny"]:
+        """y - ŷ; zero where not scored."""
+        return _unweighed(self.problem, self.shown)
 
     @property
     def differentiable(self) -> bool:
         """Whether the free runs have derivatives where the fit ended."""
-        return bool(np.all(np.isfinite(np.asarray(self.outcome.columns))))
+        return bool(np.all(np.isfinite(self.shown)))
 
 
-def _unweighed(problem: Problem, error: Array) -> Float[np.ndarray, "runs time ny"]:
-    weight = np.asarray(problem.weight)
-    return np.reshape(np.asarray(error), weight.shape) / np.where(weight > 0, weight, 1.0)
+def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
+    return shown[..., -1] / np.asarray(problem.scale)
 
 
 def _rms(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
@@ -158,11 +171,10 @@ def _rms(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
 def _refinement(
     fit: _Fit, records: Sequence[Record], spans: Sequence[Span], window: float | None
 ) -> Refinement:
-    problem, nominal = fit.problem, fit.problem.plant
+    problem, nominal = fit.problem, fit.problem.kernel.plant
     theta = np.array(nominal.theta, dtype=float)
     theta[list(problem.free)] = np.asarray(fit.outcome.unknowns.theta)
-    plant = nominal.with_parameters(theta)
-    error = _unweighed(problem, fit.outcome.error)
+    plant, error = nominal.with_parameters(theta), fit.error
     rmse, before = _rms(error, fit.use), _rms(fit.before, fit.use)
     bound = [name for i, name in enumerate(plant.names) if i in problem.free
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
@@ -216,9 +228,10 @@ def _covariance(
     NaN where there are no derivatives. The columns of θ are taken beside those of the starts,
     which are estimated too.
     """
-    columns, error = np.asarray(fit.outcome.columns), np.asarray(fit.outcome.error)
     if not fit.differentiable:
         return np.full((len(plant.names), len(plant.names)), np.nan), []
+    whole = fit.shown.reshape(len(fit.shown), -1, fit.shown.shape[-1])
+    columns, error = whole[..., :-1], whole[..., -1]
     own = columns.shape[2] - len(fit.problem.free)
     names = [plant.names[i] for i in fit.problem.free]
     shared = columns[..., own:] * np.asarray([name not in bound for name in names])

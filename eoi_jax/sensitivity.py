@@ -54,12 +54,14 @@ class RunRow(eqx.Module):
         inputs: at its start, middle and end, shape (3, nu).
         y: outputs at its start, anything finite where not scored.
         use: 1 where scored, 0 where not; shape (ny,).
+        slope: derivatives of the inputs with θ at the lane's own, behind actuators; else None.
     """
 
     time: Float[Host, "*steps"]
     inputs: Float[Host, "*steps 3 nu"]
     y: Float[Host, "*steps ny"]
     use: Float[Host, "*steps ny"]
+    slope: Float[Host, "*steps 3 nu np"] | None = None
 
 
 class RunCarry(eqx.Module):
@@ -114,7 +116,8 @@ class RunKernel(eqx.Module):
             sums, shown = sums + self._square(lane, shown), ()
 
         def flow(x: State, theta: Array) -> State:
-            return advanced(self.plant, theta, row.time, h, row.inputs, x, self.friction)
+            u = row.inputs if row.slope is None else row.inputs + row.slope @ (theta - lane.theta)
+            return advanced(self.plant, theta, row.time, h, u, x, self.friction)
 
         def along(slope: State, turned: Array) -> tuple[State, State]:
             return jax.jvp(flow, (carry.x, lane.theta), (slope, turned))
@@ -122,6 +125,15 @@ class RunKernel(eqx.Module):
         _, turned = self._directions(lane.start.shape[0], lane.theta)
         x, slopes = jax.vmap(along, out_axes=(None, 0))(carry.slopes, turned)
         return RunCarry(x, slopes, sums), shown
+
+    def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
+        """A whole run by `lax.scan`: the sums, and what each row shows."""
+
+        def step(carry: RunCarry, row: RunRow) -> tuple[RunCarry, Any]:
+            return self.step(lane, carry, row, h)
+
+        last, shown = jax.lax.scan(step, self.init(lane), rows)
+        return last.sums, shown
 
     def _directions(self, own: int, theta: Array) -> tuple[Array, Array]:
         """Of each unknown, in the start and in θ."""
@@ -134,7 +146,7 @@ class RunKernel(eqx.Module):
         """c of each output; zero where not scored."""
         error = row.y - carry.x.y[0]
         columns = jnp.concatenate([-carry.slopes.y[:, 0, :].T, error[:, None]], axis=1)
-        return (row.use * lane.scale)[:, None] * columns
+        return jnp.where(row.use[:, None] > 0, lane.scale[:, None] * columns, 0.0)
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""

@@ -328,7 +328,7 @@ class _Heads:
 
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
-        rows, columns = _owned(self.run.plant)
+        rows, columns = owned(self.run.plant)
         reach = np.ptp(self.y, axis=1) + 1e-3 * np.max(np.abs(self.y), axis=1)
         reach = np.where(reach > 0, reach, 1.0)[:, columns]
         z = np.abs(values[:, len(rows) :])
@@ -351,8 +351,8 @@ class _Heads:
         return out.reshape(*values.shape[:2], *out.shape[1:])
 
 
-def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of `State.y` that are states, output by output."""
+def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of `State.y` that are states of a plant, output by output."""
     pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
     rows, columns = np.asarray(pairs).T
     return rows, columns
@@ -360,7 +360,7 @@ def _owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
 
 def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
     """The state of which `values` are what is unknown: outputs and derivatives, then z."""
-    rows, columns = _owned(plant)
+    rows, columns = owned(plant)
     empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
     return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
 
@@ -374,7 +374,7 @@ def _polynomial_starts(
     The last one is repeated where the head is too short for more.
     """
     degree = plant.relative_degree + 1
-    rows, columns = _owned(plant)
+    rows, columns = owned(plant)
     factorial = np.cumprod([1.0, *range(1, degree + 1)])
     (known,) = np.nonzero(valid)
     starts, count = [], len(known)

@@ -10,7 +10,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
-from eoi_jax.output_error import Unknowns, guessed_starts, linearised, problem_of, spans_of
+from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
 from eoi_jax.refine import refine
 
 PERIOD = 5e-3
@@ -79,7 +79,7 @@ def prepared(plant, records, window, substeps=4):
     spans = spans_of(records, window)
     problem = problem_of(plant, records, spans, substeps)
     theta = jnp.asarray(plant.theta)[np.asarray(problem.free)]
-    starts = guessed_starts(problem, records, spans, substeps)
+    starts = guessed_starts(plant, records, spans, substeps)
     return problem, Unknowns(theta, jnp.asarray(starts))
 
 
@@ -91,11 +91,13 @@ def prepared(plant, records, window, substeps=4):
 def test_derivatives_are_finite_differences(plant, moved):
     problem, unknowns = prepared(plant, twice(plant.with_parameters(moved)), 5.0)
     assert problem.declared.tolist() == [True, False, True]
-    _, jacobian = linearised(unknowns, problem)
+    assert problem.compiled == (plant is RUBBING)
+    jacobian = np.moveaxis(signals(unknowns, problem)[:, :, 0, :-1], -1, 0)
     own, free = unknowns.starts.shape[1], len(problem.free)
 
     def flat(x):
-        return linearised(Unknowns(x[:free], x[free:].reshape(unknowns.starts.shape)), problem)[0]
+        moved = Unknowns(x[:free], x[free:].reshape(unknowns.starts.shape))
+        return signals(moved, problem)[:, :, 0, -1]
 
     x = jnp.concatenate([unknowns.theta, jnp.ravel(unknowns.starts)])
     for j in range(len(x)):

@@ -1,6 +1,5 @@
 """Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores."""
 
-import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -67,12 +66,20 @@ def _key(what: _FreeRun) -> tuple:
     return traced_key((what.kernel, what.lane, what.step), what.dtype)
 
 
-def supports(kernel: RunKernel) -> str | None:
-    """Why free runs of a plant cannot be compiled here (JAX runs any); None if they can."""
-    if kernel.plant.actuator is not None:
+def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
+    """Why free runs of a plant cannot be compiled here (JAX runs any); None if they are, now.
+
+    Args:
+        kernel: the recursion.
+        lanes: how many will run side by side.
+    """
+    plant = kernel.plant
+    if plant.actuator is not None:
         return "inputs behind an actuator"
+    theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
+    own = len(kernel.rows) + jax.eval_shape(plant.internal_start, theta).shape[0]
     try:
-        _code(kernel, 1)
+        _code(kernel, own, lanes)
     except Untranslatable as reason:
         return str(reason)
     return None
@@ -104,7 +111,7 @@ def summed(
         Untranslatable: what `supports` says.
     """
     many, runs = lanes.theta.shape[:2]
-    code = _code(kernel, 1 if many < _ALONE else None)
+    code = _code(kernel, lanes.start.shape[2], many)
     jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
             for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
     out = np.empty((many, runs, *code.program.sums.shape))
@@ -134,24 +141,21 @@ def shown(
         step: length of a step [s].
         substeps: rows in each sample.
     """
-    code = _code(kernel, 1)
+    code = _code(kernel, np.shape(lane.start)[0], 1)
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
     job = _Job(code, kernel, one, rows[None], np.array([step]), np.array([len(rows)]), 0, slice(1))
     flat = job.shown(substeps)
     return flat.reshape(len(flat), len(kernel.plant.outputs), -1)
 
 
-def _code(kernel: RunKernel, width: int | None) -> Compiled:
+def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
     dtype = np.dtype(float)
     plant, (nu, ny) = kernel.plant, (len(kernel.plant.inputs), len(kernel.plant.outputs))
-    own = len(kernel.rows) + len(np.asarray(plant.internal_start(np.asarray(plant.theta))))
-    number = functools.partial(jax.ShapeDtypeStruct, dtype=dtype)
-    lane = RunLane(
-        number((len(plant.names),)), number((own,)), number(()), number((ny,)), number(())
-    )
-    row = RunRow(number(()), number((3, nu)), number((ny,)), number((ny,)))
-    what = _FreeRun(shapes_of(kernel, dtype), lane, row, dtype)
-    return translated(what, 1 + 3 * nu + 2 * ny, width)
+    none = np.zeros(())
+    lane = RunLane(np.zeros(len(plant.names)), np.zeros(own), none, np.zeros(ny), none)
+    row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
+    what = _FreeRun(*(shapes_of(tree, dtype) for tree in (kernel, lane, row)), dtype)
+    return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
 
 
 def _parts(lanes: int, width: int, runs: int) -> list[slice]:

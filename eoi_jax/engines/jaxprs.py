@@ -180,7 +180,13 @@ def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
     return [nodes_of(graph, fits.index(True))]
 
 
-_MANY: dict[str, Callable] = {"platform_index": _platform, "scan": _scan, "cond": _cond, "split": _split, "unstack": _unstack}
+_MANY: dict[str, Callable] = {
+    "platform_index": _platform,
+    "scan": _scan,
+    "cond": _cond,
+    "split": _split,
+    "unstack": _unstack,
+}
 
 
 # -- components moved, known in advance -------------------------------------------------------
