@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.plants.plant import Plant
 from eoi_jax.sensitivity import RunKernel, RunLane, RunRow
 from eoi_jax.simulate import acted, behind, drive
 from eoi_jax.trajectory import Drive, frictional
@@ -230,15 +230,6 @@ def _heads(drives: Sequence[Drive], spans: Sequence[Span], count: int) -> Drive:
 
 
 # -- sums and signals -------------------------------------------------------------------------
-
-
-def start_of(plant: Plant, theta: Any, values: Array, declared: Any) -> State:
-    """Initial state from its unknowns; internal states by the plant where it declares them."""
-    rows, columns = owned(plant)
-    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), values.dtype)
-    y = empty.at[rows, columns].set(values[: len(rows)])
-    own = plant.internal_start(theta)
-    return State(y, jnp.where(declared > 0, own, values[len(rows) :]))
 
 
 def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:

@@ -28,7 +28,6 @@ from eoi_jax.output_error import (
     problem_of,
     signals,
     spans_of,
-    start_of,
     weighed,
 )
 from eoi_jax.plants.plant import Plant
@@ -213,7 +212,7 @@ def _starts(
     theta, starts = jnp.asarray(plant.theta), []
     for i, span in enumerate(spans):
         values, declared = fit.outcome.unknowns.starts[i], fit.problem.declared[i]
-        x, record = start_of(plant, theta, values, declared), records[span.record]
+        x, record = fit.problem.kernel.start(values, theta, declared), records[span.record]
         starts.append(
             Start(record.name, float(record.time[span.first]), np.asarray(x.y), np.asarray(x.z))
         )

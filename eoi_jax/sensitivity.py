@@ -90,23 +90,28 @@ class RunKernel(eqx.Module):
     columns: tuple[int, ...] = eqx.field(static=True)
     store: str = eqx.field(static=True)
 
+    def start(self, values: Array, theta: Array, declared: Any) -> State:
+        """Initial state from its unknowns; internal states by the plant where it declares them."""
+        count = len(self.rows)
+        empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
+        y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
+        z = jnp.where(declared > 0, self.plant.internal_start(theta), values[count:])
+        return State(y, z)
+
     def init(self, lane: RunLane) -> RunCarry:
         """Before the first step."""
-        own, size = lane.start.shape[0], lane.start.shape[0] + len(self.free)
+        values, theta = jnp.asarray(lane.start), jnp.asarray(lane.theta)
+        moved, turned = self._directions(values.shape[0], theta)
 
         def start(values: Array, theta: Array) -> State:
-            count = len(self.rows)
-            empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
-            y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
-            z = jnp.where(lane.declared > 0, self.plant.internal_start(theta), values[count:])
-            return State(y, z)
+            return self.start(values, theta, lane.declared)
 
         def along(moved: Array, turned: Array) -> tuple[State, State]:
-            return jax.jvp(start, (lane.start, lane.theta), (moved, turned))
+            return jax.jvp(start, (values, theta), (moved, turned))
 
-        moved, turned = self._directions(own, lane.theta)
         x, slopes = jax.vmap(along, out_axes=(None, 0))(moved, turned)
-        return RunCarry(x, slopes, jnp.zeros((size + 1, size + 1), lane.theta.dtype))
+        size = len(turned) + 1
+        return RunCarry(x, slopes, jnp.zeros((size, size), theta.dtype))
 
     def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:
         """Score the sample at the start of a step, then take it; also what is shown."""
@@ -115,14 +120,16 @@ class RunKernel(eqx.Module):
         if self.store == "sums":
             sums, shown = sums + self._square(lane, shown), ()
 
-        def flow(x: State, theta: Array) -> State:
-            u = row.inputs if row.slope is None else row.inputs + row.slope @ (theta - lane.theta)
-            return advanced(self.plant, theta, row.time, h, u, x, self.friction)
+        theta, time, u = (jnp.asarray(one) for one in (lane.theta, row.time, row.inputs))
+
+        def flow(x: State, moved: Array) -> State:
+            inputs = u if row.slope is None else u + row.slope @ (moved - theta)
+            return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
         def along(slope: State, turned: Array) -> tuple[State, State]:
-            return jax.jvp(flow, (carry.x, lane.theta), (slope, turned))
+            return jax.jvp(flow, (carry.x, theta), (slope, turned))
 
-        _, turned = self._directions(lane.start.shape[0], lane.theta)
+        _, turned = self._directions(lane.start.shape[0], theta)
         x, slopes = jax.vmap(along, out_axes=(None, 0))(carry.slopes, turned)
         return RunCarry(x, slopes, sums), shown
 

@@ -154,7 +154,8 @@ def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
     none = np.zeros(())
     lane = RunLane(np.zeros(len(plant.names)), np.zeros(own), none, np.zeros(ny), none)
     row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
-    what = _FreeRun(*(shapes_of(tree, dtype) for tree in (kernel, lane, row)), dtype)
+    kernel, lane, row = (shapes_of(tree, dtype) for tree in (kernel, lane, row))
+    what = _FreeRun(kernel, lane, row, dtype)
     return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
 
 

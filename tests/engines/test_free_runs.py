@@ -1,0 +1,150 @@
+"""Compiled free runs against the same recursion by JAX, and against the trajectories themselves."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eoi_jax import plants
+from eoi_jax.engines import free_runs
+from eoi_jax.output_error import kernel_of
+from eoi_jax.plants.plant import Plant, State
+from eoi_jax.sensitivity import RunLane, RunRow
+from eoi_jax.simulate import drive
+from eoi_jax.trajectory import frictional, trajectory
+
+PERIOD = 2e-3
+TIME = np.arange(1201) * PERIOD
+
+
+def two_with_dry_friction() -> Plant:
+    def blocks(t, x, u, p):
+        y, v = x.y
+        pull = p.k * (y[1] - y[0])
+        forces = jnp.stack([u[0] + pull, -pull]) - p.d * v
+        return forces - jnp.stack([p.c1, p.c2]) * jnp.sign(v)
+
+    values = {"k": 30.0, "d": 0.3, "c1": 0.4, "c2": 0.15}
+    return Plant(blocks, values, 2, ("u",), ("y1", "y2"))
+
+
+CASES: dict[str, Any] = {
+    "pendulum, dry friction": (plants.pendulum(), [0.4, 0.0]),
+    "two masses, dry friction in both": (two_with_dry_friction(), [0.3, 0.0, 0.0, 0.2]),
+    "tanks, an internal state": (plants.cascaded_tanks(), [3.0, 4.0]),
+}
+
+
+def case_of(name, lanes=1):
+    """Rows of a record that the plant itself did not make, and lanes spread around its values."""
+    plant, start = CASES[name]
+    inputs = 0.2 + 0.8 * np.sign(np.sin(4.0 * TIME))[:, None]
+    driven_by = drive(TIME, inputs, "zero")
+    ny = len(plant.outputs)
+    y = 0.1 + np.sin(3.0 * TIME)[:, None] * np.ones(ny)
+    use = (np.arange(len(TIME)) % 7 > 0).astype(float)[:, None] * np.ones(ny)
+    inside = np.minimum(np.arange(len(TIME)), len(TIME) - 2)
+    table = free_runs.table(TIME, np.asarray(driven_by.inputs)[inside], y, use)
+    draw = np.random.default_rng(0)
+    theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (lanes, len(plant.names)))
+    starts = np.asarray(start) * draw.uniform(0.9, 1.1, (lanes, len(start)))
+    ones = np.ones(lanes)
+    scale = np.linspace(1.0, 2.0, ny) * ones[:, None]
+    return plant, driven_by, table, RunLane(theta, starts, 0.0 * ones, scale, np.inf * ones)
+
+
+def of_lane(lanes, i):
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[i]), lanes)
+
+
+def summed(plant, table, lanes):
+    several = jax.tree.map(lambda leaf: leaf[:, None], lanes)
+    kernel = kernel_of(plant, "sums")
+    return free_runs.summed(
+        kernel, several, table[None], np.array([PERIOD]), np.array([len(table)])
+    )
+
+
+def rows_of(plant, table):
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    time, u, y, use = np.split(table, np.cumsum([1, 3 * nu, ny]), axis=1)
+    return RunRow(*map(jnp.asarray, (time[:, 0], u.reshape(-1, 3, nu), y, use)))
+
+
+@pytest.mark.parametrize("threshold", [np.inf, 0.3])
+@pytest.mark.parametrize("name", CASES)
+def test_sums_of_many_lanes_equal_the_scan(name, threshold):
+    plant, _, table, lanes = case_of(name, lanes=5)
+    lanes = dataclasses.replace(lanes, threshold=np.full(5, threshold))
+    found = summed(plant, table, lanes)[:, 0]
+    kernel, rows = kernel_of(plant, "sums"), rows_of(plant, table)
+    scan = jax.jit(lambda lane: kernel.run(lane, rows, jnp.asarray(PERIOD))[0])
+    for i in range(5):
+        expected = np.asarray(scan(of_lane(lanes, i)))
+        size = np.sqrt(np.diagonal(expected))
+        # Rounding alone: the compiled loop contracts products and sums.
+        assert np.all(np.abs(found[i] - expected) <= 1e-9 * np.outer(size, size))
+    alone = summed(plant, table, jax.tree.map(lambda leaf: leaf[3:4], lanes))[0, 0]
+    np.testing.assert_allclose(alone, found[3], rtol=1e-9, atol=1e-9 * np.max(alone))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_shown_is_the_weighed_error_of_the_trajectory(name):
+    plant, driven_by, table, lanes = case_of(name)
+    lane, kernel = of_lane(lanes, 0), kernel_of(plant, "signals")
+    shown = free_runs.shown(kernel, lane, table, PERIOD, 1)
+    start = kernel.start(jnp.asarray(lane.start), jnp.asarray(lane.theta), 0.0)
+    y_hat = trajectory(plant, jnp.asarray(lane.theta), driven_by, start, frictional(plant))[0][:, 0]
+    ny = len(plant.outputs)
+    y, use = table[:, -2 * ny : -ny], table[:, -ny:]
+    expected = use * np.asarray(lane.scale) * (y - np.asarray(y_hat))
+    np.testing.assert_allclose(shown[..., -1], expected, atol=1e-11)
+    square = np.einsum("kji,kjl->il", shown, shown)
+    sums = summed(plant, table, lanes)[0, 0]
+    np.testing.assert_allclose(sums, square, rtol=1e-9, atol=1e-9 * np.max(np.abs(square)))
+
+
+def test_lanes_step_by_step_stop_where_they_should():
+    """A vector in which a single lane stops must not disturb the others."""
+    plant, _, table, lanes = case_of("pendulum, dry friction", lanes=33)
+    moved = np.asarray(lanes.start).copy()
+    moved[::2, 0] = 0.0  # at rest, stuck; the others swing and stop at times of their own
+    lanes = dataclasses.replace(lanes, start=moved)
+    together = summed(plant, table, lanes)[:, 0]
+    for i in (0, 1, 31, 32):
+        alone = summed(plant, table, jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], lanes))[0, 0]
+        np.testing.assert_allclose(together[i], alone, rtol=1e-8, atol=1e-9 * np.max(alone))
+
+
+def test_a_lane_that_is_no_number_spoils_no_other():
+    plant, _, table, lanes = case_of("tanks, an internal state", lanes=5)
+    theta = np.asarray(lanes.theta).copy()
+    theta[2, 0] = np.nan
+    sums = summed(plant, table, dataclasses.replace(lanes, theta=theta))[:, 0]
+    assert np.all(np.isnan(sums[2]))
+    assert np.all(np.isfinite(np.delete(sums, 2, axis=0)))
+
+
+def test_what_cannot_be_compiled_is_named():
+    def looping(t, x, u, p):
+        turns = jax.lax.while_loop(lambda k: k < x.y[0][0], lambda k: k + 1.0, 0.0)
+        return -p.a * x.y[0] + turns
+
+    kernel = kernel_of(Plant(looping, {"a": 1.0}, 1), "sums")
+    assert "while" in (free_runs.supports(kernel) or "")
+    assert free_runs.supports(kernel_of(plants.pendulum(), "sums")) is None
+
+
+def test_the_start_is_the_plants_own_where_it_declares_one():
+    plant, _, table, lanes = case_of("tanks, an internal state")
+    kernel = kernel_of(plant, "signals")
+    lane = dataclasses.replace(of_lane(lanes, 0), declared=jnp.ones(()))
+    shown = free_runs.shown(kernel, lane, table, PERIOD, 1)
+    x = kernel.start(lane.start, jnp.asarray(lane.theta), lane.declared)
+    assert isinstance(x, State)
+    np.testing.assert_allclose(x.z, plant.internal_start(jnp.asarray(lane.theta)))
+    # Its own unknown is then no unknown.
+    np.testing.assert_array_equal(shown[:, 0, 1], 0.0)
