@@ -7,7 +7,18 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-with install_import_hook("eoi_jax", "beartype.beartype"):
+_REPOSITORY = Path(__file__).resolve().parents[1]
+
+# Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
+# would take longer than all else.
+_SCALAR = {"scalars", "jaxprs", "lane_program", "machine_code"}
+_MODULES = [
+    ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
+    for path in (_REPOSITORY / "eoi_jax").rglob("*.py")
+    if path.stem not in {"__init__", *_SCALAR}
+]
+
+with install_import_hook(_MODULES, "beartype.beartype"):
     import eoi_jax  # noqa: F401
     from eoi_jax.backend import configure
 
@@ -19,9 +30,6 @@ with warnings.catch_warnings():
 def pytest_configure(config: pytest.Config) -> None:
     """A record that was changed says so; named here, for pytest would import it before the hook."""
     config.addinivalue_line("filterwarnings", "default::eoi_jax.checks.RecordWarning")
-
-
-_REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")

@@ -53,9 +53,14 @@ def translated(what: AbstractLoop, columns: int, width: int | None = None) -> Co
     Raises:
         Untranslatable: what a scalar program cannot express.
     """
-    program = lane_program(what)
+    program = _program(what)
     where = layout(program, columns, what.dtype, width)
     return Compiled(program, where, *functions(source(program, where, what.dtype)))
+
+
+@functools.lru_cache(maxsize=256)
+def _program(what: AbstractLoop) -> LaneProgram:
+    return lane_program(what)  # the same for vectors of any width
 
 
 def cores() -> int:
