@@ -21,8 +21,8 @@ from eoi_jax.identify import identify as identify
 from eoi_jax.lowpass import LowPass as LowPass
 from eoi_jax.plants.plant import Plant as Plant
 from eoi_jax.plants.plant import State as State
-from eoi_jax.refine import Refinement as Refinement
 from eoi_jax.refine import refine as refine
+from eoi_jax.refinement import Refinement as Refinement
 from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
 from eoi_jax.store import load as load

@@ -47,6 +47,7 @@ LAYERS = (
     ("sweep",),
     ("output_error",),
     ("levenberg_marquardt",),
+    ("refinement",),
     ("refine",),
     ("discovery",),
     ("rounds",),
@@ -62,7 +63,7 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
     (part, name)
-    for part in ("identify", "diagnose", "diagnosis", "refine", "discovery")
+    for part in ("identify", "diagnose", "diagnosis", "refinement", "discovery")
     for name in ("report", "store")
 }
 

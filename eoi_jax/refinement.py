@@ -1,0 +1,89 @@
+"""What `refine` answers with: the refined estimate, and the point it started from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.plants.plant import Plant
+from eoi_jax.results import Status
+
+
+@dataclass(frozen=True)
+class Start:
+    """Estimated initial state of one run.
+
+    Attributes:
+        record: name of the record.
+        time: of its first sample [s].
+        y: outputs and their derivatives, shape (r, ny).
+        z: internal states, shape (nz,).
+    """
+
+    record: str
+    time: float
+    y: Float[np.ndarray, "r ny"]
+    z: Float[np.ndarray, " nz"]
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Output-error estimate, and the point it started from.
+
+    Attributes:
+        parameters: estimate by name.
+        standard_errors: by name; sums of scores over blocks, so that they know that residuals are
+            coloured within a block. NaN for a parameter on its bound, 0 for a fixed one.
+        covariance: of the parameters, shape (np, np).
+        plant: with the estimate; `nominal` is the one it started from.
+        starts: estimated initial state of each run.
+        rmse: over all scored samples, shape (ny,). before: the same at the starting point, with
+            initial states fitted to the first samples of each run.
+        cost: Σ_j log rmse_j², which is minimised. cost_before: the same at the starting point.
+        residual: y - ŷ, one array (N, ny) per record, NaN where not scored.
+        steps: of the solver. window: length of the runs [s], None for whole records.
+        status: how it ended.
+        notes: what else there is to know.
+    """
+
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    covariance: Float[np.ndarray, "np np"]
+    plant: Plant
+    nominal: Plant
+    starts: tuple[Start, ...]
+    rmse: Float[np.ndarray, " ny"]
+    before: Float[np.ndarray, " ny"]
+    cost: float
+    cost_before: float
+    residual: list[np.ndarray]
+    steps: int
+    window: float | None
+    status: Status
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """A short table."""
+        wide = max(len(name) for name in self.parameters)
+        units, old = self.plant.units, self.nominal.parameters
+        lines = [
+            f"{self.plant.name}: {self.status}",
+            f"{'parameter':<{wide}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
+        ]
+        for name, value in self.parameters.items():
+            fixed = name in self.plant.fixed
+            error = "fixed" if fixed else f"{self.standard_errors[name]:.2g}"
+            row = f"{name:<{wide}}  {old[name]:>11.6g}  {value:>11.6g}  {error:>12}"
+            lines.append(f"{row}  {units.get(name, '')}".rstrip())
+        length = "whole records" if self.window is None else f"windows of {self.window:g} s"
+        lines.append(f"rmse of {len(self.starts)} run(s), {length}:")
+        for name, old_rmse, rmse in zip(self.plant.outputs, self.before, self.rmse, strict=True):
+            lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
+        return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
