@@ -27,5 +27,7 @@ from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
 from eoi_jax.store import load as load
 from eoi_jax.sweep import sweep as sweep
+from eoi_jax.uncertainty import Uncertainty as Uncertainty
+from eoi_jax.uncertainty import uncertainty as uncertainty
 from eoi_jax.validate import Validation as Validation
 from eoi_jax.validate import validate as validate

@@ -49,6 +49,7 @@ LAYERS = (
     ("levenberg_marquardt",),
     ("refinement",),
     ("refine",),
+    ("uncertainty",),
     ("discovery",),
     ("rounds",),
     ("discover",),
@@ -63,7 +64,7 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
     (part, name)
-    for part in ("identify", "diagnose", "diagnosis", "refinement", "discovery")
+    for part in ("identify", "diagnose", "diagnosis", "refinement", "uncertainty", "discovery")
     for name in ("report", "store")
 }
 
