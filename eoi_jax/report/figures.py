@@ -9,6 +9,7 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.discovery import Added, Discovery
 from eoi_jax.identify import Identification
+from eoi_jax.profile import Profile
 from eoi_jax.refinement import Refinement
 from eoi_jax.uncertainty import uncertainty
 
@@ -392,6 +393,37 @@ def _draw_parameters(figure: Any, result: Refinement, names: Sequence[str], rows
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     figure.suptitle("parameters with 95 % intervals", fontsize=10, x=0.01, ha="left")
+
+
+def profile_figure(result: Profile) -> Any:
+    """The profile of a parameter, with the parabola that its standard error stands for.
+
+    Args:
+        result: of `profile`.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), dpi=100, layout="constrained")
+    axes = figure.add_subplot()
+    fine = np.linspace(result.values[0], result.values[-1], 200)
+    parabola = ((fine - result.estimate) / result.standard_error) ** 2
+    axes.plot(fine, parabola, color=_BEFORE, linewidth=0.9, label="by the standard error")
+    axes.plot(result.values, result.statistic, "o-", color=_AFTER, label="profile")
+    axes.axhline(result.threshold, color=_MEASURED, linestyle="--", linewidth=0.8,
+                 label=f"{100 * result.level:.4g} %")  # fmt: skip
+    for end in result.interval:
+        if np.isfinite(end):
+            axes.axvline(end, color=_AFTER, linewidth=0.8, alpha=0.6)
+    axes.set_ylim(0.0, 3.0 * result.threshold)
+    axes.ticklabel_format(axis="x", useOffset=False)
+    axes.set_xlabel(result.name + (f" [{result.unit}]" if result.unit else ""))
+    axes.set_ylabel("2 Δ log-likelihood")
+    axes.grid(alpha=0.3)
+    _legend_above(axes)
+    return figure
 
 
 # -- limits, labels, legends ------------------------------------------------------------------
