@@ -7,7 +7,7 @@ that left no trace are kept beside C: what changes along one of them has no fini
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -175,25 +175,21 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
         ValueError: an estimate without an answer; its status says why.
     """
     status = estimate.status
-    known = status.ok or status.code == "unidentifiable"
-    check(known, "estimate", "must be one with an answer", str(status))
+    answered = status.ok or status.code == "unidentifiable"
+    check(answered, "estimate", "must be one with an answer", str(status))
     plant, covariance = estimate.plant, np.asarray(estimate.covariance)
     theta = np.asarray(plant.theta, dtype=float)
+    freedom = float(getattr(estimate, "degrees_of_freedom", np.inf))
     information = getattr(estimate, "information", None)
     untraced = np.zeros((len(theta), 0))
     if information is not None:
         untraced = _untraced(np.asarray(information), plant.free)
-    sentences = _open(untraced, theta, plant.names) + _weak(
-        covariance, untraced, theta, plant.names
-    )
-    return Uncertainty(
-        estimate.parameters,
-        covariance,
-        float(getattr(estimate, "degrees_of_freedom", np.inf)),
-        untraced,
-        tuple(sentences),
-        {name: unit for name, unit in plant.units.items() if name in plant.names},
-    )
+    units = {name: unit for name, unit in plant.units.items() if name in plant.names}
+    known = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
+    precision = _precision(covariance, freedom) if information is None else np.asarray(information)
+    errors = np.asarray(list(known.standard_errors.values()))
+    unclear = _open(untraced, theta, plant.names) + _weak(precision, errors, theta, plant.names)
+    return replace(known, unclear=tuple(unclear))
 
 
 def student(level: float, freedom: float) -> float:
@@ -238,44 +234,56 @@ def _open(
 
 
 def _weak(
-    covariance: Float[np.ndarray, "np np"],
-    untraced: Float[np.ndarray, "np k"],
+    precision: Float[np.ndarray, "np np"],
+    errors: Float[np.ndarray, " np"],
     theta: Float[np.ndarray, " np"],
     names: tuple[str, ...],
 ) -> list[str]:
     """Sentences on combinations that noise hides though each of their parameters alone would show.
 
-    In units of the error that each parameter had if the others were known, the precision C⁻¹ has a
-    unit diagonal; a small eigenvalue is a combination that shows far less than its parts.
+    In units of the error that each parameter had if the others were known, the precision has a unit
+    diagonal; a small eigenvalue is a combination that shows far less than its parts.
+
+    Args:
+        precision: information, or the inverse of a covariance.
+        errors: standard errors; no finite one above zero for what takes no part.
+        theta: the parameters.
+        names: of them.
     """
-    variance = np.diagonal(covariance)
-    used = np.isfinite(variance) & (variance > 0) & ~np.any(untraced != 0, axis=1)
+    used = np.isfinite(errors) & (errors > 0) & (np.diagonal(precision) > 0)
     if np.sum(used) < 2:
         return []
-    error = np.sqrt(variance[used])
-    correlation = covariance[np.ix_(used, used)] / np.outer(error, error)
-    precision = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True)
-    alone = np.sqrt(np.maximum(np.diagonal(precision), 1.0))
-    values, vectors = np.linalg.eigh(precision / np.outer(alone, alone))
+    part = precision[np.ix_(used, used)]
+    alone = np.sqrt(np.diagonal(part))
+    values, vectors = np.linalg.eigh(part / np.outer(alone, alone))
+    relative = np.where(used, errors, 0.0) / np.where(theta != 0, np.abs(theta), np.inf)
     sentences = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value <= 0 or value * _INFLATED**2 > 1.0:
-            continue
+    for vector in vectors.T[values * _INFLATED**2 < 1.0]:
         direction = np.zeros(len(theta))
-        direction[used] = vector * error / alone
-        relative = np.abs(direction) / np.sqrt(value) / np.where(theta != 0, np.abs(theta), np.inf)
-        if np.max(relative) < _MUCH:
-            continue
+        direction[used] = vector / alone
         involved, combinations = told(direction[:, None], theta, names, _ROUGH)
-        if len(involved) < 2:
+        worst = max(relative[names.index(name)] for name in involved)
+        if len(involved) < 2 or worst < _MUCH:
             continue
-        surer = f"; {_listed(combinations)} {'is' if len(combinations) == 1 else 'are'} surer"
-        change = f": a change of {in_weights(direction, theta, names)} hardly shows"
-        sentences.append(
-            f"{_listed(involved)} can hardly be told apart, only to within "
-            f"{np.max(relative):.0%}{surer if combinations else change}"
-        )
+        sentence = f"{_listed(involved)} can hardly be told apart, only to within {worst:.0%}"
+        if combinations:
+            verb = "is" if len(combinations) == 1 else "are"
+            sentences.append(f"{sentence}; {_listed(combinations)} {verb} surer")
+        else:
+            change = in_weights(direction, theta, names)
+            sentences.append(f"{sentence}: a change of {change} hardly shows")
     return sentences
+
+
+def _precision(covariance: Float[np.ndarray, "np np"], freedom: float) -> np.ndarray:
+    """Inverse of a covariance; zero where it is not known, or from too few sums to be inverted."""
+    errors = np.sqrt(np.maximum(np.nan_to_num(np.diagonal(covariance)), 0.0))
+    if freedom <= 2 * np.sum(errors > 0):
+        return np.zeros_like(covariance)
+    scale = np.outer(errors, errors)
+    correlation = np.where(scale > 0, covariance, 0.0) / np.where(scale > 0, scale, 1.0)
+    inverse = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True)
+    return inverse / np.where(scale > 0, scale, 1.0)
 
 
 def _groups(directions: Float[np.ndarray, "np k"]) -> list[list[int]]:

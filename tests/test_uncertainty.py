@@ -230,6 +230,26 @@ def test_what_noise_hides_is_told_with_what_is_surer():
     assert sentence.endswith("mass/force and drag/force are surer")
 
 
+def test_what_noise_hides_without_whole_numbers_is_told_in_weights():
+    direction = np.asarray([1.0, 0.37, 0.0])
+    covariance = np.outer(direction, direction) + 1e-6 * np.eye(3)
+    (sentence,) = uncertainty(refined(covariance=covariance, information=None)).unclear
+    assert sentence.endswith("a change of +1·mass +0.37·drag hardly shows")
+
+
+def test_information_says_what_is_weak_where_the_covariance_has_too_few_sums():
+    """Of rank one, from a single cosine, all estimates look like one: that says nothing."""
+    theta = np.asarray(PLANT.theta)
+    covariance = np.outer(theta, theta)
+    assert not uncertainty(
+        refined(covariance=covariance, information=None, degrees_of_freedom=1.0)
+    ).unclear
+    assert not uncertainty(refined(covariance=covariance, information=np.eye(3))).unclear
+    weak = np.linalg.inv(np.outer(theta, theta) + 1e-4 * np.diag(theta**2))
+    (sentence,) = uncertainty(refined(covariance=covariance, information=weak)).unclear
+    assert sentence.endswith("mass/force and drag/force are surer")
+
+
 def test_errors_that_are_merely_large_are_not_called_confounded():
     theta = np.asarray(PLANT.theta)
     assert not uncertainty(refined(covariance=np.diag(theta**2), information=None)).unclear
