@@ -7,6 +7,7 @@ from eoi_jax import plants as plants
 from eoi_jax.backend import configure as configure
 from eoi_jax.batch.best import best as best
 from eoi_jax.batch.store import open_sweep as open_sweep
+from eoi_jax.bootstrap import bootstrap as bootstrap
 from eoi_jax.checks import RecordWarning as RecordWarning
 from eoi_jax.data import excitation as excitation
 from eoi_jax.data.long_record import LongRecord as LongRecord
@@ -21,11 +22,15 @@ from eoi_jax.identify import identify as identify
 from eoi_jax.lowpass import LowPass as LowPass
 from eoi_jax.plants.plant import Plant as Plant
 from eoi_jax.plants.plant import State as State
+from eoi_jax.profile import Profile as Profile
+from eoi_jax.profile import profile as profile
 from eoi_jax.refine import refine as refine
 from eoi_jax.refinement import Refinement as Refinement
 from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
 from eoi_jax.store import load as load
 from eoi_jax.sweep import sweep as sweep
+from eoi_jax.uncertainty import Uncertainty as Uncertainty
+from eoi_jax.uncertainty import uncertainty as uncertainty
 from eoi_jax.validate import Validation as Validation
 from eoi_jax.validate import validate as validate

@@ -24,9 +24,11 @@ from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
+from eoi_jax.refine import refine as run_refinement
+from eoi_jax.refinement import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
-from eoi_jax.report.tables import identification_text
+from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.sweep import sweep as run_sweep
 from eoi_jax.validate import Validation, validate
 
@@ -129,6 +131,38 @@ def discover(
         # The maps of the residual are written all the same: they are what is known.
         typer.echo(f"eoi: {answer(result)}", err=True)
         raise typer.Exit(_NO_ANSWER)
+
+
+@app.command()
+def refine(
+    config: Source = None,
+    data: Data = None,
+    output: Output = _RUNS,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Identify, then fit the free run itself: output error, with what it is sure of."""
+    with _failures(as_json):
+        backend.configure()
+        source = config or _default_config("pendulum")
+        _check_output(output)
+        given = runs.job(configs.load(source), source.parent, data)
+        with _progress(not quiet) as callback, runs.quiet_records():
+            start, before = _identified(given, callback)
+            if not start.status.ok:
+                summary = runs.identification_summary(given, start, before)
+                _stop(_NO_ANSWER, f"nothing to refine ({start.status})", as_json, summary)
+            result, after = _refined(given, start)
+        summary = runs.refinement_summary(given, start, before, result, after)
+        if not result.status.ok:
+            _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
+        folder = output / given.settings.name
+        text = refinement_text(result, before, after)
+        copy = _with_command(f"eoi refine {source}", source)
+        runs.publish(
+            folder, lambda draft: runs.write_refinement(draft, result, summary, text, copy)
+        )
+    _show(folder, text, summary, as_json, quiet)
 
 
 @app.command()
@@ -237,6 +271,20 @@ def _discovered(given: runs.Job) -> Discovery:
         most=table.most,
         window=table.window,
     )
+
+
+def _refined(given: runs.Job, start: Identification) -> tuple[Refinement, Validation | None]:
+    """Output error from the estimate of the passes on, and its held-out error."""
+    table = given.settings.refine
+    result = run_refinement(
+        start,
+        given.records,
+        window=table.window,
+        substeps=table.substeps,
+        max_steps=table.max_steps,
+    )
+    known = result.status.ok and given.held_out
+    return result, validate(result.plant, given.held_out) if known else None
 
 
 # -- what the user sees -----------------------------------------------------------------------

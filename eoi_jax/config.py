@@ -118,6 +118,20 @@ class DiscoverTable(msgspec.Struct, frozen=True):
     window: Positive | None = None
 
 
+class RefineTable(msgspec.Struct, frozen=True):
+    """[refine]: how the free runs are fitted.
+
+    Attributes:
+        window: length of each run [s]; absent: whole records.
+        substeps: steps of the simulation per sample.
+        max_steps: of the solver.
+    """
+
+    window: Positive | None = None
+    substeps: Count = 4
+    max_steps: Count = 50
+
+
 class RangeTable(msgspec.Struct, frozen=True):
     """Values from low to high at equal ratios, both ends included."""
 
@@ -286,7 +300,7 @@ class Config(msgspec.Struct, frozen=True):
         plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
             the object is a `Plant` or a function that returns one.
         observer, lowpass: absent: chosen from the records.
-        identify, discover, sweep: how the verbs of these names run.
+        identify, discover, refine, sweep: how the verbs of these names run.
         simulate, data: where the records come from; exactly one of the two.
         validation: held-out files; what the table leaves out is as in [data].
     """
@@ -298,6 +312,7 @@ class Config(msgspec.Struct, frozen=True):
     lowpass: LowPassTable | None = None
     identify: IdentifyTable = IdentifyTable()
     discover: DiscoverTable = DiscoverTable()
+    refine: RefineTable = RefineTable()
     sweep: SweepTable = SweepTable()
     simulate: SimulateTable | None = None
     data: DataTable | None = None

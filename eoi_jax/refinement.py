@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
 from eoi_jax.results import Status
 
@@ -45,6 +47,12 @@ class Refinement:
         steps: of the solver. window: length of the runs [s], None for whole records.
         status: how it ended.
         notes: what else there is to know.
+        information: Σ φᵀφ over the scored samples, φ the derivative of the free runs with the
+            parameters where their initial states follow them, each output over its rms residual,
+            shape (np, np); None where it was not kept.
+        degrees_of_freedom: of `covariance`; infinite where they were not kept.
+        residual_before: as `residual`, at the starting point; empty where it was not kept.
+        records: as given; empty where they were not kept.
     """
 
     parameters: dict[str, float]
@@ -62,6 +70,10 @@ class Refinement:
     window: float | None
     status: Status
     notes: tuple[str, ...]
+    information: Float[np.ndarray, "np np"] | None = None
+    degrees_of_freedom: float = np.inf
+    residual_before: tuple[np.ndarray, ...] = ()
+    records: tuple[Record, ...] = ()
 
     def __str__(self) -> str:
         """A short table."""
@@ -81,6 +93,12 @@ class Refinement:
         for name, old_rmse, rmse in zip(self.plant.outputs, self.before, self.rmse, strict=True):
             lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
         return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
+
+    def plot(self) -> Any:
+        """Measured and free run, residual, and the parameters' intervals: a matplotlib figure."""
+        from eoi_jax.report.figures import refinement_figure
+
+        return refinement_figure(self)
 
     def save(self, path: str | Path) -> None:
         """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""

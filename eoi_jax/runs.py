@@ -24,9 +24,11 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
+from eoi_jax.refinement import Refinement
 from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.equation import equation_latex, equation_text
 from eoi_jax.report.sweep import gain_names, statuses, sweep_figure
+from eoi_jax.uncertainty import Uncertainty, uncertainty
 from eoi_jax.validate import Validation
 
 
@@ -146,6 +148,55 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
         "notes": result.notes,
     }
     return _plain({**summary, **_provenance(given)})
+
+
+def refinement_summary(
+    given: Job,
+    start: Identification,
+    before: Validation | None,
+    result: Refinement,
+    after: Validation | None,
+) -> dict[str, Any]:
+    """A refinement as one JSON object.
+
+    Args:
+        given: what was asked.
+        start: of `identify`, from which it went on.
+        before: of that one on the held-out records, if there are any.
+        result: of `refine`.
+        after: of that one on the held-out records.
+    """
+    summary = {
+        "name": given.settings.name,
+        "status": _status(result),
+        "parameters": result.parameters,
+        "standard_errors": result.standard_errors,
+        **(_sure(uncertainty(result)) if result.status.ok else {}),
+        "nominal": given.model.parameters,
+        "units": result.plant.units,
+        "outputs": result.plant.outputs,
+        "rmse": dict(zip(result.plant.outputs, result.rmse, strict=True)),
+        "rmse_before": dict(zip(result.plant.outputs, result.before, strict=True)),
+        "starts": [_fields(one) for one in result.starts],
+        "steps": result.steps,
+        "window": result.window,
+        "notes": result.notes,
+        "identified": {"status": _status(start), **_fit(start)},
+        "validation": {
+            name: None if one is None else _errors(one)
+            for name, one in (("before", before), ("refined", after))
+        },
+    }
+    return _plain({**summary, **_provenance(given)})
+
+
+def _sure(known: Uncertainty) -> dict[str, Any]:
+    return {
+        "intervals": known.intervals(),
+        "correlation": known.correlation,
+        "degrees_of_freedom": known.degrees_of_freedom,
+        "unclear": known.unclear,
+    }
 
 
 def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
@@ -281,6 +332,24 @@ def write_identification(
 
     _write_json(folder / "result.json", summary)
     identification_figure(result).savefig(folder / "figure.png")
+    (folder / "config.toml").write_text(config, encoding="utf-8")
+
+
+def write_refinement(
+    folder: Path, result: Refinement, summary: dict[str, Any], text: str, config: str
+) -> None:
+    """`result.json`, `report.txt`, `figure.png` and `config.toml`.
+
+    Args:
+        folder: an empty one.
+        result: of `refine`.
+        summary: of `refinement_summary`.
+        text: of `refinement_text`.
+        config: text of the config, with the command that was given above it.
+    """
+    _write_json(folder / "result.json", summary)
+    (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
+    result.plot().savefig(folder / "figure.png")
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 

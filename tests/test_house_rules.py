@@ -50,6 +50,8 @@ LAYERS = (
     ("levenberg_marquardt",),
     ("refinement",),
     ("refine",),
+    ("uncertainty",),
+    ("bootstrap", "profile"),
     ("discovery",),
     ("rounds",),
     ("discover",),
@@ -64,7 +66,15 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
     (part, name)
-    for part in ("identify", "diagnose", "diagnosis", "refinement", "discovery")
+    for part in (
+        "identify",
+        "diagnose",
+        "diagnosis",
+        "refinement",
+        "uncertainty",
+        "profile",
+        "discovery",
+    )
     for name in ("report", "store")
 }
 

@@ -9,6 +9,9 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.discovery import Added, Discovery
 from eoi_jax.identify import Identification
+from eoi_jax.profile import Profile
+from eoi_jax.refinement import Refinement
+from eoi_jax.uncertainty import uncertainty
 
 # Okabe and Ito's palette, told apart by colour-blind readers; black and vermilion for the
 # first and the best pass, the paper's black and red.
@@ -290,7 +293,7 @@ def _draw_free_run(figure: Any, discovery: Discovery, record: int = 0) -> None:
         if discovery.before is None:
             upper.set_title("no free run to show", loc="left", fontsize=9)
             continue
-        _draw_runs(upper, lower, given[record], [(one.predictions[record], colour, label)
+        _draw_runs(upper, lower, given[record], [(one.predictions[record].outputs, colour, label)
                                                  for one, colour, label in runs], j)  # fmt: skip
         what = "in-sample" if discovery.in_sample else "held-out"
         title = f"free run, {what} record {given[record].name}"
@@ -304,13 +307,126 @@ def _draw_runs(upper: Any, lower: Any, measured: Record, runs: Sequence[Any], j:
     y = np.where(measured.valid, measured.outputs[:, j], np.nan)
     upper.plot(*decimate(time, y), color=_MEASURED, linewidth=1.6, label="measured")
     for prediction, colour, label in runs:
-        y_hat = prediction.outputs[:, j]
+        y_hat = prediction[:, j]
         upper.plot(*decimate(time, y_hat), color=colour, linewidth=0.9, label=label)
         lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
     # A run that diverges would hide the rest.
     middle, reach = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
     _limit(upper, middle - 3 * reach, middle + 3 * reach)
     _limit(lower, -3 * reach, 3 * reach)
+
+
+# -- what a refinement changed -----------------------------------------------------------------
+
+_PER_ROW = 6  # parameters
+_NEAR = 4.0  # half widths of the interval within which the starting value is drawn to scale
+
+
+def refinement_figure(result: Refinement, record: int = 0) -> Any:
+    """Measured against free run before and after, what is left, and parameters with intervals.
+
+    Args:
+        result: of `refine`; one that did not keep its records shows its parameters only.
+        record: which of the records is drawn.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    from matplotlib.figure import Figure
+
+    outputs = result.plant.outputs if result.records else ()
+    free = [name for name in result.parameters if name not in result.plant.fixed]
+    rows = -(-len(free) // _PER_ROW)
+    figure = Figure(
+        figsize=(10, 1.0 + 2.8 * len(outputs) + 1.9 * rows), dpi=100, layout="constrained"
+    )
+    grid = figure.add_gridspec(2, 1, height_ratios=[2.8 * len(outputs) + 1e-3, 1.9 * rows])
+    if outputs:
+        _draw_refined_runs(figure.add_subfigure(grid[0]), result, record)
+    _draw_parameters(figure.add_subfigure(grid[1]), result, free, rows)
+    figure.suptitle(f"{result.plant.name}: {result.status.code}", fontsize=13)
+    return figure
+
+
+def _draw_refined_runs(figure: Any, result: Refinement, record: int) -> None:
+    measured, units = result.records[record], result.plant.units
+    residuals = [(result.residual[record], _AFTER, "refined")]
+    if result.residual_before:
+        residuals.insert(0, (result.residual_before[record], _BEFORE, "before"))
+    runs = [(measured.outputs - one, colour, label) for one, colour, label in residuals]
+    names = result.plant.outputs
+    panels = figure.subplots(2 * len(names), 1, sharex=True, height_ratios=[1.5, 1] * len(names))
+    for j, (name, upper, lower) in enumerate(zip(names, panels[::2], panels[1::2], strict=True)):
+        _draw_runs(upper, lower, measured, runs, j)
+        unit = units.get(name, "")
+        upper.set_ylabel(name + (f" [{unit}]" if unit else ""))
+        lower.set_ylabel("measured − run" + (f"\n[{unit}]" if unit else ""))
+        for axes in (upper, lower):
+            axes.grid(alpha=0.3)
+    panels[0].set_title(f"free run, record {measured.name}", loc="left", fontsize=9)
+    _legend_above(panels[0])
+    panels[-1].set_xlabel("time [s]")
+
+
+def _draw_parameters(figure: Any, result: Refinement, names: Sequence[str], rows: int) -> None:
+    """A small panel each, scaled to its interval: parameters differ in size by many decades."""
+    intervals = uncertainty(result).intervals()
+    panels = figure.subplots(rows, _PER_ROW, squeeze=False).ravel()
+    for axes, name in zip(panels, names, strict=False):
+        low, high = intervals[name]
+        value, before = result.parameters[name], result.nominal.parameters[name]
+        half = 0.5 * (high - low)
+        axes.errorbar(0.0, value, half if np.isfinite(half) else None, fmt="o", capsize=5,
+                      color=_AFTER)  # fmt: skip
+        if not half * _NEAR < abs(before - value):
+            axes.plot(0.0, before, "x", color=_BEFORE)
+        axes.text(0.97, 0.03, f"before {before:.5g}", color=_BEFORE, fontsize=8, ha="right",
+                  transform=axes.transAxes)  # fmt: skip
+        unit = result.plant.units.get(name, "")
+        axes.set_title(name + (f" [{unit}]" if unit else ""), fontsize=9)
+        axes.set_xlim(-1.0, 1.0)
+        axes.set_xticks([])
+        axes.margins(y=0.35)
+        axes.tick_params(labelsize=8)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        axes.grid(alpha=0.3)
+    for axes in panels[len(names) :]:
+        axes.set_visible(False)
+    figure.suptitle("parameters with 95 % intervals", fontsize=10, x=0.01, ha="left")
+
+
+def profile_figure(result: Profile) -> Any:
+    """The profile of a parameter, with the parabola that its standard error stands for.
+
+    Args:
+        result: of `profile`.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), dpi=100, layout="constrained")
+    axes = figure.add_subplot()
+    fine = np.linspace(result.values[0], result.values[-1], 200)
+    parabola = ((fine - result.estimate) / result.standard_error) ** 2
+    axes.plot(fine, parabola, color=_BEFORE, linewidth=0.9, label="by the standard error")
+    axes.plot(result.values, result.statistic, "o-", color=_AFTER, label="profile")
+    axes.axhline(result.threshold, color=_MEASURED, linestyle="--", linewidth=0.8,
+                 label=f"{100 * result.level:.4g} %")  # fmt: skip
+    for end in result.interval:
+        if np.isfinite(end):
+            axes.axvline(end, color=_AFTER, linewidth=0.8, alpha=0.6)
+    axes.set_ylim(0.0, 3.0 * result.threshold)
+    axes.ticklabel_format(axis="x", useOffset=False)
+    axes.set_xlabel(result.name + (f" [{result.unit}]" if result.unit else ""))
+    axes.set_ylabel("2 Δ log-likelihood")
+    axes.grid(alpha=0.3)
+    _legend_above(axes)
+    return figure
+
+
+# -- limits, labels, legends ------------------------------------------------------------------
 
 
 def _limit(axes: Any, low: float, high: float) -> None:

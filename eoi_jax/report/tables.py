@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.identify import Identification
+from eoi_jax.refinement import Refinement
+from eoi_jax.uncertainty import Uncertainty, uncertainty
+from eoi_jax.validate import Validation
 
 
 def identification_text(result: Identification) -> str:
@@ -46,6 +49,43 @@ def parameter_table(result: Identification) -> str:
             )
         )
     return columns(rows, "<>>>><")
+
+
+def uncertainty_text(result: Uncertainty, level: float = 0.95) -> str:
+    """A line for each parameter with its error and interval; then what cannot be told apart.
+
+    Args:
+        result: of `uncertainty`.
+        level: of the intervals.
+    """
+    rows = [("parameter", "estimate", "± std. error", f"{100 * level:.4g} % interval", "", "unit")]
+    errors, intervals = result.standard_errors, result.intervals(level)
+    for name, value in result.parameters.items():
+        low, high = intervals[name]
+        unit = result.units.get(name, "")
+        if errors[name] == 0:
+            rows.append((name, f"{value:.6g}", "fixed", "", "", unit))
+        else:
+            ends = f"{low:.6g}", f"{high:.6g}"
+            rows.append((name, f"{value:.6g}", f"{errors[name]:.2g}", *ends, unit))
+    return "\n".join([columns(rows, "<>>>><"), *(f"- {line}" for line in result.unclear)])
+
+
+def refinement_text(
+    result: Refinement, before: Validation | None = None, after: Validation | None = None
+) -> str:
+    """The whole result: parameters before and after, intervals, errors of the free runs.
+
+    Args:
+        result: of `refine`.
+        before: held-out free run with the parameters that it started from, if there is one.
+        after: with the refined ones.
+    """
+    blocks = [str(result), str(uncertainty(result))]
+    for name, one in (("before", before), ("refined", after)):
+        if one is not None:
+            blocks.append(f"Held out, {name}:\n{one}")
+    return "\n\n".join(blocks)
 
 
 def index_table(result: Identification) -> str:

@@ -1,0 +1,167 @@
+"""`eoi refine`: what it prints, writes and returns; what it says where there is no answer."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from eoi_jax import backend, cli
+from eoi_jax.results import Status
+
+SHORT = """
+name = "short"
+plant = "mass_spring_damper"
+
+[refine]
+substeps = 1
+max_steps = 20
+
+[simulate]
+sample_period = 0.005
+duration = 6.0
+increments = { alpha = -20.0, beta = -2.0, rho = -0.2 }
+noise = { position = 1e-4 }
+
+[simulate.input.voltage]
+kind = "random_steps"
+low = -3.0
+high = 3.0
+holding_time = 0.5
+
+[simulate.held_out.voltage]
+kind = "random_steps"
+low = -3.0
+high = 3.0
+holding_time = 0.5
+seed = 1
+"""
+TRUTH = {"alpha": 154.2, "beta": 10.57, "rho": 2.367}
+FILES = {"result.json", "report.txt", "figure.png", "config.toml"}
+
+
+@pytest.fixture(autouse=True)
+def configured(monkeypatch: pytest.MonkeyPatch):
+    """JAX runs already in this process, set up by conftest."""
+    monkeypatch.setattr(backend, "configure", lambda: None)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def run(*words: object):
+    return CliRunner().invoke(cli.app, ["refine", *map(str, words)])
+
+
+def test_a_run_prints_its_tables_and_writes_four_files(config: Path, tmp_path: Path):
+    done = run(config, "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "runs" / "short"
+    assert {path.name for path in folder.iterdir()} == FILES
+    report = (folder / "report.txt").read_text()
+    assert done.stdout.startswith(report)
+    for part in ("refined", "95 % interval", "Held out, before:", "Held out, refined:"):
+        assert part in report
+    assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+    head, _, copied = (folder / "config.toml").read_text().partition("\n")
+    assert head == f"# eoi refine {config}"
+    assert copied == SHORT
+
+
+def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Path):
+    done = run(config, "--output", tmp_path, "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "short" / "result.json").read_text())
+    for name, value in TRUTH.items():
+        low, high = result["intervals"][name]
+        assert low < result["parameters"][name] < high
+        # Noise-free up to 1e-4 of about 0.05 m: five standard errors leave no doubt.
+        error = result["standard_errors"][name]
+        assert result["parameters"][name] == pytest.approx(value, abs=5 * error)
+        assert 0 < error < 0.01 * value
+    # The passes came first, and were no better on the record that was fitted.
+    assert result["rmse"]["position"] <= result["rmse_before"]["position"]
+    assert result["identified"]["parameters"] != result["parameters"]
+    errors = [result["validation"][name]["rmse"]["position"] for name in ("before", "refined")]
+    assert errors == pytest.approx([1e-4, 1e-4], rel=0.1)
+    assert result["config"]["refine"] == {"window": None, "substeps": 1, "max_steps": 20}
+
+
+def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
+    done = run(config, "--output", tmp_path, "--quiet")
+    assert done.exit_code == 0
+    assert done.stdout == f"{tmp_path / 'short'}\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("substeps = 1", "sub_steps = 1", "one of window, substeps, max_steps"),
+        ("substeps = 1", "substeps = 0", "`refine.substeps` must be.*>= 1"),
+        ("max_steps = 20", "window = -1.0", "`refine.window` must be"),
+    ],
+)
+def test_a_wrong_table_is_named(config: Path, tmp_path: Path, old: str, new: str, message: str):
+    assert old in SHORT
+    config.write_text(SHORT.replace(old, new))
+    done = run(config, "--output", tmp_path / "runs")
+    assert done.exit_code == 2
+    assert re.search(message, done.stderr), done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_without_an_identification_there_is_nothing_to_refine(config: Path, tmp_path: Path):
+    first = SHORT.index("[simulate.input.voltage]")
+    still = '[simulate.input.voltage]\nkind = "steps"\nlevels = [0.0]\nholding_time = 1.0\n'
+    config.write_text(SHORT[:first].replace("noise = { position = 1e-4 }", "") + still)
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["error"].startswith("nothing to refine (no_data")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, monkeypatch):
+    whole = cli.run_refinement
+
+    def diverged(*args, **options):
+        return replace(
+            whole(*args, **options), status=Status("diverged", "it does not stay finite")
+        )
+
+    monkeypatch.setattr(cli, "run_refinement", diverged)
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 1
+    result = json.loads(done.stdout)
+    assert result["error"] == "no answer (diverged: it does not stay finite)"
+    assert result["validation"]["before"]["rmse"]["position"] > 0
+    assert result["validation"]["refined"] is None
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
+    environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "refine", "--json"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    # Noise-free, and the simulator is the one that made the record.
+    for name, value in {"a": 81.0, "b": 1.7, "c": 0.3, "d": 99.0}.items():
+        assert result["parameters"][name] == pytest.approx(value, rel=1e-8)
+    assert {path.name for path in (tmp_path / "runs" / "pendulum").iterdir()} == FILES
+    assert done.stderr == ""

@@ -1,0 +1,308 @@
+"""How sure an estimate is: intervals, correlation, physical parameters, what cannot be told."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.refinement import Refinement, Start
+from eoi_jax.report.figures import refinement_figure
+from eoi_jax.results import Status
+from eoi_jax.uncertainty import Uncertainty, student, uncertainty
+
+VALUES = {"inverse_mass": 2.0, "stiffness": 80.0, "damping": 3.0}
+COVARIANCE = np.asarray([[0.01, 0.1, 0.0], [0.1, 4.0, 0.0], [0.0, 0.0, 0.09]])
+NONE = np.zeros((3, 0))
+
+
+def sure(**changes) -> Uncertainty:
+    fields = {
+        "parameters": VALUES,
+        "covariance": COVARIANCE,
+        "degrees_of_freedom": np.inf,
+        "untraced": NONE,
+        "unclear": (),
+        "units": {"damping": "1/s"},
+    }
+    return Uncertainty(**{**fields, **changes})
+
+
+# -- intervals --------------------------------------------------------------------------------
+
+
+def test_intervals_are_those_of_tables():
+    """1.960 of the normal, 2.093 of t with 19 degrees of freedom, 1.729 at 90 %: any textbook."""
+    low, high = sure().intervals()["stiffness"]
+    assert (low, high) == pytest.approx((80 - 1.95996 * 2, 80 + 1.95996 * 2), abs=1e-4)
+    low, high = sure(degrees_of_freedom=19.0).intervals()["stiffness"]
+    assert high - 80 == pytest.approx(2.0930 * 2, abs=1e-3) == 80 - low
+    assert student(0.9, 19.0) == pytest.approx(1.7291, abs=1e-4)
+
+
+def test_a_level_outside_of_zero_and_one_is_named():
+    for level in (0.0, 1.0, 95.0):
+        with pytest.raises(ValueError, match="`level` must lie in"):
+            sure().intervals(level)
+
+
+def test_t_intervals_from_few_blocks_cover_and_normal_ones_do_not():
+    """The mean of ten normal numbers, 4000 times: 95 % within three binomial sigma, or not."""
+    draws = np.random.default_rng(0).normal(size=(4000, 10))
+    variance = np.var(draws, axis=1, ddof=1) / 10
+    covered = {}
+    for freedom in (9.0, np.inf):
+        half = student(0.95, freedom) * np.sqrt(variance)
+        covered[freedom] = np.mean(np.abs(np.mean(draws, axis=1)) < half)
+    sigma = np.sqrt(0.95 * 0.05 / 4000)
+    assert abs(covered[9.0] - 0.95) < 3 * sigma
+    assert covered[np.inf] < 0.95 - 5 * sigma
+
+
+def test_correlation_is_the_covariance_over_both_errors():
+    correlation = sure().correlation
+    np.testing.assert_allclose(np.diagonal(correlation), 1.0)
+    assert correlation[0, 1] == pytest.approx(0.1 / (0.1 * 2.0))
+
+
+def test_fixed_open_and_unknown_parameters_say_so():
+    covariance = np.diag([0.0, 4.0, np.nan])
+    known = sure(covariance=covariance, untraced=np.asarray([[0.0], [1.0], [0.0]]))
+    intervals = known.intervals()
+    assert intervals["inverse_mass"] == (2.0, 2.0)
+    assert intervals["stiffness"] == (-np.inf, np.inf)
+    assert np.all(np.isnan(intervals["damping"]))
+    assert "fixed" in str(known)
+
+
+def test_intervals_of_draws_are_their_quantiles():
+    """Of a lognormal the interval is skew; freedom widens it."""
+    draws = np.exp(np.random.default_rng(0).normal(size=(20_000, 3)))
+    one = sure(draws=draws)
+    low, high = one.intervals()["damping"]
+    # Quantiles of 20 000 draws are within some 3 % in these tails.
+    assert (low, high) == pytest.approx(tuple(np.exp([-1.96, 1.96])), rel=0.05)
+    wide = sure(draws=draws, degrees_of_freedom=9.0).intervals()["damping"]
+    expanded = student(0.95, 9.0) * np.sqrt(10 / 9)
+    assert wide == pytest.approx(tuple(np.exp([-expanded, expanded])), rel=0.1)
+
+
+# -- physical parameters ----------------------------------------------------------------------
+
+
+def test_delta_method_is_that_of_hand():
+    known = sure(degrees_of_freedom=19.0).physical(
+        lambda p: {"mass": 1.0 / p.inverse_mass, "spring": p.stiffness / p.inverse_mass},
+        {"mass": "kg"},
+    )
+    assert known.parameters == pytest.approx({"mass": 0.5, "spring": 40.0})
+    # dm = -dq/q²; dk = ds/q - s dq/q².
+    slope = np.asarray([[-0.25, 0.0], [-20.0, 0.5]])
+    np.testing.assert_allclose(known.covariance, slope @ COVARIANCE[:2, :2] @ slope.T, rtol=1e-12)
+    assert known.degrees_of_freedom == 19.0
+    assert abs(known.correlation[0, 1]) < 1.0
+    assert "kg" in str(known)
+
+
+def test_delta_method_agrees_with_simulated_scatter():
+    draws = np.random.default_rng(1).multivariate_normal(
+        list(VALUES.values()), 1e-4 * COVARIANCE, 50_000
+    )
+    spring = draws[:, 1] / draws[:, 0]
+    known = sure(covariance=1e-4 * COVARIANCE).physical(
+        lambda p: {"k": p.stiffness / p.inverse_mass}
+    )
+    # The standard deviation of 50 000 draws is within 0.3 %.
+    assert known.standard_errors["k"] == pytest.approx(np.std(spring), rel=0.01)
+
+
+def test_what_cannot_be_told_has_no_finite_error_and_ratios_may():
+    together = np.asarray([[2.0], [80.0], [3.0]])  # all three scale together
+    known = sure(untraced=together).physical(
+        lambda p: {"k": p.stiffness / p.inverse_mass, "mass": 1.0 / p.inverse_mass}
+    )
+    assert np.isfinite(known.standard_errors["k"])
+    assert known.standard_errors["mass"] == np.inf
+
+
+def test_only_what_depends_on_an_unknown_error_is_unknown():
+    covariance = COVARIANCE.copy()
+    covariance[2] = covariance[:, 2] = np.nan
+    known = sure(covariance=covariance).physical(
+        lambda p: {"mass": 1.0 / p.inverse_mass, "rate": p.damping**2}
+    )
+    assert known.standard_errors["mass"] == pytest.approx(0.025)
+    assert np.isnan(known.standard_errors["rate"])
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda p: 1.0 / p.inverse_mass, "`function` must return a dict"),
+        (lambda p: {}, "`function` must return a dict"),
+        (lambda p: {1: p.damping}, "`function` must return names"),
+        (lambda p: {"m": jnp.ones(2) * p.damping}, r"`function\[m\]` must be a scalar"),
+        (lambda p: {"m": 1.0 / (p.damping - 3.0)}, r"`function\[m\]` must be finite"),
+        (lambda p: {"m": jnp.sqrt(p.damping - 3.0)}, r"`function\[m\]` must have finite deriv"),
+        (lambda p: {"m": np.sqrt(p.damping)}, "`function` must be differentiable by JAX"),
+        (lambda p: {"m": float(p.damping)}, "`function` must be differentiable by JAX"),
+        (lambda p: {"m": p.inverse_mas}, "Did you mean `inverse_mass`"),
+    ],
+)
+def test_a_function_that_does_not_do_is_named(function, message):
+    with pytest.raises(ValueError, match=message):
+        sure().physical(function)
+
+
+# -- of results -------------------------------------------------------------------------------
+
+
+def driven(t, x, u, p):
+    """Known by two ratios only."""
+    return (p.force * u - p.drag * x.y[0]) / p.mass
+
+
+PLANT = eoi.Plant(
+    driven, {"mass": 1.7, "drag": 2.6, "force": 4.1}, units={"mass": "kg", "u": "V", "y": "m/s"}
+)
+TIME = np.arange(400) * 0.01
+
+
+def refined(**changes) -> Refinement:
+    """As `refine` would answer, without its fit."""
+    u = np.sin(3.0 * TIME)
+    record = eoi.simulate(PLANT, TIME, u, hold="linear")
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, len(TIME), 1))
+    slopes = []
+    for name, value in PLANT.parameters.items():
+        moved = (PLANT.with_parameters({name: value + sign * 1e-4}) for sign in (1, -1))
+        runs = [eoi.simulate(one, TIME, u, hold="linear").outputs[:, 0] for one in moved]
+        slopes.append((runs[0] - runs[1]) / 2e-4)
+    phi = np.stack(slopes, axis=1)
+    result = Refinement(
+        parameters=PLANT.parameters, standard_errors=dict.fromkeys(VALUES, 0.1),
+        covariance=np.diag([0.01, 0.02, 0.03]), plant=PLANT, nominal=PLANT,
+        starts=(Start("r", 0.0, np.zeros((1, 1)), np.zeros(0)),), rmse=np.asarray([1e-3]),
+        before=np.asarray([2e-3]), cost=-13.0, cost_before=-12.0, residual=[noise[0]], steps=3,
+        window=None, status=Status("converged", "no step lowers the cost"), notes=(),
+        information=phi.T @ phi / 1e-6, degrees_of_freedom=19.0,
+        residual_before=(2 * noise[1],), records=(record,),
+    )  # fmt: skip
+    return replace(result, **changes)
+
+
+def test_ratios_that_can_be_told_are_named_and_the_rest_is_open():
+    # Central differences err by 1e-8 of the slope: a thousand times the rounding that is no
+    # information. The null direction is put in by hand, where automatic derivatives have it.
+    information, theta = np.asarray(refined().information), np.asarray(PLANT.theta)
+    off = np.eye(3) - np.outer(theta, theta) / (theta @ theta)
+    known = uncertainty(refined(information=off @ information @ off))
+    assert known.unclear == (
+        "only mass/force and drag/force can be told, not mass, drag and force",
+    )
+    assert set(known.standard_errors.values()) == {np.inf}
+    ratios = known.physical(lambda p: {"rate": p.drag / p.mass})
+    assert np.isfinite(ratios.standard_errors["rate"])
+
+
+def test_what_left_no_trace_alone_is_named_alone():
+    information = np.diag([1.0, 0.0, 2.0])
+    known = uncertainty(refined(information=information))
+    assert known.unclear == ("drag left no trace in the data",)
+    assert known.intervals()["drag"] == (-np.inf, np.inf)
+    assert np.isfinite(known.standard_errors["mass"])
+
+
+def test_a_direction_without_whole_numbers_is_told_in_weights():
+    direction = np.asarray([1.0, 0.37, 0.0])
+    information = np.eye(3) - np.outer(direction, direction) / (direction @ direction)
+    (sentence,) = uncertainty(refined(information=information)).unclear
+    assert sentence == "a change of +1·mass +0.37·drag leaves no trace in the data"
+
+
+def test_what_noise_hides_is_told_with_what_is_surer():
+    """A common scale known to 30 %, ratios to 0.1 %."""
+    theta = np.asarray(PLANT.theta)
+    covariance = 0.3**2 * np.outer(theta, theta) + np.diag((1e-3 * theta) ** 2)
+    (sentence,) = uncertainty(refined(covariance=covariance, information=None)).unclear
+    assert "can hardly be told apart, only to within 30%" in sentence
+    assert sentence.endswith("mass/force and drag/force are surer")
+
+
+def test_what_noise_hides_without_whole_numbers_is_told_in_weights():
+    direction = np.asarray([1.0, 0.37, 0.0])
+    covariance = np.outer(direction, direction) + 1e-6 * np.eye(3)
+    (sentence,) = uncertainty(refined(covariance=covariance, information=None)).unclear
+    assert sentence.endswith("a change of +1·mass +0.37·drag hardly shows")
+
+
+def test_information_says_what_is_weak_where_the_covariance_has_too_few_sums():
+    """Of rank one, from a single cosine, all estimates look like one: that says nothing."""
+    theta = np.asarray(PLANT.theta)
+    covariance = np.outer(theta, theta)
+    assert not uncertainty(
+        refined(covariance=covariance, information=None, degrees_of_freedom=1.0)
+    ).unclear
+    assert not uncertainty(refined(covariance=covariance, information=np.eye(3))).unclear
+    weak = np.linalg.inv(np.outer(theta, theta) + 1e-4 * np.diag(theta**2))
+    (sentence,) = uncertainty(refined(covariance=covariance, information=weak)).unclear
+    assert sentence.endswith("mass/force and drag/force are surer")
+
+
+def test_errors_that_are_merely_large_are_not_called_confounded():
+    theta = np.asarray(PLANT.theta)
+    assert not uncertainty(refined(covariance=np.diag(theta**2), information=None)).unclear
+
+
+def test_an_estimate_without_an_answer_is_refused():
+    with pytest.raises(ValueError, match="`estimate` must be one with an answer"):
+        uncertainty(refined(status=Status("diverged", "it does not stay finite")))
+
+
+def test_an_identification_has_its_intervals_too():
+    time = np.arange(4000) * 0.01
+    record = eoi.simulate(PLANT, time, np.sin(0.3 * time**1.3), hold="linear")
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(record.outputs.shape)
+    noisy = record.with_outputs(record.outputs + noise, "noisy")
+    rates = eoi.Plant(lambda t, x, u, p: p.gain * u - p.rate * x.y[0], {"gain": 2.0, "rate": 1.0})
+    known = uncertainty(eoi.identify(rates, noisy))
+    low, high = known.intervals(0.9999)["gain"]
+    assert low < 4.1 / 1.7 < high
+    assert "95 % interval" in str(known)
+
+
+# -- the figure -------------------------------------------------------------------------------
+
+
+def labels(figure):
+    return [axes.get_ylabel() for axes in figure.axes if axes.get_visible()]
+
+
+def test_figure_shows_runs_residuals_and_a_panel_for_each_parameter(tmp_path):
+    result = refined()
+    figure = result.plot()
+    assert labels(figure)[:2] == ["y [m/s]", "measured − run\n[m/s]"]
+    upper, lower, *panels = [axes for axes in figure.axes if axes.get_visible()]
+    assert [one.get_label() for one in upper.get_lines()] == ["measured", "before", "refined"]
+    assert len(lower.get_lines()) == 2
+    assert [one.get_title() for one in panels] == ["mass [kg]", "drag", "force"]
+    figure.savefig(tmp_path / "figure.png")
+    assert figure.get_size_inches()[0] * figure.dpi == 1000
+
+
+def test_figure_of_a_result_that_kept_less_shows_what_there_is():
+    bare = refined(records=(), residual_before=())
+    assert len([one for one in refinement_figure(bare).axes if one.get_visible()]) == 3
+    some = refined(residual_before=())
+    lines = refinement_figure(some).axes[0].get_lines()
+    assert [one.get_label() for one in lines] == ["measured", "refined"]
+
+
+def test_kept_fields_come_back_from_a_file(tmp_path):
+    result = refined()
+    result.save(tmp_path / "r.npz")
+    back = eoi.load(tmp_path / "r.npz", plant=PLANT)
+    np.testing.assert_array_equal(back.information, result.information)
+    assert back.degrees_of_freedom == 19.0
+    assert uncertainty(back).intervals() == uncertainty(result).intervals()
