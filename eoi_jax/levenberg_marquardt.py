@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.engines import free_runs
 from eoi_jax.output_error import PROMISE, Outcome, Problem, Unknowns, direction, each, errors
 from eoi_jax.types import Scalar
 
@@ -149,8 +150,24 @@ def solve(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     return _solve(problem, unknowns, jnp.asarray(max_steps))
 
 
+def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
+    """The same from several points side by side (a leading axis), until the last one has ended."""
+    if problem.compiled:  # here: no program can be traced while the solver runs
+        free_runs.supports(problem.kernel, len(unknowns.theta))
+    return _solve_many(problem, unknowns, jnp.asarray(max_steps))
+
+
+@eqx.filter_jit
+def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
+    return jax.vmap(lambda one: _search(problem, one, most))(unknowns)
+
+
 @eqx.filter_jit
 def _solve(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
+    return _search(problem, unknowns, most)
+
+
+def _search(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most,

@@ -4,8 +4,9 @@ All on the host; the kernel then reads one rectangular batch. What depends on th
 done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -65,6 +66,37 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                     "Convert the column, or correct the unit.",
                 )
     return several
+
+
+def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]:
+    """θ_0 of several starts.
+
+    Args:
+        plant: what they are for.
+        starts: dicts of parameters, the others nominal, or rows (starts, np); None for the nominal.
+
+    Raises:
+        ValueError: none, an unknown name, a row of another length, a value that is not finite.
+    """
+    if starts is None:
+        return np.asarray(plant.theta, dtype=float)[None]
+    if isinstance(starts, Mapping):
+        starts = [starts]
+    rows = [
+        np.asarray(plant.with_parameters(one).theta, dtype=float)
+        if isinstance(one, Mapping)
+        else np.asarray(one, dtype=float)
+        for one in starts
+    ]
+    check(len(rows) > 0, "starts", "must hold at least one starting point", "none")
+    for i, row in enumerate(rows):
+        check(
+            row.shape == (len(plant.names),) and bool(np.all(np.isfinite(row))),
+            f"starts[{i}]",
+            f"must give finite values of {', '.join(plant.names)}",
+            row,
+        )
+    return np.stack(rows)
 
 
 def check_observer(plant: Plant, observer: AbstractObserver) -> None:

@@ -10,7 +10,9 @@ Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marqua
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,14 +33,16 @@ from eoi_jax.output_error import (
     weighed,
 )
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records
+from eoi_jax.prepare import check_records, starting_points
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.regression.least_squares import least_squares, untraced
+from eoi_jax.regression.long_run import long_run
 from eoi_jax.results import Status
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
 _SETTLED = 0.02  # relative change of these weights that is none
-_BLOCKS = 20  # parts of the records, at least, whose scores count as independent
+_TOURNAMENT = (8, 16)  # steps of the solver for all points, and for those that are left
+_SHARE = 8  # one of so many is kept
 
 
 def refine(
@@ -48,6 +52,8 @@ def refine(
     window: float | None = None,
     substeps: int = 4,
     max_steps: int = 50,
+    starts: Any = None,
+    huber: float | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
@@ -58,6 +64,11 @@ def refine(
             state is estimated anew at the start of each. None: whole records.
         substeps: steps of the simulation per sample; one does where the sampling is fine.
         max_steps: of the solver, each one simulation with its sensitivities.
+        starts: further points to start from, run side by side: dicts of parameters, or rows
+            (starts, np). All get a few steps, the better ones more, the best one the rest.
+        huber: errors beyond so many standard deviations count by their size, not by its square,
+            so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
+            the standard deviation is then 1.4826 times the median of the sizes. None: squares.
 
     Returns:
         The estimate, never worse than its start on these runs. Look at `status` first. At the
@@ -71,7 +82,8 @@ def refine(
     Source:
         Output-error method: L. Ljung, *System Identification*, 2nd ed., section 3.2; elimination of
         what enters one block only: Å. Björck, *Numerical Methods for Least Squares Problems*,
-        section 6.3; clustered covariance: H. White, Econometrica 48 (1980) 817.
+        section 6.3; loss: P. J. Huber, *Robust Statistics*, section 7.8; covariance:
+        `regression/long_run.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     several = check_records(nominal, records)
@@ -79,6 +91,9 @@ def refine(
         check_positive("window", window)
     check(isinstance(max_steps, int) and max_steps >= 1, "max_steps", "must be an integer ≥ 1",
           max_steps)  # fmt: skip
+    if huber is not None:
+        check_positive("huber", huber)
+    points = _points(nominal, starts)
     spans = spans_of(several, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
@@ -87,37 +102,74 @@ def refine(
         jnp.asarray(nominal.theta)[np.asarray(problem.free)],
         jnp.asarray(guessed_starts(nominal, several, spans, substeps)),
     )
-    fit = _fitted(problem, unknowns, max_steps)
+    before = _unweighed(problem, signals(unknowns, problem))
+    if len(points):
+        unknowns = _best(problem, unknowns, points)
+    fit = _fitted(problem, unknowns, before, max_steps, huber)
     if fit is None:
         return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
     return _refinement(fit, several, spans, window)
 
 
-def _fitted(problem: Problem, unknowns: Unknowns, max_steps: int) -> "_Fit | None":
+def _points(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
+    """Further points to start from, none of them outside the bounds."""
+    if starts is None:
+        return np.zeros((0, len(plant.names)))
+    points = starting_points(plant, starts)
+    for i, name in enumerate(plant.names):
+        outside = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
+        rule = f"must keep {name} in its bounds [{plant.lower[i]:g}, {plant.upper[i]:g}]"
+        check(not outside.any(), "starts", rule, points[outside, i][:1])
+    return points
+
+
+def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> Unknowns:
+    """Where the best of several points leads: by halves, as in a tournament."""
+    from eoi_jax.levenberg_marquardt import solve_many
+
+    theta = np.vstack([np.asarray(problem.theta), points])[:, list(problem.free)]
+    starts = jnp.broadcast_to(unknowns.starts, (len(theta), *unknowns.starts.shape))
+    several = Unknowns(jnp.asarray(theta), starts)
+    for steps in _TOURNAMENT:
+        found = solve_many(problem, several, steps)
+        cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
+        kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
+        several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)
+    return jax.tree.map(lambda leaf: leaf[0], several)
+
+
+def _fitted(
+    problem: Problem,
+    unknowns: Unknowns,
+    before: Float[np.ndarray, "runs time ny"],
+    max_steps: int,
+    huber: float | None,
+) -> "_Fit | None":
     """Fits until the outputs are weighed by their residuals (one output: a single fit).
 
-    Each lowers the sum of squares under weights that were the best ones before: alternating
+    Each lowers the cost under weights that were the best ones before: for squares, alternating
     minimisation of the likelihood over the unknowns and σ, which never goes up. None where the
     runs diverge from the start.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve
 
-    before = _unweighed(problem, signals(unknowns, problem))
-    if not np.all(np.isfinite(before)):
+    if not np.all(np.isfinite(_unweighed(problem, signals(unknowns, problem)))):
         return None
     steps = 0
     for _ in range(1 + _ROUNDS):
         outcome = solve(problem, unknowns, max_steps)
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
         fit = _Fit(problem, signals(unknowns, problem), before, outcome, steps)
-        sigma = _rms(fit.error, fit.use)
+        sigma = _rms(fit.error, fit.use) if huber is None else _typical(fit.error, fit.use)
         # An output without any error would weigh infinitely.
         sigma = np.maximum(sigma, 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
         ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
-        if np.max(ratio) < (1.0 + _SETTLED) * np.min(ratio):
+        # Squares know no scale: only the ratios of the outputs count.
+        apart = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
+        if max(apart) < (1.0 + _SETTLED) * min(apart):
             break
-        problem = weighed(problem, sigma)
+        problem = weighed(problem, sigma, np.inf if huber is None else huber)
     return fit
 
 
@@ -164,6 +216,12 @@ def _rms(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
         return np.sqrt(np.sum(error**2, axis=(0, 1)) / np.sum(use, axis=(0, 1)))
 
 
+def _typical(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
+    """σ of normal errors with this median size: outliers hardly move it."""
+    sizes = np.where(use, np.abs(error), np.nan)
+    return 1.4826 * np.nanmedian(sizes, axis=(0, 1))
+
+
 # -- the answer -------------------------------------------------------------------------------
 
 
@@ -177,16 +235,12 @@ def _refinement(
     rmse, before = _rms(error, fit.use), _rms(fit.before, fit.use)
     bound = [name for i, name in enumerate(plant.names) if i in problem.free
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
-    covariance, lost = _covariance(fit, plant, bound)
-    residual = [np.full(record.outputs.shape, np.nan) for record in records]
-    for span, one, keep in zip(spans, error, fit.use, strict=True):
-        (index,) = np.nonzero(np.any(keep, axis=1))
-        residual[span.record][span.first + index] = one[index]
-    errors = np.sqrt(np.diagonal(covariance))
+    certainty = _certainty(fit, plant, bound, spans)
+    errors = np.sqrt(np.diagonal(certainty.covariance))
     return Refinement(
         plant.parameters,
         {name: float(one) for name, one in zip(plant.names, errors, strict=True)},
-        covariance,
+        certainty.covariance,
         plant,
         nominal,
         _starts(fit, plant, records, spans),
@@ -194,12 +248,27 @@ def _refinement(
         before,
         _cost(rmse),
         _cost(before),
-        residual,
+        _per_sample(error, fit.use, records, spans),
         fit.steps,
         window,
-        _status(fit, lost),
+        _status(fit, certainty.lost),
         tuple(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
+        certainty.information,
+        certainty.freedom,
+        tuple(_per_sample(fit.before, fit.use, records, spans)),
+        tuple(records),
     )
+
+
+def _per_sample(
+    error: np.ndarray, use: np.ndarray, records: Sequence[Record], spans: Sequence[Span]
+) -> list[np.ndarray]:
+    """One array for each record, NaN where not scored."""
+    out = [np.full(record.outputs.shape, np.nan) for record in records]
+    for span, one, keep in zip(spans, error, use, strict=True):
+        (index,) = np.nonzero(np.any(keep, axis=1))
+        out[span.record][span.first + index] = one[index]
+    return out
 
 
 def _cost(rmse: np.ndarray) -> float:
@@ -219,38 +288,57 @@ def _starts(
     return tuple(starts)
 
 
-def _covariance(
-    fit: _Fit, plant: Plant, bound: Sequence[str]
-) -> tuple[Float[np.ndarray, "np np"], list[str]]:
-    """Sandwich over blocks of samples, and combinations of parameters without a trace.
+@dataclass(frozen=True)
+class _Certainty:
+    """How well the fit knows its parameters.
 
-    NaN where there are no derivatives. The columns of θ are taken beside those of the starts,
-    which are estimated too.
+    Attributes:
+        covariance: shape (np, np); NaN where there are no derivatives, or on a bound.
+        information: beside that of the initial states, which are estimated too; (np, np).
+        freedom: degrees of freedom of the covariance.
+        lost: combinations of parameters without a trace.
     """
+
+    covariance: Float[np.ndarray, "np np"]
+    information: Float[np.ndarray, "np np"]
+    freedom: float
+    lost: list[str]
+
+
+def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Span]) -> _Certainty:
+    """Sandwich of the information and the long-run covariance of the scores."""
+    size, free = len(plant.names), list(fit.problem.free)
+    covariance, information = np.zeros((size, size)), np.zeros((size, size))
     if not fit.differentiable:
-        return np.full((len(plant.names), len(plant.names)), np.nan), []
-    whole = fit.shown.reshape(len(fit.shown), -1, fit.shown.shape[-1])
-    columns, error = whole[..., :-1], whole[..., -1]
-    own = columns.shape[2] - len(fit.problem.free)
-    names = [plant.names[i] for i in fit.problem.free]
-    shared = columns[..., own:] * np.asarray([name not in bound for name in names])
-    pieces = -(-_BLOCKS // len(columns))
-    information, scores = np.zeros((len(names), len(names))), []
-    for starts, theta, one in zip(columns[..., :own], shared, error, strict=True):
-        size = np.linalg.norm(starts, axis=0)
-        starts = starts / np.where(size > 0, size, 1.0)
-        beside = theta - starts @ np.linalg.lstsq(starts, theta, rcond=1e-10)[0]
-        information += beside.T @ beside
-        scores += [np.sum(part, axis=0) for part in np.array_split(beside * one[:, None], pieces)]
-    free = np.asarray([float(name not in bound) for name in names])
-    solution = least_squares(jnp.asarray(information), jnp.zeros(len(names)), jnp.asarray(free))
-    inverse, scores = np.asarray(solution.inverse), np.stack(scores)
-    meat = scores.T @ scores * len(scores) / (len(scores) - 1)
-    small = inverse @ meat @ inverse
-    small[free == 0] = small[:, free == 0] = np.nan
-    covariance = np.zeros((len(plant.names), len(plant.names)))
-    covariance[np.ix_(fit.problem.free, fit.problem.free)] = small
-    return covariance, untraced(solution, names, free)
+        covariance[np.ix_(free, free)] = np.nan
+        return _Certainty(covariance, information, np.inf, [])
+    names = [plant.names[i] for i in free]
+    loose = np.asarray([float(name not in bound) for name in names])
+    own = fit.shown.shape[-1] - 1 - len(free)
+    square, scores = np.zeros((len(free), len(free))), []
+    for one, span in zip(fit.shown, spans, strict=True):
+        part, score = _run_scores(one[: span.count + 1], own, float(fit.problem.threshold))
+        square += part * np.outer(loose, loose)
+        scores.append(score * loose)
+    solution = least_squares(jnp.asarray(square), jnp.zeros(len(names)), jnp.asarray(loose))
+    small, freedom = long_run(np.concatenate(scores), np.asarray(solution.inverse))
+    small[loose == 0] = small[:, loose == 0] = np.nan
+    covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square
+    return _Certainty(covariance, information, freedom, untraced(solution, names, loose))
+
+
+def _run_scores(
+    shown: Float[np.ndarray, "time ny size"], own: int, threshold: float
+) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "time free"]]:
+    """Information and scores of one run, in what its initial state leaves of the columns of θ."""
+    rows = shown.reshape(-1, shown.shape[-1])
+    starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
+    size = np.linalg.norm(starts, axis=0)
+    starts = starts / np.where(size > 0, size, 1.0)
+    beside = theta - starts @ np.linalg.lstsq(starts, theta, rcond=1e-10)[0]
+    near = beside * (np.abs(error) <= threshold)[:, None]
+    score = beside * np.clip(error, -threshold, threshold)[:, None]
+    return near.T @ near, np.sum(score.reshape(*shown.shape[:2], -1), axis=1)
 
 
 def _status(fit: _Fit, lost: Sequence[str]) -> Status:

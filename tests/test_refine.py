@@ -170,16 +170,64 @@ def test_dry_friction_is_refined_to_the_truth():
 
 
 def test_estimates_scatter_as_their_standard_errors_say():
-    """White noise: the sandwich over blocks is then the classical covariance, on average."""
+    """White noise: the sandwich is then the classical covariance, on average."""
     off = []
     for seed in range(12):
         result = refine(OSCILLATOR, run(OSCILLATOR, [0.02, -0.1], 1e-4, seed))
         assert result.rmse[0] == pytest.approx(1e-4, rel=0.1)
         errors_of = np.asarray(list(result.standard_errors.values()))
         off.append((np.asarray(result.plant.theta) - OSCILLATOR.theta) / errors_of)
-    # 60 values, twenty blocks each: Student's t with 19 degrees of freedom, mean square 1.12;
-    # five parameters of one run go together, so the bounds are wide.
+    # 60 values, Student's t with some forty degrees of freedom, mean square 1.05; five parameters
+    # of one run go together, so the bounds are wide.
     assert 0.4 < np.mean(np.square(off)) < 2.5
+
+
+def test_outliers_do_not_rule_huber_s_loss():
+    """Five samples in a hundred are off by a hundred times the noise, all to one side."""
+    record = run(OSCILLATOR, [0.02, -0.1], 1e-4)
+    draw = np.random.default_rng(1)
+    struck = draw.random(len(record)) < 0.05
+    outputs = record.outputs + 1e-2 * struck[:, None]
+    spoilt = eoi.Record(record.time, record.inputs, outputs, hold="linear")
+    squares, robust = refine(OSCILLATOR, spoilt), refine(OSCILLATOR, spoilt, huber=1.345)
+    clean = refine(OSCILLATOR, record)
+    off = [np.asarray(one.plant.theta) - OSCILLATOR.theta for one in (squares, robust, clean)]
+    errors = np.asarray(list(clean.standard_errors.values()))
+    assert robust.status.ok
+    # The offset of the model takes what five outliers in a hundred push: 0.05 · 1.345 σ / 0.95.
+    assert np.max(np.abs(off[1]) / errors) < 6.0
+    assert np.max(np.abs(off[0])) > 20.0 * np.max(np.abs(off[1]))
+
+
+def test_without_outliers_huber_s_loss_costs_little():
+    record = run(OSCILLATOR, [0.02, -0.1], 1e-4, seed=3)
+    squares, robust = refine(OSCILLATOR, record), refine(OSCILLATOR, record, huber=1.345)
+    errors = np.asarray(list(squares.standard_errors.values()))
+    apart = np.asarray(robust.plant.theta) - np.asarray(squares.plant.theta)
+    # The two estimates differ by √(1/0.95 - 1) = 0.23 standard errors, one standard deviation.
+    assert np.max(np.abs(apart) / errors) < 1.0
+
+
+def test_the_best_of_several_starts_is_found_where_one_alone_is_lost():
+    """A frequency three times too high is in another valley of the cost."""
+    record = run(OSCILLATOR, [0.02, -0.1])
+    lost = OSCILLATOR.with_parameters({"stiffness": 40.0, "gain": 0.3})
+    alone = refine(lost, record)
+    draw = np.random.default_rng(0)
+    points = np.asarray(OSCILLATOR.theta) * draw.uniform(0.2, 3.0, (30, 5))
+    found = refine(lost, record, starts=points)
+    assert alone.rmse[0] > 1e-2
+    np.testing.assert_allclose(found.plant.theta, OSCILLATOR.theta, rtol=1e-6)
+    assert found.before == alone.before  # of the plant as given
+
+
+def test_starts_are_named_or_rows_within_the_bounds():
+    bounded = eoi.Plant(hardening, VALUES, 2, ("u",), ("y",), bounds={"damping": (0.0, 2.0)})
+    record = run(OSCILLATOR)
+    with pytest.raises(ValueError, match=r"`starts` must keep damping in its bounds \[0, 2\]"):
+        refine(bounded, record, starts=[{"damping": 3.0}])
+    with pytest.raises(ValueError, match=r"`starts\[0\]`"):
+        refine(bounded, record, starts=[[1.0]])
 
 
 def test_a_parameter_on_its_bound_leaves_the_others_at_their_best():
@@ -338,7 +386,12 @@ def test_records_without_a_scored_sample_are_said():
 
 @pytest.mark.parametrize(
     ("options", "field"),
-    [({"window": -1.0}, "window"), ({"max_steps": 0}, "max_steps"), ({"substeps": 0}, "substeps")],
+    [
+        ({"window": -1.0}, "window"),
+        ({"max_steps": 0}, "max_steps"),
+        ({"substeps": 0}, "substeps"),
+        ({"huber": 0.0}, "huber"),
+    ],
 )
 def test_wrong_arguments_are_named(options, field):
     with pytest.raises(ValueError, match=f"`{field}`"):

@@ -6,7 +6,7 @@ them: one estimate. A chunk holds lanes of one record and one filter.
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -23,7 +23,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import check_observer, check_records
+from eoi_jax.prepare import check_observer, check_records, starting_points
 
 DIMENSIONS = ("record", "lowpass", "observer", "start", "resample")
 PRECISIONS = ("float64", "float32")
@@ -232,7 +232,7 @@ def plan(
         _groups(plant, records),
         tuple(replace(choices, lowpass=one) for one in filters),
         groups,
-        _starts(plant, starts),
+        starting_points(plant, starts),
         settings,
     )
 
@@ -270,28 +270,6 @@ def _filters(lowpass: Any) -> tuple[LowPass | None, ...]:
             type(one).__name__,
         )
     return several
-
-
-def _starts(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]:
-    if starts is None:
-        return np.asarray(plant.theta, dtype=float)[None]
-    if isinstance(starts, Mapping):
-        starts = [starts]
-    rows = [
-        np.asarray(plant.with_parameters(one).theta, dtype=float)
-        if isinstance(one, Mapping)
-        else np.asarray(one, dtype=float)
-        for one in starts
-    ]
-    check(len(rows) > 0, "starts", "must hold at least one starting point", "none: that is no lane")
-    for i, row in enumerate(rows):
-        check(
-            row.shape == (len(plant.names),) and bool(np.all(np.isfinite(row))),
-            f"starts[{i}]",
-            f"must give finite values of {', '.join(plant.names)}",
-            row,
-        )
-    return np.stack(rows)
 
 
 def _equation(plant: Plant) -> str:
