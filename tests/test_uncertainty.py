@@ -282,7 +282,7 @@ def labels(figure):
 def test_figure_shows_runs_residuals_and_a_panel_for_each_parameter(tmp_path):
     result = refined()
     figure = result.plot()
-    assert labels(figure)[:2] == ["y [m/s]", "measured − run\n[m/s]"]
+    assert labels(figure)[:2] == ["y [m/s]", "error [m/s]"]
     upper, lower, *panels = [axes for axes in figure.axes if axes.get_visible()]
     assert [one.get_label() for one in upper.get_lines()] == ["measured", "before", "refined"]
     assert len(lower.get_lines()) == 2

@@ -360,7 +360,7 @@ def _draw_refined_runs(figure: Any, result: Refinement, record: int) -> None:
         _draw_runs(upper, lower, measured, runs, j)
         unit = units.get(name, "")
         upper.set_ylabel(name + (f" [{unit}]" if unit else ""))
-        lower.set_ylabel("measured − run" + (f"\n[{unit}]" if unit else ""))
+        lower.set_ylabel("error" + (f" [{unit}]" if unit else ""))
         for axes in (upper, lower):
             axes.grid(alpha=0.3)
     panels[0].set_title(f"free run, record {measured.name}", loc="left", fontsize=9)
