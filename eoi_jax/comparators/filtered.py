@@ -32,7 +32,7 @@ from eoi_jax.prepare import TAPER, constant, moving, tapered
 from eoi_jax.tuning import default_lowpass, rate_noise
 
 _WIDE = 5.0  # cut-off of W over that of L: there it is flat to 1e-5
-_MOST = 0.5  # of the Nyquist frequency, for W
+_MOST = 0.5  # of the Nyquist frequency, with sub-steps, for W
 _ENDS = 4.0  # time constants of W beside the ends of a segment, where it sees no data
 _DECAY = 5.0  # the linearised plant must forget by so many factors of e over a record
 
@@ -58,18 +58,23 @@ class Motion:
 
 @dataclass(frozen=True)
 class Filters:
-    """Cut-offs of L and W [rad/s], chosen from the records."""
+    """Cut-offs of L and W [rad/s], and steps a sample that W needs, chosen from the records."""
 
     narrow: float
     wide: float
+    substeps: int
 
 
 def default_filters(plant: Plant, records: Sequence[Record]) -> Filters:
-    """L as the paper's F would be chosen, W five times as wide (less on a coarse record)."""
+    """L as the paper's F would be chosen, W five times as wide.
+
+    Records that are too coarse for W get sub-steps: harmonics of a nonlinear motion lie beyond
+    their own Nyquist frequency, and a filter that cuts them off bends f.
+    """
     narrow = default_lowpass(plant, records)[0].cutoff
+    wide = _WIDE * narrow
     nyquist = np.pi / max(record.sample_period for record in records)
-    wide = min(_WIDE * narrow, _MOST * nyquist)
-    return Filters(min(narrow, wide), wide)
+    return Filters(narrow, wide, int(np.ceil(wide / (_MOST * nyquist))))
 
 
 def motion(plant: Plant, record: Record, wide: float) -> Motion:
@@ -162,7 +167,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Equation:
-    """A plant's equation along records; what does not depend on θ is worked out once."""
+    """A plant's equation along records with sub-steps; what θ does not change is made once."""
 
     plant: Plant
     records: tuple[Record, ...]
@@ -221,6 +226,7 @@ def equation(plant: Plant, records: Sequence[Record]) -> Equation:
         records: checked against the plant.
     """
     filters = default_filters(plant, records)
+    records = [record.resample(filters.substeps) for record in records]
     motions = [motion(plant, record, filters.wide) for record in records]
     masks = [
         usable(plant, record, now, filters) for record, now in zip(records, motions, strict=True)

@@ -44,7 +44,7 @@ class StateVariableFilter(AbstractComparator):
         found = least_squares_on(one)
         if not found.status.ok:
             return Estimate(None, None, found.status)
-        memory = round(one.memory / records[0].sample_period)
+        memory = round(one.memory / one.records[0].sample_period)
         errors = np.sqrt(np.diagonal(covariance(found.solved, found.rows, found.rows, memory)))
         return Estimate(named(plant, found.theta), named(plant, errors), found.status)
 

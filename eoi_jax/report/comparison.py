@@ -38,22 +38,28 @@ def comparison_text(result: Comparison) -> str:
 
 
 def _scores(result: Comparison, outputs: tuple[str, ...]) -> str:
-    """A row for each method; a column for each score and output."""
-    shared = len(outputs) == 1
-    heads = [
-        what if shared else f"{what} {name}"
-        for what in ("rmse", "windows", "P")
-        for name in outputs
-    ]
+    """A row for each method; of several outputs, a table for each score."""
+    scores = (("rmse", "rmse"), ("windows", "windows"), ("P", "index"))
     truth = ["worst error"] if result.truth is not None else []
-    rows = [("method", "status", *truth, *heads, "time [s]", "first [s]")]
+    beside = [name for name, _ in scores] if len(outputs) == 1 else []
+    rows = [("method", "status", *truth, *beside, "time [s]", "first [s]")]
     for one in result.entries:
-        scores = [f"{value:.4g}" for part in (one.rmse, one.windows, one.index) for value in part]
         worst = [f"{100 * worst_error(one):.3g} %"] if truth else []
+        values = [f"{getattr(one, field)[0]:.4g}" for _, field in scores] if beside else []
         times = (f"{one.seconds:.2g}", f"{one.first_seconds:.2g}")
-        rows.append((one.method, one.status.code, *worst, *scores, *times))
+        rows.append((one.method, one.status.code, *worst, *values, *times))
+    tables = [_dashed(rows, "<<")]
+    if not beside:
+        for name, field in scores:
+            shown = [(e.method, *(f"{v:.4g}" for v in getattr(e, field))) for e in result.entries]
+            tables.append(_dashed([(name, *outputs), *shown], "<"))
+    return "\n\n".join(tables)
+
+
+def _dashed(rows: list[tuple[str, ...]], sides: str) -> str:
+    """Columns with a dash for what is not known; those after `sides` stand right."""
     rows = [tuple("-" if cell in ("nan", "nan %") else cell for cell in row) for row in rows]
-    return columns(rows, "<<" + ">" * (len(rows[0]) - 2))
+    return columns(rows, sides + ">" * (len(rows[0]) - len(sides)))
 
 
 def worst_error(entry: Entry) -> float:
