@@ -3,6 +3,7 @@
 Records come from `independent.py`. A peer that is not installed is a row that says so.
 """
 
+import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -144,6 +145,7 @@ def main() -> None:
         common.RESULTS.mkdir(exist_ok=True)
         figure(found, common.RESULTS / "comparators.png")
         report.add("![Worst parameter error against noise](comparators.png)")
+    report.add(f"CPU time: {time.process_time():.0f} s.")
     report.close("comparators", given.write)
 
 

@@ -196,6 +196,7 @@ def main() -> None:
         )
     report.add(lag_text(plant, y))
     report.add("## The paper's three sets of parameters on our record", *paper_table(plant, y))
+    report.add(f"CPU time: {time.process_time():.0f} s.")
     report.close("section_6", given.write)
 
 

@@ -218,22 +218,25 @@ class _Judge:
 
     def entry(self, method: AbstractComparator, records: tuple[Record, ...]) -> Entry:
         """Run a method twice, for its time once compiled, and score its answer."""
-        estimate, first = _timed(lambda: _attempt(method, self.plant, records))
+        found, first = _timed(lambda: _attempt(method, self.plant, records))
         seconds = np.nan
-        if estimate.status.ok:
-            estimate, seconds = _timed(lambda: _attempt(method, self.plant, records))
-        values = estimate.parameters
+        if found.status.ok:
+            found, seconds = _timed(lambda: _attempt(method, self.plant, records))
+        values = found.parameters
         none = np.full(len(self.plant.outputs), np.nan)
-        whole = none if values is None else self._free_run(values, None)
+        whole, windows, index = none, none, none
+        if values is not None:
+            whole, index = self._free_run(values, None), self.index.score(values)
+            windows = none if self.window is None else self._free_run(values, self.window)
         return Entry(
             method.name,
             method.description,
             values,
-            estimate.standard_errors,
-            estimate.status,
+            found.standard_errors,
+            found.status,
             whole,
-            none if values is None or self.window is None else self._free_run(values, self.window),
-            none if values is None else self.index.score(values),
+            windows,
+            index,
             self._errors(values),
             seconds,
             first,

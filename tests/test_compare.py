@@ -94,6 +94,20 @@ def test_clean_record_ranks_the_methods_as_their_theory_says(result: eoi.Compari
     assert 1e-2 < worst("vss_direct") < 1.0
 
 
+def test_instruments_are_as_good_as_output_error_for_a_linear_plant(plant, record):
+    rng = np.random.default_rng(5)
+    sigma = 1e-2 * np.sqrt(np.mean(record.outputs**2))
+    y = record.outputs + sigma * rng.standard_normal(record.outputs.shape)
+    methods = [comparators.StateVariableInstruments(), comparators.OutputError()]
+    own, best = eoi.compare(plant, record.with_outputs(y, "noisy"), methods=methods).entries
+    assert own.parameters is not None
+    assert best.parameters is not None
+    assert best.standard_errors is not None
+    # The ends of the record, which W costs, and what lies beyond its band.
+    for key, error in best.standard_errors.items():
+        assert abs(own.parameters[key] - best.parameters[key]) < error
+
+
 def test_the_table_names_every_method_and_how_it_ended(result: eoi.Comparison):
     text = str(result)
     for one in result.entries:

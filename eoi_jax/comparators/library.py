@@ -18,6 +18,7 @@ def standard() -> tuple[AbstractComparator, ...]:
     return (
         PlainExplicit(),
         PlainImplicit(),
+        # A pass with instruments belongs here, a class in a file of its own.
         Refined(),
         OutputError(),
         StateVariableFilter(),

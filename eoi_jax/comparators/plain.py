@@ -24,7 +24,7 @@ class PlainImplicit(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """`identify` with nothing chosen."""
-        return answer(identify(plant, records))
+        return answer(plain(plant, records))
 
 
 class PlainExplicit(AbstractComparator):
@@ -41,11 +41,11 @@ class PlainExplicit(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """A first pass sets the gains, then `identify`."""
-        first = identify(plant, records, passes=1)
+        first = plain(plant, records, passes=1)
         period = max(record.sample_period for record in records)
         cutoff = 1.4 / (_APART**2 * period)
         if plant.relative_degree > 1 and first.lowpass.cutoff > cutoff:
-            first = identify(plant, records, None, LowPass(cutoff, first.lowpass.order), passes=1)
+            first = plain(plant, records, None, LowPass(cutoff, first.lowpass.order), passes=1)
         if not first.status.ok:
             return answer(first)
         observer = explicit_form(first)
@@ -53,7 +53,26 @@ class PlainExplicit(AbstractComparator):
             degrees = ", ".join(str(one) for one in plant.degrees)
             reason = "there is no explicit observer for outputs of relative degree three or more"
             return not_applicable(f"{reason}, and the plant has {degrees}")
-        return answer(identify(plant, records, observer, first.lowpass))
+        return answer(plain(plant, records, observer, first.lowpass))
+
+
+def plain(
+    plant: Plant,
+    records: Sequence[Record],
+    observer: AbstractObserver | None = None,
+    lowpass: LowPass | None = None,
+    passes: int = 10,
+) -> Identification:
+    """`identify` as the paper has it: the one place to switch off what is added to that.
+
+    Args:
+        plant: with its nominal parameters.
+        records: of the estimate.
+        observer: chosen if left out.
+        lowpass: F, chosen if left out.
+        passes: how many at most.
+    """
+    return identify(plant, records, observer, lowpass, passes)
 
 
 def answer(result: Identification) -> Estimate:

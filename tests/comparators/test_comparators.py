@@ -157,22 +157,6 @@ def test_instruments_cure_the_bias_of_least_squares(plant: eoi.Plant):
     assert np.all(np.abs(cured) < 0.3 * np.abs(biased))
 
 
-def test_instruments_are_as_good_as_output_error_for_a_linear_plant(
-    plant: eoi.Plant, clean: eoi.Record
-):
-    record = noisy(clean, 1e-2, 5)
-    own, best = (
-        method.estimate(plant, [record])
-        for method in (comparators.StateVariableInstruments(), comparators.OutputError())
-    )
-    assert own.parameters is not None
-    assert best.parameters is not None
-    assert best.standard_errors is not None
-    # The ends of the record, which W costs, and what lies beyond its band.
-    for key, error in best.standard_errors.items():
-        assert abs(own.parameters[key] - best.parameters[key]) < 1.0 * error
-
-
 def test_a_parameter_that_enters_nonlinearly_takes_gauss_newton(clean: eoi.Record):
     def dynamics(t, x, u, p):
         position, rate = x.y
