@@ -58,7 +58,7 @@ def rows(name: str, held: np.ndarray, found: dict[float, eoi.Comparison]) -> lis
         error = np.max(entry.rmse / held)
         lines.append([
             name, entry.method, *shares,
-            "-" if np.isnan(error) else common.percent(error),
+            "-" if np.isnan(error) else "diverges" if np.isinf(error) else common.percent(error),
             "-" if np.isnan(entry.seconds) else f"{entry.seconds:.2g}",
             f"{entry.first_seconds:.2g}",
         ])  # fmt: skip
@@ -74,15 +74,15 @@ def share(entry: Any) -> str:
 
 
 def ends(found: dict[str, dict[float, eoi.Comparison]]) -> str:
-    """Sentences of the methods without an answer, or with a doubtful one."""
-    lines: dict[str, list[str]] = {}
+    """Methods without an answer, or with a doubtful one: a sentence of the first, and where."""
+    lines: dict[str, tuple[str, list[str]]] = {}
     for name, levels in found.items():
         for level, result in levels.items():
             for one in result.entries:
                 if one.status.code != "converged":
-                    text = f"{one.method}: {one.status}"
-                    lines.setdefault(text, []).append(f"{name} {level:g}")
-    return "\n".join(f"- {text} ({'; '.join(where)})" for text, where in lines.items())
+                    key = f"{one.method}: {one.status.code}"
+                    lines.setdefault(key, (one.status.message, []))[1].append(f"{name} {level:g}")
+    return "\n".join(f"- {key}: {text} ({'; '.join(at)})" for key, (text, at) in lines.items())
 
 
 def figure(found: dict[str, dict[float, eoi.Comparison]], path: Path) -> None:

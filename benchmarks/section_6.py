@@ -166,7 +166,7 @@ def lag_text(plant: eoi.Plant, y: np.ndarray) -> str:
         "α̂₀ is off by is taken for damping: (300 - α) τ = "
         f"{(300.0 - true['alpha']) * 0.02:.3g} to first order, {found['beta'] - true['beta']:.3g} "
         "without noise. α̂₀ is the middle of the paper's intervals here; the paper does not give "
-        "its form, and its β (8.095, below the truth here) means that its α̂₀ was another."
+        "its form, and its β (8.095, below the truth here) suggests that its α̂₀ was another."
     )
 
 
