@@ -76,6 +76,34 @@ def pendulum(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.nd
     return angle[:, None]
 
 
+def duffing(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
+    """Duffing oscillator from rest under a held input: displacement, shape (N, 1).
+
+    Thirty steps of Gauss's rule of order four (two stages) a sample, in plain Python floats: at a
+    tenth of a period a sample they err by about 1e-9 of y.
+    """
+    if hold != "zero":
+        raise ValueError(f"`hold` must be zero: steps do not cross a change, got {hold}.")
+    count = 30
+    h, c, k, k3 = _period(time) / count, p["damping"], p["stiffness"], p["cubic_stiffness"]
+    root = math.sqrt(3.0) / 6.0
+    a11, a12, a21, a22 = 0.25 * h, (0.25 - root) * h, (0.25 + root) * h, 0.25 * h
+    y = v = 0.0
+    out = [0.0]
+    for value in u[:-1].tolist():
+        push = p["gain"] * value + p["offset"]
+        for _ in range(count):
+            v1 = v2 = v
+            f1 = f2 = push - c * v - k * y - k3 * y**3
+            for _ in range(4):  # each round of the fixed point gains a factor of h ω
+                v1, v2 = v + a11 * f1 + a12 * f2, v + a21 * f1 + a22 * f2
+                y1, y2 = y + a11 * v1 + a12 * v2, y + a21 * v1 + a22 * v2
+                f1, f2 = push - c * v1 - k * y1 - k3 * y1**3, push - c * v2 - k * y2 - k3 * y2**3
+            y, v = y + 0.5 * h * (v1 + v2), v + 0.5 * h * (f1 + f2)
+        out.append(y)
+    return np.asarray(out)[:, None]
+
+
 def _swing(
     p: Parameters, stamps: np.ndarray, push: float, state: tuple[float, float]
 ) -> tuple[np.ndarray, tuple[float, float]]:

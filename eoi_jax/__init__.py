@@ -1,5 +1,6 @@
 """Identify dynamical systems from the equivalent output injection of sliding-mode observers."""
 
+from eoi_jax import comparators as comparators
 from eoi_jax import effects as effects
 from eoi_jax import engines as engines
 from eoi_jax import observers as observers
@@ -9,6 +10,8 @@ from eoi_jax.batch.best import best as best
 from eoi_jax.batch.store import open_sweep as open_sweep
 from eoi_jax.bootstrap import bootstrap as bootstrap
 from eoi_jax.checks import RecordWarning as RecordWarning
+from eoi_jax.compare import Comparison as Comparison
+from eoi_jax.compare import compare as compare
 from eoi_jax.data import excitation as excitation
 from eoi_jax.data.long_record import LongRecord as LongRecord
 from eoi_jax.data.readers import read_record as read_record

@@ -13,7 +13,8 @@ class Status:
     Attributes:
         code: one word for programs: ``"converged"``, ``"passes_exhausted"``,
             ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery
-            ``"explained"``, ``"nothing_missing"``, ``"unexplained"``.
+            ``"explained"``, ``"nothing_missing"``, ``"unexplained"``; of a
+            method in a comparison ``"not_applicable"``, ``"failed"``.
         message: what happened, the likely cause, what to try.
     """
 

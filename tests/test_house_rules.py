@@ -50,8 +50,8 @@ LAYERS = (
     ("levenberg_marquardt",),
     ("refinement",),
     ("refine",),
-    ("uncertainty",),
-    ("bootstrap", "profile"),
+    ("comparators",),
+    ("compare",),
     ("discovery",),
     ("rounds",),
     ("discover",),
@@ -66,15 +66,7 @@ RANK = {name: i for i, layer in enumerate(LAYERS) for name in layer}
 # A result prints, plots and saves itself: it reaches down, at call time, to those that can.
 REACHES_DOWN = {
     (part, name)
-    for part in (
-        "identify",
-        "diagnose",
-        "diagnosis",
-        "refinement",
-        "uncertainty",
-        "profile",
-        "discovery",
-    )
+    for part in ("identify", "diagnose", "diagnosis", "refine", "compare", "discovery")
     for name in ("report", "store")
 }
 
@@ -204,6 +196,7 @@ def test_abstract_modules_have_no_fields_of_their_own():
 
 PUBLIC = (
     "eoi_jax",
+    "eoi_jax.comparators",
     "eoi_jax.effects",
     "eoi_jax.observers",
     "eoi_jax.plants",

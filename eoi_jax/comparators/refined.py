@@ -1,0 +1,25 @@
+"""The passes of the paper, then output error from where they end: nobody guesses a start."""
+
+from collections.abc import Sequence
+
+from eoi_jax.comparators.comparator import AbstractComparator, Estimate
+from eoi_jax.comparators.output_error import refinement_answer
+from eoi_jax.comparators.plain import answer
+from eoi_jax.data.record import Record
+from eoi_jax.identify import identify
+from eoi_jax.plants.plant import Plant
+from eoi_jax.refine import refine
+
+
+class Refined(AbstractComparator):
+    """`identify`, then `refine` from its estimate."""
+
+    name = "refined"
+    description = "the paper's passes, then output error from their estimate"
+
+    def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
+        """A start by `identify`, polished by `refine`."""
+        first = identify(plant, records)
+        if not first.status.ok:
+            return answer(first)
+        return refinement_answer(refine(first, records))
