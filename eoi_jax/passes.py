@@ -357,8 +357,11 @@ class Kernel(eqx.Module):
         weighted = score[:, None] * phi
         block, meat = carry.block, old.meat
         if self.store != "nothing":
-            block = block + now.block_weight * (self.weights * (injection - explained)) @ weighted
-            meat = meat + jnp.where(now.block_end, jnp.outer(block, block), 0.0)
+            own = now.score[:, None] * phi
+            block = block + now.block_weight * (self.weights * (injection - explained)) @ own
+            # A block drawn k times counts k times, not as one of k times its size.
+            times = 1.0 if now.emphasis is None else now.emphasis
+            meat = meat + jnp.where(now.block_end, times * jnp.outer(block, block), 0.0)
             block = jnp.where(now.block_end, 0.0, block)
         sums = Sums(
             old.information + weighted[:, :, None] * phi[:, None, :],

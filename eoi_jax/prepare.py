@@ -88,7 +88,7 @@ def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]
         else np.asarray(one, dtype=float)
         for one in starts
     ]
-    check(len(rows) > 0, "starts", "must hold at least one starting point", "none")
+    check(len(rows) > 0, "starts", "must hold at least one starting point", "none: that is no lane")
     for i, row in enumerate(rows):
         check(
             row.shape == (len(plant.names),) and bool(np.all(np.isfinite(row))),

@@ -6,7 +6,7 @@ them: one estimate. A chunk holds lanes of one record and one filter.
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
