@@ -54,6 +54,7 @@ LAYERS = (
     ("refinement",),
     ("refine",),
     ("uncertainty",),
+    ("remaining",),
     ("bootstrap", "profile"),
     ("comparators",),
     ("compare",),

@@ -1,0 +1,123 @@
+"""What a refined model still lacks: effects are named by what they do to the free run."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
+from eoi_jax.refine import refine
+from eoi_jax.remaining import remaining
+from eoi_jax.results import Status
+
+PERIOD = 5e-3
+TIME = np.arange(4001) * PERIOD
+
+
+def oscillating(t, x, u, p):
+    position, rate = x.y
+    return p.gain * u - p.damping * rate - p.stiffness * position + p.offset
+
+
+PLANT = eoi.Plant(
+    oscillating, {"gain": 1.2, "damping": 0.5, "stiffness": 9.0, "offset": 0.1}, 2, ("u",), ("y",)
+)
+NOISE = 1e-3
+
+
+def force():
+    draw = np.random.default_rng(4)
+    steps = np.repeat(draw.normal(size=100), 41)[: len(TIME)]
+    return steps + np.sin(2.0 * TIME)
+
+
+def with_hidden(*placed, values):
+    plant = augmented(PLANT, [place(PLANT, *one) for one in placed], values)
+    record = eoi.simulate(plant, TIME, force(), hold="zero", substeps=2)
+    noise = NOISE * np.random.default_rng(0).standard_normal(record.outputs.shape)
+    return eoi.Record(TIME, force(), record.outputs + noise, "lab", hold="zero")
+
+
+def left_of(record):
+    return remaining(refine(PLANT, record, substeps=2), substeps=2)
+
+
+def test_a_hidden_drag_is_named_with_its_size():
+    record = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
+    found = left_of(record)
+    assert found.best is not None
+    assert found.best.names == ("quadratic_drag",)
+    # Linearised at no drag at all, and other parameters have taken part of it.
+    assert found.best.values["quadratic_drag"] == pytest.approx(0.2, rel=0.35)
+    assert "square of the velocity" in str(found)
+    again = refine(found.with_best(), record, substeps=2)
+    assert again.rmse[0] == pytest.approx(NOISE, rel=0.05)
+    assert again.parameters["quadratic_drag"] == pytest.approx(0.2, rel=0.05)
+    nothing = remaining(again, substeps=2)
+    assert nothing.best is None
+    assert "None of them is significant" in str(nothing)
+    assert nothing.with_best() is nothing.plant
+
+
+def test_a_changed_input_is_named():
+    found = left_of(with_hidden((effects.InputDelay(), 0), values={"input_delay": 0.04}))
+    assert found.best is not None
+    assert found.best.names in (("input_delay",), ("actuator_lag",))  # near twins
+    assert list(found.best.values.values()) == [pytest.approx(0.04, rel=0.5)]
+
+
+def test_two_effects_are_named_that_hide_each_other():
+    hidden = (effects.Drift(), 0), (effects.CubicStiffness(), 0)
+    values = {"drift": 0.05, "cubic_stiffness": 6.0}
+    found = left_of(with_hidden(*hidden, values=values))
+    assert {"drift", "cubic_stiffness"} in [set(one.names) for one in found.pairs]
+    # A spring with a gap beside the declared one is its near twin at one amplitude.
+    assert found.best is not None
+    assert set(found.best.names) - {"cubic_stiffness", "free_play"} == {"drift"}
+
+
+def test_only_given_effects_are_tried():
+    record = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
+    result = refine(PLANT, record, substeps=2)
+    found = remaining(result, [effects.CubicDamping(), effects.Hysteresis()], substeps=2)
+    assert [one.names for one in found.ranking] == [("cubic_damping",)]
+    assert found.pairs == ()
+
+
+def test_wrong_calls_are_named():
+    record = with_hidden(values={})
+    result = refine(PLANT, record, substeps=2)
+    lost = replace(result, status=Status("diverged", "far away"))
+    with pytest.raises(ValueError, match="`refinement` must have an answer"):
+        remaining(lost)
+    with pytest.raises(ValueError, match="`level` must lie in"):
+        remaining(result, level=2.0)
+    lagged = augmented(PLANT, [place(PLANT, effects.ActuatorLag(), 0)], {"actuator_lag": 0.02})
+    with pytest.raises(ValueError, match="without delay or lag"):
+        remaining(replace(result, plant=lagged))
+
+
+def test_internal_states_and_several_runs_are_followed():
+    def tank(t, x, u, p):
+        return p.a * jnp.sqrt(jnp.maximum(x.z[0], 0.0)) - p.b * x.y[0]
+
+    def upper(t, x, u, p):
+        return u - p.a * jnp.sqrt(jnp.maximum(x.z, 0.0))
+
+    plant = eoi.Plant(tank, {"a": 0.6, "b": 0.4}, 1, ("u",), ("level",), internal=upper,
+                      internal_initial=lambda p: [1.0 + 0.0 * p.a])  # fmt: skip
+    hidden = augmented(plant, [place(plant, effects.Drift(), 0)], {"drift": 0.02})
+    inflow = 1.0 + 0.5 * np.sign(np.sin(0.7 * TIME))
+    record = eoi.simulate(hidden, TIME, inflow, [0.9], hold="zero")
+    draw = np.random.default_rng(2)
+    noisy = record.outputs + NOISE * draw.standard_normal(record.outputs.shape)
+    record = eoi.Record(TIME, inflow, noisy, hold="zero")
+    result = refine(plant, [record, record[:2000]], substeps=1, window=8.0)
+    found = remaining(result, [effects.Drift(), effects.QuadraticStiffness()], substeps=1)
+    assert found.best is not None
+    assert found.best.names == ("drift",)
+    # Found from windows: in each, what time adds since the start of the record.
+    assert found.best.values["drift"] == pytest.approx(0.02, rel=0.3)
