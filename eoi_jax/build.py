@@ -71,23 +71,7 @@ def plant(config: Config, folder: Path) -> Plant:
     for field in ("nominal", "bounds"):
         for key in getattr(table, field):
             check_choice(f"parameters.{field}", key, base.names)
-    limits = {
-        key: (float(low), float(high))
-        for key, low, high in zip(base.names, base.lower, base.upper, strict=True)
-    }
-    return Plant(
-        base.dynamics,
-        {**base.parameters, **table.nominal},
-        relative_degree=base.degrees,
-        inputs=base.inputs,
-        outputs=base.outputs,
-        internal=base.internal,
-        internal_initial=base.internal_initial if base.internal else None,
-        bounds={**limits, **table.bounds},
-        fixed=(*base.fixed, *(key for key in table.fixed if key not in base.fixed)),
-        units=base.units,
-        name=base.name,
-    )
+    return base.declared_anew(table.nominal, table.bounds, table.fixed)
 
 
 def _plant_from_file(reference: str, folder: Path) -> Plant:

@@ -118,7 +118,7 @@ def profile(
     good = bool(np.isfinite(error) and error > 0)
     check(good, "name", "must have a finite standard error", f"{name} ± {error:g}")
     quantile = student(level, known.degrees_of_freedom)
-    held = _holding(plant, name)
+    held = plant.declared_anew(fixed=(name,))
 
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
@@ -130,25 +130,6 @@ def profile(
     check(centre.status.ok, "records", "must be those of the refinement", str(centre.status))
     search = _Search(fit, name, centre, error, quantile, _limits(plant, name))
     return search.run(level, plant.units.get(name, ""))
-
-
-def _holding(plant: Plant, name: str) -> Plant:
-    """The same plant with one more parameter fixed."""
-    limits = zip(plant.names, plant.lower, plant.upper, strict=True)
-    return Plant(
-        plant.dynamics,
-        plant.parameters,
-        relative_degree=plant.degrees,
-        inputs=plant.inputs,
-        outputs=plant.outputs,
-        internal=plant.internal,
-        internal_initial=plant.internal_initial if plant.internal else None,
-        bounds={key: (float(low), float(high)) for key, low, high in limits},
-        fixed=(*plant.fixed, name),
-        units=plant.units,
-        name=plant.name,
-        actuator=plant.actuator,
-    )
 
 
 def _limits(plant: Plant, name: str) -> tuple[float, float]:

@@ -188,6 +188,34 @@ class Plant(eqx.Module):
             )
         return eqx.tree_at(lambda plant: plant.theta, self, theta)
 
+    def declared_anew(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        fixed: Sequence[str] = (),
+    ) -> "Plant":
+        """The same equations with some other values and bounds, and more parameters fixed.
+
+        Raises:
+            ValueError: as for a new plant.
+        """
+        limits = zip(self.names, self.lower, self.upper, strict=True)
+        own = {key: (float(low), float(high)) for key, low, high in limits}
+        return Plant(
+            self.dynamics,
+            {**self.parameters, **(parameters or {})},
+            relative_degree=self.degrees,
+            inputs=self.inputs,
+            outputs=self.outputs,
+            internal=self.internal,
+            internal_initial=self.internal_initial if self.internal else None,
+            bounds={**own, **(bounds or {})},
+            fixed=(*self.fixed, *(key for key in fixed if key not in self.fixed)),
+            units=self.units,
+            name=self.name,
+            actuator=self.actuator,
+        )
+
     # -- equations ------------------------------------------------------------------------
 
     def named(self, theta: Float[Array | np.ndarray, " np"]) -> Any:

@@ -276,3 +276,22 @@ def test_other_parameters_must_be_as_many():
 def test_outputs_must_have_different_names():
     with pytest.raises(ValueError, match="outputs"):
         Plant(lambda t, x, u, p: p.a * x.y[0], {"a": 1.0}, outputs=("y", "y"))
+
+
+def test_declared_anew_keeps_what_is_not_named():
+    def late(t, u, p):
+        return u * p.gain
+
+    def dynamics(t, x, u, p):
+        return -p.a * x.y[0] + u
+
+    plant = Plant(dynamics, {"a": 1.0, "gain": 2.0}, 1, ("u",), ("y",), bounds={"a": (0.0, 5.0)},
+                  fixed=("gain",), units={"a": "1/s"}, actuator=late)  # fmt: skip
+    new = plant.declared_anew({"a": 3.0}, {"gain": (0.0, 9.0)})
+    assert new.parameters == {"a": 3.0, "gain": 2.0}
+    assert (new.lower.tolist(), new.upper.tolist()) == ([0.0, 0.0], [5.0, 9.0])
+    assert new.fixed == ("gain",)
+    assert new.actuator is late
+    assert new.units == plant.units
+    with pytest.raises(ValueError, match="must lie in its bounds"):
+        plant.declared_anew({"a": 7.0})
