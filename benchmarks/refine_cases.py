@@ -6,6 +6,8 @@ from typing import Any
 import measured_cases
 
 import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
 
 
 def hardening_circuit(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
@@ -31,3 +33,16 @@ def silverbox(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
 def emps(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
     """The whole estimation file; Coulomb friction and offset declared, values 40 % off."""
     return eoi.plants.positioning_system(), measured_cases.emps(folder).records[0]
+
+
+def cascaded_tanks(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
+    """Overflow of both tanks, what the upper one spills partly caught, and a constant offset."""
+    base = eoi.plants.cascaded_tanks()
+    placed = [
+        place(base, effects.Overflow(), 0),
+        place(base, effects.InternalOverflow(), 0),
+        place(base, effects.ConstantOffset(), 0),
+    ]
+    values = {name: 0.0 for one in placed for name in one.names}
+    values |= {"overflow_level": 9.0, "overflow_level_z": 9.0}
+    return augmented(base, placed, values), measured_cases.cascaded_tanks(folder).records[0]

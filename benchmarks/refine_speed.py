@@ -138,7 +138,8 @@ def side_by_side(case: Case, rounds: int) -> tuple[float, float, float]:
     def many() -> eoi.Refinement:
         return eoi.refine(case.plant, case.record, substeps=case.substeps, starts=rows)
 
-    one(), many()
+    one()
+    many()
     pairs = [(timed(one), timed(many)) for _ in range(rounds)]
     alone, together = (float(np.median([pair[i][0] for pair in pairs])) for i in (0, 1))
     (_, first), (_, last) = pairs[-1]
@@ -190,8 +191,8 @@ def other_row(name: str, one: Measured) -> list[str]:
 
 HEADER = ("case", "identify", "refine", "both", "scipy (method, ftol)", "both / scipy",
           "ours, rms", "scipy, rms", "cost, ours over scipy's")  # fmt: skip
-OTHER = ("case", "identify, steps as simulated", "and refine", "/ scipy", "refine alone, cold",
-         "/ scipy", "scipy from the pass", "refine / that", "costs of the three over the best")  # fmt: skip
+OTHER = ("case", "identify, steps as simulated", "and refine", "/ scipy", "cold refine", "/ scipy",
+         "scipy from the pass", "refine / that", "costs of the three over the best")  # fmt: skip
 
 
 def main() -> None:
