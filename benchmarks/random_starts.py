@@ -1,4 +1,4 @@
-"""Random starts within ±200 % of the truth: how many reach the best optimum, with passes and without.
+"""Random starts within ±200 % of the truth: how many reach the best optimum.
 
 Each parameter is drawn uniformly from [θ - 2|θ|, θ + 2|θ|], cut to the bounds of the plant. Passes
 of all starts run at once (`eoi.sweep`), then all are refined side by side, each from its own
@@ -8,14 +8,12 @@ estimate; beside it output error straight from the starts.
 """
 
 import time
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import comparator_cases
-import jax
 import jax.numpy as jnp
+import measured_cases
 import numpy as np
 import refine_cases
 from common import Report, arguments, data_directory, percent, table
@@ -28,6 +26,7 @@ NOISE = 1e-3  # of the simulated records, over rms(y)
 REACH = 2.0  # of the starts, in sizes of each parameter
 STEPS = 50  # of the solver, as `refine` allows by default
 SIDE = 100  # starts side by side
+ALONE = 300  # of 1000 starts, for output error alone
 CLOSE = 1e-2  # cost over the lowest one, less one, that counts as reached
 
 
@@ -36,7 +35,7 @@ class Case:
     """A plant, where its starts are drawn, and one record.
 
     Attributes:
-        plant: with the values from which gains and initial state are chosen.
+        plant: its values do not count.
         centre: of the starts; the truth, or the best optimum known.
         substeps: of refinement and output error.
         options: of the passes, where they are not the default.
@@ -44,8 +43,8 @@ class Case:
 
     name: str
     plant: eoi.Plant
-    centre: np.ndarray
     record: eoi.Record
+    centre: np.ndarray
     substeps: int
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -62,11 +61,36 @@ def simulated() -> list[Case]:
     substeps = {"Duffing oscillator": 4}  # sampled near its dynamics; one step does for the others
     return [
         Case(
-            one.plant.name, one.plant, np.asarray(one.truth.theta), one.record(1, NOISE),
+            one.plant.name, one.plant, one.record(1, NOISE), np.asarray(one.truth.theta),
             substeps.get(one.plant.name, 1),
         )
         for one in comparator_cases.cases()
     ]  # fmt: skip
+
+
+# Best optima known of the measured sets, by `refine` from many starts around the best of before.
+OPTIMA = {
+    "silverbox": (186053.4, 41.91272, 184315.2, -5935.7, 726398.6, -1010.745),
+    "emps": (96.424, 219.76, 18.8441, -3.26542),
+    "cascaded_tanks": (0.042255, 0.05, 0.046087, 0.044918, 8.0354, 7.1485, 10.1149, 1.00916,
+                       0.21778, 12.658, -0.040703),
+}  # fmt: skip
+
+
+TANKS = {"lowpass": eoi.LowPass(0.05, 2), "passes": 30}  # as in their config
+
+
+def measured() -> list[Case]:
+    """Of `refine_cases.py`: effects declared."""
+    folder = data_directory()
+    return [
+        Case(name, *made(folder), np.asarray(OPTIMA[name]), substeps, options)
+        for name, made, substeps, options in (
+            ("silverbox", refine_cases.silverbox, 4, {}),
+            ("emps", refine_cases.emps, 1, {}),
+            ("cascaded_tanks", refine_cases.cascaded_tanks, 4, TANKS),
+        )
+    ]
 
 
 @dataclass(frozen=True)
@@ -78,29 +102,170 @@ class Ends:
     seconds: float
 
 
-def passes(case: Case, rows: np.ndarray) -> tuple[np.ndarray, Any, float]:
-    """Estimates of the passes, NaN without one; the dataset of the sweep; seconds."""
-    began = time.perf_counter()
-    swept = eoi.sweep(case.plant, case.record, starts=rows, **case.options)
-    theta = np.asarray(swept.parameters).reshape(len(rows), -1)
-    return theta, swept, time.perf_counter() - began
+def parts(case: Case, rows: np.ndarray) -> list[tuple[slice, eoi.Plant]]:
+    """Starts that run side by side, and the plant at the first of them.
+
+    Gains and initial state are chosen there: nothing near the truth may help.
+    """
+    slices = [slice(first, first + SIDE) for first in range(0, len(rows), SIDE)]
+    return [(one, case.plant.with_parameters(rows[one.start])) for one in slices]
 
 
-def refined(case: Case, rows: np.ndarray) -> Ends:
-    """Each row refined on its own; the initial state is guessed once, as `refine` does."""
-    began = time.perf_counter()
-    spans = spans_of([case.record], None)
-    problem = problem_of(case.plant, [case.record], spans, case.substeps)
-    state = jnp.asarray(guessed_starts(case.plant, [case.record], spans, case.substeps))
+def passes(case: Case, rows: np.ndarray) -> Ends:
+    """Estimates of the passes; the cost is their index under common gains."""
+    began, theta, cost = time.perf_counter(), [], []
+    for one, plant in parts(case, rows):
+        swept = eoi.sweep(plant, case.record, starts=rows[one], **case.options)
+        theta.append(np.asarray(swept.parameters).reshape(-1, len(plant.names)))
+        index = np.asarray(swept.common_index).reshape(len(theta[-1]), -1)
+        cost.append(np.sum(np.log(index), axis=1))
+    return Ends(np.concatenate(cost), np.concatenate(theta), time.perf_counter() - began)
+
+
+def refined(case: Case, rows: np.ndarray, starts: np.ndarray) -> Ends:
+    """Each row on its own; where there is none (NaN), no answer.
+
+    Args:
+        rows: from which to refine.
+        starts: at which the initial state is guessed, as `refine` does once for several starts.
+    """
+    began, cost, theta = time.perf_counter(), np.full(len(rows), np.inf), rows.copy()
+    for one, plant in parts(case, starts):
+        (known,) = np.nonzero(np.all(np.isfinite(rows[one]), axis=1))
+        if len(known):
+            # Always so many: one program.
+            index = one.start + known[np.minimum(np.arange(SIDE), len(known) - 1)]
+            ends = side_by_side(plant, case.record, case.substeps, rows[index])
+            cost[index], theta[index] = ends
+    return Ends(np.where(np.isfinite(cost), cost, np.inf), theta, time.perf_counter() - began)
+
+
+def side_by_side(
+    plant: eoi.Plant, record: eoi.Record, substeps: int, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `refine` does from one row, from all of them: costs and parameters."""
+    spans = spans_of([record], None)
+    problem = problem_of(plant, [record], spans, substeps)
+    state = jnp.asarray(guessed_starts(plant, [record], spans, substeps))
+    starts = jnp.broadcast_to(state, (len(rows), *state.shape))
     free = np.asarray(problem.free)
-    cost, theta = np.full(len(rows), np.inf), rows.copy()
-    (known,) = np.nonzero(np.all(np.isfinite(rows), axis=1))
-    for first in range(0, len(known), SIDE):
-        which = known[first : first + SIDE]
-        index = which[np.minimum(np.arange(SIDE), len(which) - 1)]  # always so many: one program
-        starts = jnp.broadcast_to(state, (SIDE, *state.shape))
-        found = solve_many(problem, Unknowns(jnp.asarray(rows[index][:, free]), starts), STEPS)
-        cost[which] = np.asarray(found.cost)[: len(which)]
-        theta[np.ix_(which, free)] = np.asarray(found.unknowns.theta)[: len(which)]
-    cost = np.where(np.isfinite(cost), cost, np.inf)
-    return Ends(cost, theta, time.perf_counter() - began)
+    found = solve_many(problem, Unknowns(jnp.asarray(rows[:, free]), starts), STEPS)
+    theta = rows.copy()
+    theta[:, free] = np.asarray(found.unknowns.theta)
+    return np.asarray(found.cost), theta
+
+
+# -- what is shown ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a case came to.
+
+    Attributes:
+        name: of the case.
+        passed: estimates of the passes.
+        polished: refined from these.
+        alone: output error from the same starts, the first of them.
+        best: lowest cost of all, of a refinement from `Case.centre` too.
+    """
+
+    name: str
+    passed: Ends
+    polished: Ends
+    alone: Ends
+    best: float
+
+    def reached(self, ends: Ends, close: float = CLOSE) -> np.ndarray:
+        """Which starts ended at a cost so close to the best one."""
+        return ends.cost <= (1.0 + close) * self.best
+
+    def median(self, ends: Ends) -> float:
+        """Rms error over that of the best optimum, of the middle one of those that missed."""
+        missed = ends.cost[~self.reached(ends)]
+        return float(np.sqrt(np.median(missed) / self.best)) if len(missed) else np.nan
+
+
+def found(case: Case, count: int, alone: int) -> Found:
+    """Passes and refinement from `count` starts, output error from the first `alone`."""
+    rows = case.rows(count)
+    passed = passes(case, rows)
+    polished = refined(case, passed.theta, rows)
+    straight = refined(case, rows[:alone], rows[:alone])
+    best = refined(case, case.centre[None], case.centre[None])
+    lowest = min(float(np.min(one.cost)) for one in (polished, straight, best))
+    return Found(case.name, passed, polished, straight, lowest)
+
+
+def row(one: Found) -> list[str]:
+    """Of the table."""
+    estimates = np.isfinite(one.passed.theta[:, 0])
+    cells = [one.name, f"{np.sum(estimates)} of {len(estimates)}"]
+    for ends in (one.polished, one.alone):
+        wide, narrow = one.reached(ends), one.reached(ends, CLOSE / 10)
+        missed = one.median(ends)
+        shares = [percent(float(np.mean(one))) for one in (wide, narrow)]
+        cells += [
+            f"**{shares[0]}** ({shares[1]}) of {len(wide)}",
+            "" if np.isnan(missed) else "diverges" if np.isinf(missed) else f"{missed:.3g}",
+        ]
+    seconds = (one.passed.seconds, one.polished.seconds, one.alone.seconds)
+    return [*cells, ", ".join(f"{value:.3g}" for value in seconds)]
+
+
+def tanks_by_discovery(best: float, seed: int) -> list[str]:
+    """The tanks without their effects: best of 100 starts, `discover`, `refine`; a row."""
+    case = measured_cases.cascaded_tanks(data_directory())
+    guess = np.asarray(eoi.plants.cascaded_tanks(reference=True).theta)
+    bare = Case(case.plant.name, case.plant, case.records[0], guess, 4, TANKS)
+    passed = passes(bare, bare.rows(SIDE, seed))
+    ahead = passed.theta[np.nanargmin(passed.cost)]
+    found = eoi.discover(
+        case.plant.with_parameters(ahead), case.records, case.held_out,
+        lowpass=case.lowpass, window=case.window,
+    )  # fmt: skip
+    ends = eoi.refine(found.plant, case.records, substeps=bare.substeps)
+    cost = len(case.records[0]) * float(ends.rmse[0]) ** 2 / np.var(case.records[0].outputs)
+    return [str(seed), str(np.sum(np.isfinite(passed.cost))), ", ".join(found.effects),
+            f"{float(ends.rmse[0]):.4f} V", percent(float(cost / best - 1.0))]  # fmt: skip
+
+
+HEADER = ("case", "passes answer", "pass + refine", "missed: rms / best", "output error alone",
+          "missed: rms / best", "time: passes, refine, alone [s]")  # fmt: skip
+
+
+def main() -> None:
+    """All cases."""
+    given = arguments(__doc__)
+    report = Report("Random starts within ±200 % of the truth")
+    report.add(
+        f"Each parameter uniform in [θ - {REACH:g}|θ|, θ + {REACH:g}|θ|] of the truth (simulated) "
+        "or of the best optimum known (measured), drawn inside the plant's bounds where it has any "
+        f"(the mass of emps; levels and overflow rates of the tanks). Simulated records: noise "
+        f"{NOISE:g} of rms(y), from `independent.py`. Gains, and the initial state that refinement "
+        f"starts from, are chosen at a random start too, one in {SIDE}. *Reached*: cost of the "
+        f"free run within {percent(CLOSE)} of the lowest found by anything (in brackets: "
+        f"{percent(CLOSE / 10)}). At most {STEPS} steps of the solver, here and there. Output error alone: "
+        f"the first {ALONE} of 1000 starts."
+    )
+    rows, best = [], np.nan
+    for case in simulated()[:2] if given.quick else [*simulated(), *measured()]:
+        count = SIDE if given.quick or case.name in OPTIMA else 1000
+        one = found(case, count, min(count, ALONE))
+        rows.append(row(one))
+        print(rows[-1], flush=True)
+        best = one.best
+    report.add(table(HEADER, rows))
+    if not given.quick:
+        report.add(
+            f"The tanks again as declared, without effects: passes from {SIDE} random starts "
+            "(seed), the estimate with the smallest index kept, `discover` from there, `refine` with what "
+            "it adds. Beside the best optimum of the row above:",
+            table(("seed", "passes answer", "added", "rms", "cost, above the best"),
+                  [tanks_by_discovery(best, seed) for seed in range(3)]),
+        )  # fmt: skip
+    report.close("random_starts", given.write)
+
+
+if __name__ == "__main__":
+    main()

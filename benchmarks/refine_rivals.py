@@ -25,11 +25,16 @@ SETTINGS = (("trf", 1e-8), ("lm", 1e-8), ("trf", 1e-6), ("lm", 1e-6))
 def njit(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
     """Compiled by Numba, which would take `coverage.py` beside this file for the package."""
     folder, path = Path(__file__).resolve().parent, list(sys.path)
+    ours = sys.modules.get("coverage")
+    if ours is not None and Path(ours.__file__ or "").parent == folder:
+        del sys.modules["coverage"]
     sys.path[:] = [one for one in path if Path(one).resolve() != folder]
     try:
         import numba
     finally:
         sys.path[:] = path
+        if ours is not None:
+            sys.modules["coverage"] = ours
     return numba.njit(fastmath=True)(function)
 
 
