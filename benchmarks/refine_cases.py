@@ -35,9 +35,15 @@ def emps(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
     return eoi.plants.positioning_system(), measured_cases.emps(folder).records[0]
 
 
+def bare_tanks(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
+    """The plant of the library, square roots only."""
+    case = measured_cases.cascaded_tanks(folder)
+    return case.plant, case.records[0]
+
+
 def cascaded_tanks(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
     """Overflow of both tanks, what the upper one spills partly caught, and a constant offset."""
-    base = eoi.plants.cascaded_tanks()
+    base, record = bare_tanks(folder)
     placed = [
         place(base, effects.Overflow(), 0),
         place(base, effects.InternalOverflow(), 0),
@@ -45,4 +51,4 @@ def cascaded_tanks(folder: Path) -> tuple[eoi.Plant, eoi.Record]:
     ]
     values = {name: 0.0 for one in placed for name in one.names}
     values |= {"overflow_level": 9.0, "overflow_level_z": 9.0}
-    return augmented(base, placed, values), measured_cases.cascaded_tanks(folder).records[0]
+    return augmented(base, placed, values), record

@@ -15,7 +15,7 @@ import refine_cases  # pyright: ignore[reportMissingImports]
 import refine_rivals as rivals  # pyright: ignore[reportMissingImports]
 
 STARTS = 10
-# Not `importorskip`: with the benchmarks in the path, Numba takes their `coverage.py` for a package.
+# Not `importorskip`: Numba takes `coverage.py` of the benchmarks, in the path here, for a package.
 NUMBA = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="Numba is absent")
 
 
