@@ -51,6 +51,7 @@ _MEMORIES = 10.0  # of the prefilter that a record holds, at least
 # noise is a kick to L⁻¹, which may remember it for long.
 _TAPER = 10.0
 _SOME = 200  # samples at which slopes of the model are taken
+_SLIDING = 0.9  # share of the scored steps: a relay that saturates does not show the injection
 _GRID = 4096  # frequencies of the noise
 _NOISE = 1e-5  # of the rms of an output: below it, what differences show may be signal
 # Share of the residual's power that the noise foretells: below, there is more than noise; above,
@@ -89,20 +90,19 @@ def instrumented(
     Returns:
         The estimate, or why there is none.
     """
-    theta, windows = np.array(plant.theta, dtype=float), None
+    theta, runs = np.array(plant.theta, dtype=float), None
     weights = 1.0 / np.maximum(_spread(records), np.finfo(float).tiny) ** 2
     leak = 0.0
     for number in range(1, _PASSES + 1):
         model = plant.with_parameters(theta)
-        runs = _runs(model, records, prepared, windows)
+        runs = _runs(model, records, prepared, runs)
         if isinstance(runs, str):
             return runs
-        windows = runs.windows
         pairs = _pairs(model, runs, prepared, observer)
         one = _one_pass(pairs, observer, theta, weights, leak)
-        needed = _leak(plant, one, records)
+        needed = _leak(plant, one, runs)
         if needed > leak:  # only seen after a pass, which is then of no use
-            leak = needed
+            leak = 1.2 * needed  # to spare, for the next passes
             one = _one_pass(pairs, observer, theta, weights, leak)
         increment, inverse = _solved(model, one, weights)
         tally = Tally().plus(pairs.steps)
@@ -116,7 +116,7 @@ def instrumented(
         power = one.square / np.maximum(one.count, 1.0)
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
         if np.all(np.abs(increment) <= small) and number > 1:
-            return Instrumented(theta, covariance, number, windows)
+            return Instrumented(theta, covariance, number, runs.windows)
     return f"its passes did not settle within {_PASSES}"
 
 
@@ -144,7 +144,8 @@ def cured(
     why = "as asked for"
     if not wanted:
         level = float(np.max([_level(record) for record in records]))
-        if level < _NOISE:
+        sliding = np.min(mean(one.sums.sliding[0], one.sums.count[0]))
+        if level < _NOISE or sliding < _SLIDING:
             return None, ()
         least, most = _NOISE_SHARES
         if not least <= noise_in_residual(plant, one, records, prepared) <= most:
@@ -169,7 +170,13 @@ def _spread(records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
 
 @dataclass(frozen=True)
 class _Runs:
-    """Records beside their free runs, cut into the windows in which these start anew."""
+    """Records beside their free runs, cut into the windows in which these start anew.
+
+    Attributes:
+        measured: made ready for a pass.
+        simulated: free runs, as they come.
+        windows: of each record.
+    """
 
     measured: tuple[Record, ...]
     simulated: tuple[Record, ...]
@@ -177,11 +184,11 @@ class _Runs:
 
 
 def _runs(
-    plant: Plant, records: Sequence[Record], prepared: Ready, windows: int | None
+    plant: Plant, records: Sequence[Record], prepared: Ready, before: _Runs | None
 ) -> _Runs | str:
-    """Free runs that follow the records; with no number of windows given, as few as do."""
-    for count in _WINDOWS if windows is None else (windows,):
-        measured, simulated, follows = [], [], True
+    """Free runs that follow the records: in windows as before, or at first in as few as do."""
+    for count in _WINDOWS if before is None else (before.windows,):
+        simulated, parts, follows = [], [], True
         for record in records:
             length = -(-len(record) // count)
             head = _head(record, length, prepared)
@@ -195,10 +202,13 @@ def _runs(
             follows &= bool(np.max(run.nrmse) < _DEPARTS)
             for first in range(0, len(record), length):
                 part = slice(first, first + length)
-                measured.append(record[part])
-                simulated.append(run.predictions[0][part])
+                parts.append((record, part))
+                simulated.append(run.predictions[0][part].without_inputs())
+        if follows and before is not None:
+            return _Runs(before.measured, tuple(simulated), count)
         if follows:
-            return _Runs(tuple(measured), tuple(simulated), count)
+            measured = tuple(_fine(record[part], prepared) for record, part in parts)
+            return _Runs(measured, tuple(simulated), count)
     return _AWAY
 
 
@@ -226,9 +236,8 @@ def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserve
     """Both records made ready alike, by what `ready` chose."""
     friction = frictional(plant)
     followed = directed(plant, friction) if any(friction) else plant
-    fine, paired, inputs, factors = [], [], [], []
-    for measured, simulated in zip(runs.measured, runs.simulated, strict=True):
-        one, other = (_fine(record, prepared) for record in (measured, simulated))
+    paired, inputs, factors = [], [], []
+    for one, simulated in zip(runs.measured, runs.simulated, strict=True):
         u = step_inputs(one, prepared.explicit)
         if any(friction):  # a run at rest repeats its output to the last digit
             ways = np.sign(np.diff(simulated.outputs, axis=0))
@@ -237,16 +246,14 @@ def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserve
             factor = np.ones_like(one.outputs[1:])
             factor[:: prepared.substeps] = turns(simulated.outputs, friction)
             factors.append(factor)
-        fine.append(one)
-        paired.append(other)
+        paired.append(_fine(simulated, prepared))
         inputs.append(u)
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
-    shortest = min(len(record) * record.sample_period for record in fine)
-    quiet = [np.zeros(len(plant.outputs))] * len(fine)
-    steps = prepare(
-        followed, fine, inputs, taps, 0.0, prepared.lowpass.memory, quiet, prepared.explicit,
-        min(_TAPER / prepared.lowpass.cutoff, shortest / _MEMORIES),
-    )  # fmt: skip
+    shortest = min(len(record) * record.sample_period for record in runs.measured)
+    quiet = [np.zeros(len(plant.outputs))] * len(runs.measured)
+    taper = min(_TAPER / prepared.lowpass.cutoff, shortest / _MEMORIES)
+    memory, explicit = prepared.lowpass.memory, prepared.explicit
+    steps = prepare(followed, runs.measured, inputs, taps, 0.0, memory, quiet, explicit, taper)
     beside = [np.zeros_like(np.asarray(steps.y)) for _ in range(2)]
     for i, record in enumerate(paired):
         count = len(record) - 1
@@ -287,13 +294,13 @@ def _one_pass(
     return together(run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.turns))
 
 
-def _leak(plant: Plant, one: PairSums, records: Sequence[Record]) -> float:
-    """Damping with which L⁻¹ forgets within a tenth of a record, though the plant may not."""
+def _leak(plant: Plant, one: PairSums, runs: _Runs) -> float:
+    """Damping with which L⁻¹ forgets within a tenth of a run, though the plant may not."""
     nz = len(one.slopes) - plant.relative_degree * len(plant.outputs)
     rows = np.arange(plant.relative_degree)[:, None] < np.asarray(plant.degrees)
     owned = np.concatenate([rows.ravel(), np.ones(nz, bool)])
     slopes = one.slopes[np.ix_(owned, owned)] / max(float(one.steps), 1.0)
-    duration = min(len(record) * record.sample_period for record in records)
+    duration = min(len(record) * record.sample_period for record in runs.measured)
     slowest = float(np.max(np.linalg.eigvals(slopes).real))
     return max(slowest + _MEMORIES / duration, 0.0)
 
