@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
-from eoi_jax.iteration import Iterations, Tally, iterate, mean, sandwich
+from eoi_jax.instruments import Instrumented, cured
+from eoi_jax.iteration import Iterations, Pass, Tally, iterate, mean, sandwich
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, run_pass
@@ -48,16 +49,20 @@ class Identification:
     Attributes:
         parameters: estimate by name.
         standard_errors: by name; they know that filtered residuals are coloured (blocks of
-            several filter memories), and know nothing of bias from noise in the regressors.
+            several filter memories), and know nothing of bias: without instruments, that from noise
+            in the regressors.
         index: P of each pass and output, eq. (14), shape (passes, ny).
         increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
         parameter_history: θ of each pass, shape (passes, np).
-        best_pass: row of `index` whose θ is the estimate.
+        best_pass: row of `index` whose θ is the estimate, but for `correction`.
+        correction: what instrumental variables moved the estimate by from there, shape (np,); zeros
+            where they were not used. Least squares minimises P and they do not: their P, that of
+            `injection`, is a little larger, and no row of `index`.
         plant: with the estimate as parameters; `nominal` is the plant as given.
-        injection: F[u_eq] of the best pass, one array (N, ny) per record, NaN where not scored.
+        injection: F[u_eq] at the estimate, one array (N, ny) per record, NaN where not scored.
         first_injection: that of the first pass.
-        residual: F[u_eq] - F[φ] Δθ of the best pass.
-        sliding_fraction: share of scored steps in sliding at the best pass, shape (ny,).
+        residual: F[u_eq] - F[φ] Δθ of the best pass; F[u_eq] with instruments, which leave no Δθ.
+        sliding_fraction: share of scored steps in sliding at the estimate, shape (ny,).
         unexplained: rms of the best injection over that of the observed y^(r), shape (ny,).
         covariance: of the parameters, shape (np, np).
         status: how it ended.
@@ -72,6 +77,7 @@ class Identification:
     increments: Float[np.ndarray, "passes np"]
     parameter_history: Float[np.ndarray, "passes np"]
     best_pass: int
+    correction: Float[np.ndarray, " np"]
     plant: Plant
     nominal: Plant
     injection: list[np.ndarray]
@@ -115,6 +121,7 @@ def identify(
     transient: float | None = None,
     substeps: int | None = None,
     smoothing: float | bool | None = None,
+    instruments: bool | None = None,
     callback: Callable[[int, int, np.ndarray], None] | None = None,
 ) -> Identification:
     r"""Estimate a plant's parameters from measured records.
@@ -131,6 +138,10 @@ def identify(
             by default so that the step is short against the band of F, 1 for the explicit form.
         smoothing: zero-phase cut-off [rad/s] applied to outputs and inputs alike; False for
             none; by default chosen when the measurement noise hides the velocity.
+        instruments: whether passes with instrumental variables follow (`instruments.py`), whose
+            estimate neither measurement noise nor the discretisation biases; False is the paper's
+            method. By default they do where the records are noisy and that noise is what the plain
+            passes leave unexplained.
         callback: called after each pass with its number from 1, `passes` and its index (ny,).
 
     Returns:
@@ -152,7 +163,18 @@ def identify(
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
     prepared = ready(plant, several, lowpass, smoothing, substeps, explicit)
-    return estimate(plant, prepared, observer, passes, transient, callback)
+    # The explicit form is the paper's; in single precision second differences show rounding.
+    coarse = explicit or jnp.result_type(float) != jnp.float64
+    if instruments is False or (instruments is None and coarse):
+        return estimate(plant, prepared, observer, passes, transient, callback)
+
+    def cure(found: Plant, one: Pass, used: AbstractObserver) -> tuple:
+        return cured(found, one, several, prepared, used, bool(instruments))
+
+    return estimate(plant, prepared, observer, passes, transient, callback, cure)
+
+
+Cure = Callable[[Plant, Pass, AbstractObserver], tuple[Instrumented | None, tuple[str, ...]]]
 
 
 def estimate(
@@ -162,6 +184,7 @@ def estimate(
     passes: int = 10,
     transient: float | None = None,
     callback: Callable[[int, int, np.ndarray], None] | None = None,
+    cure: Cure | None = None,
 ) -> Identification:
     """`identify` on records that are ready: several models of the same outputs may share them.
 
@@ -172,6 +195,7 @@ def estimate(
         passes: how many at most.
         transient: time at the start of each record that is not scored [s].
         callback: called after each pass.
+        cure: of bias, from the plant with the estimate and its pass: another estimate, and why.
     """
     lowpass, fine, explicit = prepared.lowpass, prepared.fine, prepared.explicit
     reasons = prepared.reasons
@@ -196,7 +220,7 @@ def estimate(
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
     notes += _precision_note()
-    driver = _Driver(plant, observer, filters, steps, prepared.substeps, passes, callback)
+    driver = _Driver(plant, observer, filters, steps, prepared.substeps, passes, callback, cure)
     return driver.run(prepared.records, lowpass, reasons, tuple(notes))
 
 
@@ -211,19 +235,29 @@ class _Driver:
     substeps: int
     passes: int
     callback: Callable[[int, int, np.ndarray], None] | None
+    cure: Cure | None
 
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
         done, first = self._iterate()
-        one, number = done.best, int(done.best_pass[0])
-        theta, increment, index = one.theta[0], one.increment[0], one.index[0]
+        one, number, status = done.best, int(done.best_pass[0]), self._status(done, records)
+        theta, increment = one.theta[0], one.increment[0]
+        better = None
+        if self.cure is not None and status.ok:
+            better, why = self.cure(self.plant.with_parameters(theta), one, self.observer)
+            reasons += why
+        if better is not None:
+            theta, increment = better.theta, np.zeros_like(theta)
         sums, trace = self._pass(theta, "signals", increment, one.weights[0])
-        meat = np.asarray(sums.meat)[None]
-        covariance = sandwich(self.plant.free, one, meat, Tally().plus(self.steps))[0]
+        if better is None:
+            meat = np.asarray(sums.meat)[None]
+            covariance = sandwich(self.plant.free, one, meat, Tally().plus(self.steps))[0]
+        else:
+            covariance = better.covariance
         plant = self.plant.with_parameters(theta)
-        observed = np.sqrt(mean(one.sums.observed_square[0], one.sums.weight[0]))
-        sliding = mean(one.sums.sliding[0], one.sums.count[0])
+        power, observed = (mean(part, sums.weight) for part in (sums.square, sums.observed_square))
+        sliding = mean(sums.sliding, sums.count)
         taken = slice(int(done.passes[0]))
         return Identification(
             parameters=plant.parameters,
@@ -232,15 +266,16 @@ class _Driver:
             increments=done.increment[0, taken],
             parameter_history=done.theta[0, taken],
             best_pass=number,
+            correction=theta - one.theta[0],
             plant=plant,
             nominal=self.plant,
             injection=self._per_sample(trace.injection, trace.weight, records),
             first_injection=self._per_sample(first.injection, first.weight, records),
             residual=self._per_sample(trace.injection - trace.explained, trace.weight, records),
             sliding_fraction=sliding,
-            unexplained=np.sqrt(index) / np.where(observed > 0, observed, 1.0),
+            unexplained=np.sqrt(power / np.where(observed > 0, observed, 1.0)),
             covariance=covariance,
-            status=self._status(done, records),
+            status=status,
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,

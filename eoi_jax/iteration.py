@@ -227,14 +227,30 @@ def sandwich(
         meat: S, of a pass with the increment and the weights of that one.
         tally: of all records of the estimate.
     """
+    return clustered(free, np.asarray(one.solution.inverse), meat, tally)
+
+
+def clustered(
+    free: Float[np.ndarray, " np"],
+    inverse: Float[np.ndarray, "lanes np np"],
+    meat: Float[np.ndarray, "lanes np np"],
+    tally: Tally,
+) -> Float[np.ndarray, "lanes np np"]:
+    """`sandwich` around any inverse, that of instrumental variables is not symmetric.
+
+    Args:
+        free: 1 for an estimated parameter.
+        inverse: that turns scores into Δθ.
+        meat: sum of the squares of block sums of scores.
+        tally: of all records of the estimate.
+    """
     blocks = int(tally.inside / max(tally.weighed, 1) * tally.blocks)
     if blocks < 3:
         unknown = np.where(np.outer(free, free) > 0, np.nan, 0.0)
         return np.broadcast_to(unknown, meat.shape)
     # One for the estimate, at which the scores of all samples sum to zero.
     scale = tally.scored / tally.inside * blocks / (blocks - 1)
-    inverse = np.asarray(one.solution.inverse)
-    return scale * inverse @ meat @ inverse
+    return scale * inverse @ meat @ np.swapaxes(inverse, -1, -2)
 
 
 def _shown(one: Pass) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,222 @@
+r"""One pass over a record and its simulation side by side: what instrumental variables need.
+
+Both are followed by the same observer with the model at θ, step by step, and both go through the
+same prefilter. With w = y^(r) - f(·; θ) along each (its injection) and φ its regressors,
+
+    e = L⁻¹[w - w̄],   ψ = L⁻¹[φ],   ζ = L⁻¹[φ̄]        (a bar marks the simulation)
+
+L is the model linearised along the simulation, L ε = ε^(r) - Σ_i ∂f/∂y^(i) ε^(i) - ∂f/∂z z̃. To
+first order w - w̄ = L (y - ȳ), so that L⁻¹ turns the noise of the highest derivative back into that
+of the sensor, white again, and ζ are the sensitivities ∂ȳ/∂θ: the weights of maximum likelihood.
+w̄ is what the discretisation leaves of a model without any error, and cancels that in w as well.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax.lowpass import DiscreteFilter
+from eoi_jax.observers.observer import AbstractObserver
+from eoi_jax.passes import Carry, Kernel, Step, Steps
+from eoi_jax.plants.plant import Plant, State
+from eoi_jax.trajectory import rate_of
+from eoi_jax.types import Output, Scalar, Theta
+
+
+class PairSums(eqx.Module):
+    """What a pass over pairs adds up, over scored steps and for each output.
+
+    Attributes:
+        cross: Σ ζᵀψ, shape (ny, np, np). information: Σ ζᵀζ, likewise.
+        rhs: Σ ζᵀe, shape (ny, np). square: Σ e², shape (ny,). count: steps.
+        meat: S of the sandwich, from block sums of the weighed ζᵀe, shape (np, np).
+        slopes: Σ ∂ẋ/∂x of the model along the simulation, over all steps that are used, whose
+            number is `steps`; x is the chain of derivatives, row by row, then z.
+    """
+
+    cross: Float[Array, "*runs ny np np"]
+    information: Float[Array, "*runs ny np np"]
+    rhs: Float[Array, "*runs ny np"]
+    square: Float[Array, "*runs ny"]
+    count: Float[Array, "*runs ny"]
+    meat: Float[Array, "*runs np np"]
+    slopes: Float[Array, "*runs nx nx"]
+    steps: Float[Array, "*runs"]
+
+
+class _Carry(eqx.Module):
+    """Of the loop: both kernels (leading axis 2), the prefilter, a block of scores, sums."""
+
+    kernels: Carry
+    filtered: Float[Array, "nx columns"]
+    block: Float[Array, " np"]
+    sums: PairSums
+
+
+@eqx.filter_jit
+def run_pairs(
+    plant: Plant,
+    observer: AbstractObserver,
+    steps: Steps,
+    theta: Theta,
+    weights: Output,
+    leak: Scalar,
+    turns: Float[Array | np.ndarray, "runs S ny"] | None = None,
+) -> PairSums:
+    """One pass over pairs of records.
+
+    Args:
+        plant: the model; its structure only, parameters come from `theta`.
+        observer: with its gains.
+        steps: two leading axes: runs, and the measurement beside its simulation. What counts and
+            where observers restart is read from the measurement.
+        theta: θ of this pass.
+        weights: of each output in the scores, shape (ny,).
+        leak: by which L⁻¹ is damped more than the model is [1/s].
+        turns: factor on the velocities of ψ and ζ before each step, see `directed.turns`.
+
+    Returns:
+        Sums, runs on the leading axis.
+    """
+    pair = _Pair(plant, observer, theta, weights, leak)
+    return jax.vmap(pair.run)(steps, None if turns is None else jnp.asarray(turns))
+
+
+class _Pair(eqx.Module):
+    """The loop over one pair; fields as in `run_pairs`."""
+
+    plant: Plant
+    observer: AbstractObserver
+    theta: Theta
+    weights: Output
+    leak: Scalar
+
+    def run(self, steps: Steps, turns: Float[Array, "S ny"] | None) -> PairSums:
+        # F passes all: L⁻¹ takes its place.
+        through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
+        zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
+        kernel = Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "regressors")
+        h = jnp.asarray(steps.sample_period)[0]
+        rows = jax.vmap(kernel.rows)(steps)
+        rows = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), rows)
+        start = jax.vmap(lambda y, y_next: kernel.init(y, y_next, h))(
+            jnp.asarray(steps.y)[:, 0], jnp.asarray(steps.y_next)[:, 0]
+        )
+
+        def body(carry: _Carry, now: tuple[Step, Output | None]) -> tuple[_Carry, None]:
+            return self._step(kernel, carry, *now, h), None
+
+        return jax.lax.scan(body, self._init(start), (rows, turns))[0].sums
+
+    def _init(self, kernels: Carry) -> _Carry:
+        size, ny, dtype = len(self.theta), len(self.plant.outputs), self.theta.dtype
+        nx = self.plant.relative_degree * ny + kernels.z.shape[1]
+
+        def zeros(*shape: int) -> Array:
+            return jnp.zeros(shape, dtype)
+
+        square, matrix = zeros(ny), zeros(ny, size, size)
+        sums = PairSums(
+            matrix, matrix, zeros(ny, size), square, square, zeros(size, size), zeros(nx, nx),
+            zeros(),
+        )  # fmt: skip
+        return _Carry(kernels, zeros(nx, 2 * (1 + size)), zeros(size), sums)
+
+    def _step(
+        self, kernel: Kernel, carry: _Carry, now: Step, turn: Output | None, h: Scalar
+    ) -> _Carry:
+        measured = jax.tree.map(lambda leaf: leaf[0], now)
+        slopes = self._slopes(carry.kernels, now)
+        kernels, shown = jax.vmap(lambda old, row: kernel.step(old, row, h))(carry.kernels, now)
+        # Columns: w, φ of the measurement, then of the simulation.
+        columns = jnp.concatenate([shown.injection[..., None], shown.Phi], axis=2)
+        columns = jnp.concatenate([columns[0], columns[1]], axis=1)
+        filtered = jnp.where(measured.restart, 0.0, carry.filtered)
+        if turn is not None:
+            filtered = self._turned(filtered, turn)
+        filtered = self._prefilter(slopes, filtered, columns, h)
+        sums, block = self._add(carry, filtered[: len(self.plant.outputs)], slopes, measured)
+        return _Carry(kernels, filtered, block, sums)
+
+    def _slopes(self, kernels: Carry, now: Step) -> Float[Array, "nx nx"]:
+        """∂ẋ/∂x of the model where the simulation is."""
+        alone = jax.tree.map(lambda leaf: leaf[1], (kernels.observer, kernels.z, now))
+        state, z, row = alone
+        y = jnp.concatenate([row.y[None], self.observer.rates(state)])
+
+        def rate(flat: Float[Array, " nx"]) -> Float[Array, " nx"]:
+            x = State(flat[: y.size].reshape(y.shape), flat[y.size :])
+            rates = rate_of(self.plant, self.theta, row.time, x, row.u)
+            return jnp.concatenate([rates.y.ravel(), rates.z])
+
+        slopes = jax.jacfwd(rate)(jnp.concatenate([y.ravel(), z]))
+        # Beyond the end of a record, or where the model is undefined, nothing is scored.
+        return jnp.where(jnp.all(jnp.isfinite(slopes)) & jnp.any(row.use > 0), slopes, 0.0)
+
+    def _turned(
+        self, filtered: Float[Array, "nx columns"], turn: Output
+    ) -> Float[Array, "nx columns"]:
+        """ψ and ζ across a moment of rest; e is measured, and needs no help."""
+        ny, half = len(self.plant.outputs), filtered.shape[1] // 2
+        derived = np.arange(2 * half) % half > 0
+        rates = filtered[ny : 2 * ny]
+        rates = jnp.where(derived, turn[:, None] * rates, rates)
+        return filtered.at[ny : 2 * ny].set(rates)
+
+    def _prefilter(
+        self,
+        slopes: Float[Array, "nx nx"],
+        filtered: Float[Array, "nx columns"],
+        columns: Float[Array, "ny columns"],
+        h: Scalar,
+    ) -> Float[Array, "nx columns"]:
+        """L⁻¹ over one step: Runge–Kutta of order four, all of L held over the step."""
+        ny = len(self.plant.outputs)
+        size = self.plant.relative_degree * ny
+        last = np.arange(self.plant.relative_degree)[:, None] == np.asarray(self.plant.degrees) - 1
+        entry = jnp.where(last[:, :, None], columns[None], 0.0).reshape(size, -1)
+        entry = jnp.pad(entry, ((0, len(filtered) - size), (0, 0)))
+
+        def rate(x: Array) -> Array:
+            # Not as a matrix product: a loop that calls a library for one is far slower.
+            moved = sum(slopes[:, k, None] * x[k] for k in range(len(filtered)))
+            return moved - self.leak * x + entry
+
+        first = rate(filtered)
+        second = rate(filtered + 0.5 * h * first)
+        third = rate(filtered + 0.5 * h * second)
+        fourth = rate(filtered + h * third)
+        return filtered + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+
+    def _add(
+        self,
+        carry: _Carry,
+        filtered: Float[Array, "ny columns"],
+        slopes: Float[Array, "nx nx"],
+        now: Step,
+    ) -> tuple[PairSums, Array]:
+        half, old = filtered.shape[1] // 2, carry.sums
+        error = filtered[:, 0] - filtered[:, half]
+        psi, zeta = filtered[:, 1:half], filtered[:, half + 1 :]
+        weighted = now.score[:, None] * zeta
+        block = carry.block + now.block_weight * (self.weights * error) @ weighted
+        sums = PairSums(
+            old.cross + weighted[:, :, None] * psi[:, None, :],
+            old.information + weighted[:, :, None] * zeta[:, None, :],
+            old.rhs + weighted * error[:, None],
+            old.square + now.score * error**2,
+            old.count + now.score,
+            old.meat + jnp.where(now.block_end, jnp.outer(block, block), 0.0),
+            old.slopes + slopes,
+            old.steps + jnp.any(now.use > 0),
+        )
+        return sums, jnp.where(now.block_end, 0.0, block)
+
+
+def together(sums: PairSums) -> Any:
+    """Sums over all runs, as NumPy arrays."""
+    return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)

@@ -1,0 +1,72 @@
+r"""Instrumental variables: the normal equations of (11) with weights that noise does not reach.
+
+    Δθ = [Σ ζᵀψ]⁻¹ Σ ζᵀe
+
+Source: P. C. Young, *Recursive Estimation and Time-Series Analysis*, 2nd ed., chapters 7 and 8;
+T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identification*, eq. (4.33).
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+_ROUNDING = 1e-12  # an eigenvalue of the scaled Σ ζᵀζ below it is no information
+
+
+def instrumental_variables(
+    cross: Float[np.ndarray, "np np"],
+    information: Float[np.ndarray, "np np"],
+    rhs: Float[np.ndarray, " np"],
+    free: Float[np.ndarray, " np"],
+) -> tuple[Float[np.ndarray, " np"], Float[np.ndarray, "np np"]]:
+    r"""Solve $\sum\zeta^\top\psi\,\Delta\theta = \sum\zeta^\top e$ where ζ carries information.
+
+    Args:
+        cross: Σ ζᵀψ, instruments by rows.
+        information: Σ ζᵀζ.
+        rhs: Σ ζᵀe.
+        free: 1 for an estimated parameter, 0 for one that stays.
+
+    Returns:
+        Δθ, and [Σ ζᵀψ]⁻¹ in the identified directions; zero for what stays. Not finite where the
+        instruments do not determine Δθ.
+    """
+    length = np.sqrt(np.maximum(np.diagonal(information), 0.0)) * free
+    active = length > 0
+    unscale = active / np.where(active, length, 1.0)
+    values, directions = np.linalg.eigh(information * np.outer(unscale, unscale))
+    kept = directions[:, values > _ROUNDING * max(float(values[-1]), 0.0)] * unscale[:, None]
+    inner = kept.T @ cross @ kept
+    try:
+        inverse = kept @ np.linalg.inv(inner) @ kept.T
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(cross, np.nan)
+    return inverse @ rhs, inverse
+
+
+def within_bounds(
+    cross: Float[np.ndarray, "np np"],
+    information: Float[np.ndarray, "np np"],
+    rhs: Float[np.ndarray, " np"],
+    free: Float[np.ndarray, " np"],
+    room: tuple[Float[np.ndarray, " np"], Float[np.ndarray, " np"]],
+) -> tuple[Float[np.ndarray, " np"], Float[np.ndarray, "np np"]]:
+    """`instrumental_variables` with what would leave its bounds put on them, the rest solved anew.
+
+    Args:
+        cross: Σ ζᵀψ.
+        information: Σ ζᵀζ.
+        rhs: Σ ζᵀe.
+        free: 1 for an estimated parameter, 0 for one that stays.
+        room: smallest and largest Δθ, each (np,).
+
+    Returns:
+        Δθ, and [Σ ζᵀψ]⁻¹ of the parameters inside their bounds.
+    """
+    moved, open_ = np.zeros_like(rhs), free.copy()
+    while True:  # each round closes at least one parameter
+        increment, inverse = instrumental_variables(cross, information, rhs - cross @ moved, open_)
+        out = (open_ > 0) & ((increment < room[0]) | (increment > room[1]))
+        if not np.any(out):
+            return moved + increment, inverse
+        moved = np.where(out, np.clip(increment, *room), moved)
+        open_ = np.where(out, 0.0, open_)
