@@ -69,6 +69,8 @@ class Identification:
         observer, lowpass: as used; `reasons` says why, where they were chosen.
         notes: what was done to the records, and health warnings.
         records: as used (resampled, smoothed); sub-steps are not kept.
+        information: Σ φᵀφ at the estimate over the outputs as they were weighed, shape (np, np).
+        degrees_of_freedom: of `covariance`: its blocks less one.
     """
 
     parameters: dict[str, float]
@@ -92,6 +94,8 @@ class Identification:
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     records: tuple[Record, ...]
+    information: Float[np.ndarray, "np np"] | None = None
+    degrees_of_freedom: float = np.inf
 
     def __str__(self) -> str:
         from eoi_jax.report.tables import identification_text
@@ -250,9 +254,10 @@ class _Driver:
         if better is not None:
             theta, increment = better.theta, np.zeros_like(theta)
         sums, trace = self._pass(theta, "signals", increment, one.weights[0])
+        tally = Tally().plus(self.steps)
         if better is None:
             meat = np.asarray(sums.meat)[None]
-            covariance = sandwich(self.plant.free, one, meat, Tally().plus(self.steps))[0]
+            covariance = sandwich(self.plant.free, one, meat, tally)[0]
         else:
             covariance = better.covariance
         plant = self.plant.with_parameters(theta)
@@ -281,6 +286,8 @@ class _Driver:
             reasons=reasons,
             notes=notes + _sliding_note(self.plant, sliding),
             records=records,
+            information=np.einsum("j,jab->ab", one.weights[0], sums.information),
+            degrees_of_freedom=max(float(tally.complete - 1), 0.0),
         )
 
     def _iterate(self) -> tuple[Iterations, Any]:

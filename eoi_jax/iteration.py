@@ -202,6 +202,11 @@ class Tally:
     weighed: int = 0
     blocks: int = 0
 
+    @property
+    def complete(self) -> int:
+        """Blocks, as many as the scored steps would fill."""
+        return int(self.inside / max(self.weighed, 1) * self.blocks)
+
     def plus(self, steps: Steps) -> "Tally":
         """With the steps of one or several more records."""
         scored = np.any(np.asarray(steps.score) > 0, axis=-1)
@@ -244,7 +249,7 @@ def clustered(
         meat: sum of the squares of block sums of scores.
         tally: of all records of the estimate.
     """
-    blocks = int(tally.inside / max(tally.weighed, 1) * tally.blocks)
+    blocks = tally.complete
     if blocks < 3:
         unknown = np.where(np.outer(free, free) > 0, np.nan, 0.0)
         return np.broadcast_to(unknown, meat.shape)

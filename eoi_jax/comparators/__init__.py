@@ -2,6 +2,7 @@
 
 from eoi_jax.comparators.comparator import AbstractComparator as AbstractComparator
 from eoi_jax.comparators.comparator import Estimate as Estimate
+from eoi_jax.comparators.instruments import Instruments as Instruments
 from eoi_jax.comparators.library import standard as standard
 from eoi_jax.comparators.output_error import OutputError as OutputError
 from eoi_jax.comparators.plain import PlainExplicit as PlainExplicit

@@ -1,6 +1,7 @@
 """The methods that `compare` knows."""
 
 from eoi_jax.comparators.comparator import AbstractComparator
+from eoi_jax.comparators.instruments import Instruments
 from eoi_jax.comparators.output_error import OutputError
 from eoi_jax.comparators.plain import PlainExplicit, PlainImplicit
 from eoi_jax.comparators.refined import Refined
@@ -18,7 +19,7 @@ def standard() -> tuple[AbstractComparator, ...]:
     return (
         PlainExplicit(),
         PlainImplicit(),
-        # A pass with instruments belongs here, a class in a file of its own.
+        Instruments(),
         Refined(),
         OutputError(),
         StateVariableFilter(),

@@ -72,7 +72,7 @@ def plain(
         lowpass: F, chosen if left out.
         passes: how many at most.
     """
-    return identify(plant, records, observer, lowpass, passes)
+    return identify(plant, records, observer, lowpass, passes, instruments=False)
 
 
 def answer(result: Identification) -> Estimate:

@@ -19,7 +19,7 @@ class Refined(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """A start by `identify`, polished by `refine`."""
-        first = identify(plant, records)
+        first = identify(plant, records, instruments=False)  # needs no better start
         if not first.status.ok:
             return answer(first)
         return refinement_answer(refine(first, records))
