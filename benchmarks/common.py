@@ -59,12 +59,13 @@ class Case:
     library: eoi.Record  # the library's own simulator
 
     def identify(self, record: eoi.Record | None = None, **options) -> eoi.Identification:
-        """The config's estimate, from the independent record unless another is given."""
+        """The config's estimate as the paper has it, from the independent record by default."""
         given = {
             "observer": self.observer,
             "lowpass": self.lowpass,
             "passes": self.passes,
             "smoothing": self.smoothing,
+            "instruments": False,
             **options,
         }
         return eoi.identify(self.plant, record or self.record, **given)

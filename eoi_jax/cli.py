@@ -252,6 +252,7 @@ def _identified(
         transient=table.transient,
         substeps=table.substeps,
         smoothing=table.smoothing,
+        instruments=table.instruments,
         callback=callback,
     )
     known = result.status.ok and given.held_out

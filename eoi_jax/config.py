@@ -90,12 +90,14 @@ class IdentifyTable(msgspec.Struct, frozen=True):
         substeps: observer steps per sample; absent: chosen from the filter and the sampling.
         smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
             absent: decided from the record's noise.
+        instruments: passes with instrumental variables at the end; absent: decided from the noise.
     """
 
     passes: Count = 10
     transient: NotNegative | None = None
     substeps: Count | None = None
     smoothing: Positive | bool | None = None
+    instruments: bool | None = None
 
     def __post_init__(self) -> None:
         rule = "must be a cut-off [rad/s], or false"

@@ -12,9 +12,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State
+from eoi_jax.types import Input, Output, Scalar, Theta
 
 _REST = 1e-9  # velocity on the side of rest where f is evaluated
 
@@ -94,29 +95,33 @@ def directed(plant: Plant, friction: tuple[bool, ...]) -> Plant:
     )
 
 
-def turns(
-    outputs: Float[np.ndarray, "time ny"], friction: tuple[bool, ...]
-) -> Float[np.ndarray, "steps ny"]:
-    """What a moment of rest does to sensitivities of the velocity, for each step of a simulation.
+def turn(
+    plant: Plant, theta: Theta, t: Scalar, x: State, u: Input, before: Output
+) -> Float[Array, " ny"]:
+    """What a moment of rest does to sensitivities of each velocity.
 
     A rest that comes δt later has moved the velocity by δv = -a⁻ δt, and leaves it moved by a⁺ δt:
     derivatives of the velocity change by the factor a⁺/a⁻, zero where the plant sticks.
 
     Args:
-        outputs: simulated, at each sample.
-        friction: which outputs have dry friction.
+        plant: a directed one.
+        theta: its parameters.
+        t: time of the step [s].
+        x: state at its start.
+        u: inputs of the step, with directions and grip.
+        before: directions of the step before.
 
     Returns:
-        That factor before the first step in another direction, else 1.
+        That factor, 1 where an output goes on in its direction or leaves rest.
 
     Source: M. di Bernardo et al., *Piecewise-smooth Dynamical Systems*, section 2.5 (saltation).
     """
-    steps = np.diff(outputs, axis=0)
-    factor = np.ones_like(steps)
-    ways, bends = np.sign(steps), np.diff(steps, axis=0)
-    for j in np.flatnonzero(friction):
-        for k in np.flatnonzero(np.diff(ways[:, j])) + 1:
-            before, after = bends[max(k - 3, 0), j], bends[min(k + 1, len(bends) - 1), j]
-            if ways[k - 1, j] != 0:  # a plant at rest has no velocity to be changed
-                factor[k, j] = ways[k, j] and after / before if before else 1.0
-    return factor
+    ny = before.shape[0]
+    way = u[-ny - 1 : -1]
+    still = State(x.y.at[1].set(0.0), x.z)
+    old, new = (
+        plant.derivative(t, still, u.at[-ny - 1 : -1].set(one), theta) for one in (before, way)
+    )
+    # Friction slows a motion down: it never turns back faster than it came.
+    ratio = jnp.clip(new / jnp.where(old == 0, 1.0, old), 0.0, 1.0)
+    return jnp.where((before == 0) | (before == way), 1.0, jnp.where(way == 0, 0.0, ratio))

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax.data.record import Record
-from eoi_jax.directed import directed, turns
+from eoi_jax.directed import directed
 from eoi_jax.iteration import Pass, Tally, clustered, mean
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.pairs import PairSums, run_pairs, together
@@ -229,23 +229,20 @@ class _Pairs:
     plant: Plant
     both: Steps
     steps: Steps
-    turns: Float[np.ndarray, "runs S ny"] | None
+    before: Float[np.ndarray, "runs S ny"] | None
 
 
 def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserver) -> _Pairs:
     """Both records made ready alike, by what `ready` chose."""
     friction = frictional(plant)
     followed = directed(plant, friction) if any(friction) else plant
-    paired, inputs, factors = [], [], []
+    paired, inputs = [], []
     for one, simulated in zip(runs.measured, runs.simulated, strict=True):
         u = step_inputs(one, prepared.explicit)
         if any(friction):  # a run at rest repeats its output to the last digit
             ways = np.sign(np.diff(simulated.outputs, axis=0))
             ways = np.repeat(ways, prepared.substeps, axis=0)
             u = np.column_stack([u, ways, np.full(len(u), _pace(simulated))])
-            factor = np.ones_like(one.outputs[1:])
-            factor[:: prepared.substeps] = turns(simulated.outputs, friction)
-            factors.append(factor)
         paired.append(_fine(simulated, prepared))
         inputs.append(u)
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
@@ -259,12 +256,12 @@ def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserve
         count = len(record) - 1
         for whole, part in zip(beside, (record.outputs[:-1], record.outputs[1:]), strict=True):
             whole[i, :count], whole[i, count:] = part, part[-1]
-    factor = np.ones_like(beside[0])
-    for i, part in enumerate(factors):
-        factor[i, : len(part)] = part
     other = Steps(**{**vars(steps), "y": beside[0], "y_next": beside[1]})
     both = jax.tree.map(lambda a, b: np.stack([a, b], axis=1), steps, other)
-    return _Pairs(followed, both, steps, factor if any(friction) else None)
+    if not any(friction):
+        return _Pairs(followed, both, steps, None)
+    ways = np.asarray(steps.u)[..., len(plant.inputs) : -1]
+    return _Pairs(followed, both, steps, np.concatenate([ways[:, :1], ways[:, :-1]], axis=1))
 
 
 def _pace(record: Record) -> float:
@@ -291,7 +288,7 @@ def _one_pass(
     leak: float,
 ) -> PairSums:
     at, by, damping = (jnp.asarray(one) for one in (theta, weights, leak))
-    return together(run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.turns))
+    return together(run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.before))
 
 
 def _leak(plant: Plant, one: PairSums, runs: _Runs) -> float:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.directed import turn
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Carry, Kernel, Step, Steps
@@ -65,7 +66,7 @@ def run_pairs(
     theta: Theta,
     weights: Output,
     leak: Scalar,
-    turns: Float[Array | np.ndarray, "runs S ny"] | None = None,
+    before: Float[Array | np.ndarray, "runs S ny"] | None = None,
 ) -> PairSums:
     """One pass over pairs of records.
 
@@ -77,13 +78,13 @@ def run_pairs(
         theta: θ of this pass.
         weights: of each output in the scores, shape (ny,).
         leak: by which L⁻¹ is damped more than the model is [1/s].
-        turns: factor on the velocities of ψ and ζ before each step, see `directed.turns`.
+        before: of a directed plant, the directions of the step before each.
 
     Returns:
         Sums, runs on the leading axis.
     """
     pair = _Pair(plant, observer, theta, weights, leak)
-    return jax.vmap(pair.run)(steps, None if turns is None else jnp.asarray(turns))
+    return jax.vmap(pair.run)(steps, None if before is None else jnp.asarray(before))
 
 
 class _Pair(eqx.Module):
@@ -95,7 +96,7 @@ class _Pair(eqx.Module):
     weights: Output
     leak: Scalar
 
-    def run(self, steps: Steps, turns: Float[Array, "S ny"] | None) -> PairSums:
+    def run(self, steps: Steps, before: Float[Array, "S ny"] | None) -> PairSums:
         # F passes all: L⁻¹ takes its place.
         through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
@@ -110,7 +111,7 @@ class _Pair(eqx.Module):
         def body(carry: _Carry, now: tuple[Step, Output | None]) -> tuple[_Carry, None]:
             return self._step(kernel, carry, *now, h), None
 
-        return jax.lax.scan(body, self._init(start), (rows, turns))[0].sums
+        return jax.lax.scan(body, self._init(start), (rows, before))[0].sums
 
     def _init(self, kernels: Carry) -> _Carry:
         size, ny, dtype = len(self.theta), len(self.plant.outputs), self.theta.dtype
@@ -127,7 +128,7 @@ class _Pair(eqx.Module):
         return _Carry(kernels, zeros(nx, 2 * (1 + size)), zeros(size), sums)
 
     def _step(
-        self, kernel: Kernel, carry: _Carry, now: Step, turn: Output | None, h: Scalar
+        self, kernel: Kernel, carry: _Carry, now: Step, before: Output | None, h: Scalar
     ) -> _Carry:
         measured = jax.tree.map(lambda leaf: leaf[0], now)
         slopes = self._slopes(carry.kernels, now)
@@ -136,17 +137,16 @@ class _Pair(eqx.Module):
         columns = jnp.concatenate([shown.injection[..., None], shown.Phi], axis=2)
         columns = jnp.concatenate([columns[0], columns[1]], axis=1)
         filtered = jnp.where(measured.restart, 0.0, carry.filtered)
-        if turn is not None:
-            filtered = self._turned(filtered, turn)
+        if before is not None:
+            filtered = self._turned(filtered, carry.kernels, now, before)
         filtered = self._prefilter(slopes, filtered, columns, h)
         sums, block = self._add(carry, filtered[: len(self.plant.outputs)], slopes, measured)
         return _Carry(kernels, filtered, block, sums)
 
     def _slopes(self, kernels: Carry, now: Step) -> Float[Array, "nx nx"]:
         """∂ẋ/∂x of the model where the simulation is."""
-        alone = jax.tree.map(lambda leaf: leaf[1], (kernels.observer, kernels.z, now))
-        state, z, row = alone
-        y = jnp.concatenate([row.y[None], self.observer.rates(state)])
+        x, row = self._simulated(kernels, now)
+        y, z = x.y, x.z
 
         def rate(flat: Float[Array, " nx"]) -> Float[Array, " nx"]:
             x = State(flat[: y.size].reshape(y.shape), flat[y.size :])
@@ -158,14 +158,21 @@ class _Pair(eqx.Module):
         return jnp.where(jnp.all(jnp.isfinite(slopes)) & jnp.any(row.use > 0), slopes, 0.0)
 
     def _turned(
-        self, filtered: Float[Array, "nx columns"], turn: Output
+        self, filtered: Float[Array, "nx columns"], kernels: Carry, now: Step, before: Output
     ) -> Float[Array, "nx columns"]:
         """ψ and ζ across a moment of rest; e is measured, and needs no help."""
         ny, half = len(self.plant.outputs), filtered.shape[1] // 2
+        x, row = self._simulated(kernels, now)
+        factor = turn(self.plant, self.theta, row.time, x, row.u, before)
         derived = np.arange(2 * half) % half > 0
         rates = filtered[ny : 2 * ny]
-        rates = jnp.where(derived, turn[:, None] * rates, rates)
+        rates = jnp.where(derived, factor[:, None] * rates, rates)
         return filtered.at[ny : 2 * ny].set(rates)
+
+    def _simulated(self, kernels: Carry, now: Step) -> tuple[State, Step]:
+        """Where the simulation is, and its row."""
+        state, z, row = jax.tree.map(lambda leaf: leaf[1], (kernels.observer, kernels.z, now))
+        return State(jnp.concatenate([row.y[None], self.observer.rates(state)]), z), row
 
     def _prefilter(
         self,

@@ -212,6 +212,12 @@ def test_smoothing_may_be_a_cutoff_or_switched_off(tmp_path: Path):
         assert config.load(path).identify.smoothing == value
 
 
+def test_instruments_may_be_asked_for_or_left_to_the_noise(tmp_path: Path):
+    for text, value in (("instruments = true", True), ("instruments = false", False), ("", None)):
+        path = written(tmp_path, SIMULATED + f"[identify]\n{text}\n")
+        assert config.load(path).identify.instruments is value
+
+
 # -- measured files ---------------------------------------------------------------------------
 
 

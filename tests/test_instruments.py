@@ -8,7 +8,7 @@ from problems import grid
 
 from eoi_jax import instruments as module
 from eoi_jax.data.record import Record
-from eoi_jax.directed import directed, turns
+from eoi_jax.directed import directed, turn
 from eoi_jax.identify import identify
 from eoi_jax.instruments import noise_in_residual
 from eoi_jax.lowpass import LowPass
@@ -131,15 +131,21 @@ def test_a_directed_plant_goes_on_beyond_rest_and_is_held_at_rest(told):
 
 
 def test_sensitivities_of_the_velocity_change_by_the_ratio_of_accelerations():
-    t = grid(200, 0.01) - 1.003  # a stop between two samples
-    y = np.where(t < 0, -3.0, -1.0) * t**2 / 2  # decelerates at 3, comes back at 1
-    factor = turns(np.column_stack([y, y]), (True, False))
-    changed = np.flatnonzero(factor[:, 0] != 1.0)
-    assert len(changed) == 1
-    assert factor[changed[0], 0] == pytest.approx(1.0 / 3.0, rel=1e-9)
-    assert np.all(factor[:, 1] == 1.0)  # no friction there
-    stuck = turns(np.where(t < 0, y, 0.0)[:, None], (True,))
-    assert np.min(stuck) == 0.0
+    plant = pendulum(true=True)
+    followed, theta, t = directed(plant, (True,)), jnp.asarray(plant.theta), jnp.array(0.0)
+    x = State(jnp.array([[0.01], [-1e-3]]), jnp.zeros(0))
+
+    @jax.jit
+    def factor(before, way):
+        return turn(followed, theta, t, x, jnp.array([0.1, way, 5.0]), jnp.array([before]))[0]
+
+    p = plant.parameters
+    force = p["d"] * 0.1 - p["a"] * np.sin(0.01)
+    want = (force - p["c"]) / (force + p["c"])  # it moved down, and turns up
+    assert float(factor(-1.0, 1.0)) == pytest.approx(want, rel=1e-6)  # rest is 1e-9 away
+    assert float(factor(-1.0, 0.0)) == 0.0
+    assert float(factor(0.0, 1.0)) == 1.0
+    assert float(factor(1.0, 1.0)) == 1.0
 
 
 # -- one pass over a pair ---------------------------------------------------------------------
