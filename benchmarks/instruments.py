@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import independent
 from common import Report, arguments, table
 from comparator_cases import Case, cases
-from eoi_jax.comparators import StateVariableInstruments
 
 import eoi_jax as eoi
+from eoi_jax.comparators import StateVariableInstruments
 
 LEVELS = (1e-4, 1e-3, 1e-2)  # of rms(y), output by output
 SEEDS, FEW = 50, 6
@@ -42,8 +42,8 @@ def main() -> None:
         f"Records of `comparator_cases.py` under one drive, {seeds} seeds of white noise on every "
         "output, σ a share of its rms; everything chosen by the library. *Error*: rms over the "
         "seeds of each parameter's error, over its Cramér–Rao bound (free run, initial state "
-        "unknown, differences of `eoi.simulate`): geometric mean and worst parameter. *Bias*: the largest "
-        "mean error over its own standard error. *Coverage*: share of all parameters and seeds "
+        "unknown, differences of `eoi.simulate`): geometric mean and worst parameter. *Bias*: the "
+        "largest mean error over its own standard error. *Coverage*: share of all parameters and seeds "
         "inside 1.96 standard errors. `svf_iv` is the state-variable filter with instruments of "
         "`eoi_jax.compare`."
     )

@@ -1,5 +1,7 @@
 """Instrumental variables: the mathematics, what noise does to them, and when they are used."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,7 +39,7 @@ def excited(samples, h, seed=0, levels=(-1.0, 1.0), hold=0.12):
     """Random levels, each held for a while."""
     draw = np.random.default_rng(100 + seed)
     count = int(np.ceil(samples * h / hold)) + 1
-    return np.repeat(draw.uniform(*levels, count), round(hold / h))[:samples]
+    return np.repeat(draw.uniform(levels[0], levels[1], count), round(hold / h))[:samples]
 
 
 def run(plant, samples=2001, h=H, **options):
@@ -179,13 +181,10 @@ def test_the_error_of_a_pair_is_that_of_the_output_and_instruments_are_its_sensi
     want = 4 * slopes.T @ slopes  # four sub-steps a sample
     size, scale = np.sqrt(np.diagonal(want)), np.linalg.norm(2 * error)
     # The start is weighed less (0.1 s of 5 s), and a step of 0.5 ms is half a step late.
-    within = {"rtol": 0.0, "atol": 0.06}
-    np.testing.assert_allclose(got.information[0] / np.outer(size, size),
-                               want / np.outer(size, size), **within)  # fmt: skip
-    np.testing.assert_allclose(got.cross[0] / np.outer(size, size), want / np.outer(size, size),
-                               **within)  # fmt: skip
-    np.testing.assert_allclose(got.rhs[0] / size / scale, 4 * slopes.T @ error / size / scale,
-                               **within)  # fmt: skip
+    close = functools.partial(np.testing.assert_allclose, rtol=0.0, atol=0.06)
+    close(got.information[0] / np.outer(size, size), want / np.outer(size, size))
+    close(got.cross[0] / np.outer(size, size), want / np.outer(size, size))
+    close(got.rhs[0] / size / scale, 4 * slopes.T @ error / size / scale)
     assert got.square[0] == pytest.approx(4 * error @ error, rel=0.06)
 
 
@@ -367,16 +366,16 @@ def standing():
     """A rod held up by feedback of its true angle, and moved about."""
     truth = Plant(falling, {"a": 15.0, "b": 1.0, "c": 30.0}, 2)
     moves, x, rows = excited(3001, H), np.zeros(2), []
+
+    def rate(x, u):
+        return np.array([x[1], 15.0 * x[0] - x[1] + 30.0 * u])
+
     for move in moves:
         u = move - 2.0 * x[0] - 0.3 * x[1]
         rows.append([u, x[0]])
         for _ in range(4):  # Heun
-
-            def rate(x, u=u):
-                return np.array([x[1], 15.0 * x[0] - x[1] + 30.0 * u])
-
-            first = rate(x)
-            x = x + H / 8 * (first + rate(x + H / 4 * first))
+            first = rate(x, u)
+            x = x + H / 8 * (first + rate(x + H / 4 * first, u))
     u, y = np.array(rows).T
     return truth, Record.from_period(H, u, y, hold="zero")
 
