@@ -44,8 +44,8 @@ def main() -> None:
         "seeds of each parameter's error, over its Cramér–Rao bound (free run, initial state "
         "unknown, differences of `eoi.simulate`): geometric mean and worst parameter. *Bias*: the "
         "largest mean error over its own standard error. *Coverage*: share of all parameters and "
-        "seeds inside 1.96 standard errors. `svf_iv` is the state-variable filter with instruments of "
-        "`eoi_jax.compare`."
+        "seeds inside 1.96 standard errors. `svf_iv` is the state-variable filter with instruments "
+        "of `eoi_jax.compare`."
     )
     for one in cases():
         report.add(f"## {one.plant.name}", plant_table(one, LEVELS, seeds))
