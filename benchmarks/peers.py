@@ -277,7 +277,7 @@ class PySindy(comparators.AbstractComparator):
     description = "PySINDy: smoothed differentiation, regression on the declared terms"
 
     def estimate(self, plant: eoi.Plant, records: Sequence[eoi.Record]) -> Estimate:
-        import pysindy as ps
+        import pysindy as ps  # pyright: ignore[reportMissingImports]
         from scipy.signal import savgol_filter
 
         (record,) = records
