@@ -88,8 +88,9 @@ def layout(program: LaneProgram, columns: int, dtype: Any, width: int | None = N
         width: lanes in one vector; what fills two registers if None.
     """
     count = len(program.lane_carries)
-    # What happens, and what is shown, is known after each step.
-    single = program.events or program.shown[0]
+    # What happens, and what is shown, is known after each step; and an odd last step is left to
+    # the way of rare events, which a program without flags does not have.
+    single = program.events or program.shown[0] or not program.flagged
     rows = count + len(program.own)
     return Layout(
         width=width or _REGISTERS * register_bytes() // np.dtype(dtype).itemsize,

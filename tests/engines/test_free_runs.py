@@ -120,6 +120,20 @@ def test_lanes_step_by_step_stop_where_they_should():
         np.testing.assert_allclose(together[i], alone, rtol=1e-8, atol=1e-9 * np.max(alone))
 
 
+@pytest.mark.parametrize("rows", [1200, 1201])
+def test_nothing_beyond_the_last_row_is_read(rows):
+    """Behind the last row lie others of the same table, which must not count."""
+    plant, _, table, lanes = case_of("tanks, an internal state", lanes=20)
+    several = jax.tree.map(lambda leaf: leaf[:, None], lanes)
+    kernel, step = kernel_of(plant, "sums"), np.array([PERIOD])
+    short = free_runs.summed(kernel, several, table[None, :rows], step, np.array([rows]))
+    spoilt = np.concatenate([table[:rows], np.full_like(table[:9], 7.0)])
+    for _ in range(20):  # memory that was freed is not always clean
+        found = free_runs.summed(kernel, several, spoilt[None], step, np.array([rows]))
+        np.testing.assert_array_equal(found, short)
+        _ = np.full((rows + 1, 64), 7.0)
+
+
 def test_a_lane_that_is_no_number_spoils_no_other():
     plant, _, table, lanes = case_of("tanks, an internal state", lanes=5)
     theta = np.asarray(lanes.theta).copy()
