@@ -216,7 +216,7 @@ def row(one: Found) -> list[str]:
 
 
 def tanks_in_turn(seed: int) -> tuple[list[str], float]:
-    """Best of 100 starts without effects, `discover`, `refine`: head of a row, and the cost."""
+    """Best of 100 starts without effects, `discover`, `refine`: part of a row, and the cost."""
     folder = data_directory()
     case, (plant, record) = measured_cases.cascaded_tanks(folder), refine_cases.bare_tanks(folder)
     bare = Case("", plant, record, np.asarray(OPTIMA["cascaded_tanks without overflow"]), 4, TANKS)
