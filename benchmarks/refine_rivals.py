@@ -5,12 +5,10 @@ for this very model; finite differences by scipy; the initial state among the un
 inputs between the samples with the library (`simulate.drive`), and nothing else.
 """
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,18 +21,9 @@ SETTINGS = (("trf", 1e-8), ("lm", 1e-8), ("trf", 1e-6), ("lm", 1e-6))
 
 
 def njit(function: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
-    """Compiled by Numba, which would take `coverage.py` beside this file for the package."""
-    folder, path = Path(__file__).resolve().parent, list(sys.path)
-    ours = sys.modules.get("coverage")
-    if ours is not None and Path(ours.__file__ or "").parent == folder:
-        del sys.modules["coverage"]
-    sys.path[:] = [one for one in path if Path(one).resolve() != folder]
-    try:
-        import numba
-    finally:
-        sys.path[:] = path
-        if ours is not None:
-            sys.modules["coverage"] = ours
+    """Compiled by Numba."""
+    import numba
+
     return numba.njit(fastmath=True)(function)
 
 

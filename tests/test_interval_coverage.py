@@ -1,4 +1,4 @@
-"""A slice of `benchmarks/coverage.py`: 95 % intervals hold the truth, with coloured residuals."""
+"""A slice of the benchmark: 95 % intervals hold the truth, with coloured residuals."""
 
 import importlib.util
 import sys
@@ -17,9 +17,10 @@ LEAST = 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / SEEDS)
 
 @pytest.fixture(scope="module")
 def coverage():
-    """By its path: `coverage` is also the name of a package."""
+    """By its path: benchmarks are no package."""
     sys.path.insert(0, str(FOLDER))
-    spec = importlib.util.spec_from_file_location("interval_coverage", FOLDER / "coverage.py")
+    path = FOLDER / "interval_coverage.py"
+    spec = importlib.util.spec_from_file_location("interval_coverage", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

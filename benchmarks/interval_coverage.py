@@ -5,7 +5,7 @@ Two kinds of coloured residuals: measurement noise that is AR(1), and beside it 
 excitation is the same for all. Records come from `independent.py`, and from a plain fixed-step loop
 over all seeds at once where that would take hours.
 
-python benchmarks/coverage.py [--quick] [--write]
+python benchmarks/interval_coverage.py [--quick] [--write]
 """
 
 import multiprocessing
@@ -287,7 +287,7 @@ def main() -> None:
             for method, one in running[task].result().items()
         ]
     report.add(table(HEADER, rows))
-    report.close("coverage", given.write)
+    report.close("interval_coverage", given.write)
 
 
 def deviation(count: int) -> float:
