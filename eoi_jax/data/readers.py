@@ -1,23 +1,23 @@
-"""From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ.
+"""From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ, Excel.
 
 A reader turns a file into columns by name, each (N,) or, for a matrix variable, (N, k). Its
 columns are then reached as ``name[0]`` … ``name[k-1]``.
 """
 
-import csv
-import gzip
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from eoi_jax.checks import check, check_choice, check_positive
+from eoi_jax.data.mat_file import add_columns, read_mat
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import Real
-
-Columns: TypeAlias = dict[str, np.ndarray]
+from eoi_jax.data.table import Columns, Table
+from eoi_jax.data.text_table import read_lines, read_text
 
 
 def read_record(
@@ -36,11 +36,12 @@ def read_record(
 ) -> Record:
     """A record from named columns of a file.
 
-    Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab or spaces; a header
-    line, which may start with % or #, or none: columns are then called ``0``, ``1``, …),
-    .parquet, .mat (any version), .h5, .hdf5, .npz. Structures and groups are reached as
-    ``group.name`` in .mat up to version 7 and ``group/name`` otherwise; column 2 of a matrix as
-    ``name[2]``, counted from 0.
+    Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab, bar or spaces;
+    decimal points or commas; a header line, which may start with % or #, a line of units below it,
+    or none: columns are then called ``0``, ``1``, …), .parquet, .mat (any version), .h5, .hdf5,
+    .npz, .xlsx (with openpyxl). Structures and groups are reached as ``structure.field`` in .mat
+    and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``, counted from 0. Columns of dates
+    and times of day count in seconds from the first.
 
     Args:
         path: the file.
@@ -66,9 +67,10 @@ def read_record(
             a `scale`, `units` or `renames` for a column that is not read; whatever `Record` finds.
     """
     path = Path(path)
-    suffix = _known_suffix(path)
+    _known_suffix(path)
     _check_clock(time, sample_period)
-    columns = _load(path, suffix)
+    table = read_table(path)
+    columns = table.columns
     u_columns = [inputs] if isinstance(inputs, str) else list(inputs)
     y_columns = [outputs] if isinstance(outputs, str) else list(outputs)
     check(
@@ -78,7 +80,7 @@ def read_record(
         "none",
         f"Columns present: {_listed(columns)}.",
     )
-    picked = _pick(path, columns, time, u_columns, y_columns)
+    picked = _pick(path, table, time, u_columns, y_columns)
     for field, mapping in (("scale", scale), ("units", units), ("renames", renames)):
         for key in mapping or {}:
             check_choice(field, key, tuple(picked))
@@ -107,12 +109,12 @@ def read_record(
 
 
 def _pick(
-    path: Path, columns: Columns, time: str | None, u_columns: list[str], y_columns: list[str]
+    path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str]
 ) -> Columns:
     """The columns asked for, as float64 of equal length."""
     fields = [("time", time)] if time is not None else []
     fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]
-    picked = {key: _numeric(path, key, _column(path, columns, field, key)) for field, key in fields}
+    picked = {key: _numeric(path, key, _column(path, table, field, key)) for field, key in fields}
     lengths = {key: len(values) for key, values in picked.items()}
     check(
         len(set(lengths.values())) == 1,
@@ -127,7 +129,10 @@ def _matrix(picked: Columns, keys: list[str], count: int) -> np.ndarray:
     return np.stack([picked[key] for key in keys], axis=1) if keys else np.zeros((count, 0))
 
 
-def _column(path: Path, columns: Columns, field: str, key: str) -> np.ndarray:
+def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
+    columns = table.columns
+    if path.suffix.lower() == ".mat" and key not in columns:
+        key = key.replace("/", ".")  # as in the HDF5 file that a new MAT file is
     if key in columns:
         values = columns[key]
         check(
@@ -140,15 +145,23 @@ def _column(path: Path, columns: Columns, field: str, key: str) -> np.ndarray:
         return values
     match = re.fullmatch(r"(.+)\[(\d+)\]", key)
     if match and match[1] in columns:
-        table = columns[match[1]]
-        wide = table.shape[1] if table.ndim == 2 else 1
+        matrix = columns[match[1]]
+        wide = matrix.shape[1] if matrix.ndim == 2 else 1
         check(
             int(match[2]) < wide,
             field,
             f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}",
             key,
         )
-        return table.reshape(len(table), wide)[:, int(match[2])]
+        return matrix.reshape(len(matrix), wide)[:, int(match[2])]
+    owner = next((one for one in table.objects if f"{key}.".startswith(f"{one}.")), None)
+    check(
+        owner is None,
+        field,
+        f"must be readable in {path}",
+        f"`{key}`",
+        table.objects.get(owner or "", ""),
+    )
     import difflib
 
     close = difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
@@ -220,15 +233,27 @@ def _known_suffix(path: Path) -> str:
     return suffix
 
 
-def _load(path: Path, suffix: str) -> Columns:
+def read_table(path: str | Path) -> Table:
+    """Everything that is in a file, before anything is chosen from it.
+
+    Args:
+        path: a file of a kind that `read_record` knows.
+
+    Raises:
+        ValueError: a file that is missing, of an unknown kind or not what its name says.
+    """
+    path = Path(path)
+    suffix = _known_suffix(path)
     try:
-        columns = _READERS[suffix](path)
+        table = _READERS[suffix](path)
+    except MemoryError:
+        raise
     except Exception as failure:  # each library raises its own kinds for a damaged file
         cause = str(failure).splitlines()[0] if str(failure) else type(failure).__name__
         check(False, "path", f"must be a readable {suffix} file", path, f"The reader says: {cause}")
         raise
-    check(bool(columns), "path", "must hold columns", path)
-    return columns
+    check(bool(table.columns), "path", "must hold columns", path)
+    return table
 
 
 def _stem(path: Path) -> str:
@@ -236,136 +261,65 @@ def _stem(path: Path) -> str:
     return Path(stem).stem
 
 
-def _read_text(path: Path) -> Columns:
-    import pandas as pd  # heavy; only files need it
-
-    opener = gzip.open if path.suffix.lower() == ".gz" else open
-    with opener(path, "rt", encoding="utf-8-sig", errors="replace") as stream:
-        head = stream.read(65536)
-    if "\0" in head:
-        raise ValueError("it is not text")
-    names, skip, separator = _header(head.split("\n"))
-    table = pd.read_csv(
-        path,
-        header=None,
-        skiprows=skip,
-        sep=separator or r"\s+",
-        skipinitialspace=True,
-        # A file that separates by semicolons may write 1,5 for 1.5.
-        decimal="," if separator == ";" and re.search(r"\d,\d", head) else ".",
-        encoding_errors="replace",
-    )
-    while len(names) < table.shape[1] and names and bool(table.iloc[:, -1].isna().all()):
-        table = table.iloc[:, :-1]  # rows that end in a separator
-    keys = names if len(names) == table.shape[1] else [str(i) for i in range(table.shape[1])]
-    if len(set(keys)) < len(keys):
-        raise ValueError(f"its header repeats a name: {', '.join(keys)}")
-    return {key: table[i].to_numpy() for i, key in enumerate(keys)}
-
-
-def _header(lines: list[str]) -> tuple[list[str], int, str]:
-    """Column names (none if there is no header), lines to skip, separator ("" for spaces)."""
-    names, skip = "", 0
-    while skip < len(lines) and (not lines[skip].strip() or lines[skip].lstrip()[0] in "%#"):
-        names = lines[skip].strip().lstrip("%#").strip() or names
-        skip += 1
-    if skip == len(lines):
-        raise ValueError("it holds no data")
-    first = lines[skip]
-    separator = next((mark for mark in (";", "\t", ",") if mark in first), "")
-    if not all(_is_number(cell) for cell in _cells(first, separator) if cell):
-        names = first
-        skip += 1
-    mark = separator if separator in names else ""
-    keys = _cells(names, mark) if names else []
-    while keys and not keys[-1]:
-        keys.pop()
-    return keys, skip, separator
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if not separator:
-        return line.split()
-    return [
-        cell.strip()
-        for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    ]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _read_parquet(path: Path) -> Columns:
+def _read_parquet(path: Path) -> Table:
     import pandas as pd
 
     table = pd.read_parquet(path)
-    return {str(key): table[key].to_numpy() for key in table.columns}
+    return Table({str(key): table[key].to_numpy() for key in table.columns})
 
 
-def _read_mat(path: Path) -> Columns:
-    from scipy.io import loadmat
+def _read_excel(path: Path) -> Table:
+    import pandas as pd
 
     try:
-        content = loadmat(path, simplify_cells=True)
-    except NotImplementedError:  # version 7.3 is an HDF5 file
-        return _read_hdf5(path)
-    return _flat({key: value for key, value in content.items() if not key.startswith("__")})
+        sheets = pd.read_excel(path, sheet_name=None, header=None)
+    except ImportError as failure:
+        raise ValueError(
+            "reading it needs openpyxl: pip install 'eoi_jax[excel]', or export it as .csv"
+        ) from failure
+    filled = {name: sheet for name, sheet in sheets.items() if not sheet.empty}
+    if not filled:
+        return Table({})
+    name, first = next(iter(filled.items()))
+    # As text, so that its titles and units are found as those of a text table are.
+    table = read_lines(first.to_csv(sep=";", header=False, index=False))
+    others = f", the first of {len(filled)} that hold anything" if len(filled) > 1 else ""
+    return replace(table, notes=(f"Read from the sheet `{name}`{others}.", *table.notes))
 
 
-def _flat(content: Mapping[str, Any], prefix: str = "") -> Columns:
-    """Arrays of nested structures as ``structure.field``."""
-    columns: Columns = {}
-    for key, value in content.items():
-        if isinstance(value, Mapping):
-            columns |= _flat(value, f"{prefix}{key}.")
-        else:
-            _add(columns, prefix + key, np.asarray(value))
-    return columns
-
-
-def _read_hdf5(path: Path) -> Columns:
+def _read_hdf5(path: Path) -> Table:
     import h5py
 
     columns: Columns = {}
+    notes: list[str] = []
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and not key.startswith("#"):
-            _add(columns, key, np.asarray(item[()]))
+            add_columns(columns, notes, key, np.asarray(item[()]))
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    return columns
+    return Table(columns, notes=tuple(notes))
 
 
-def _read_npz(path: Path) -> Columns:
+def _read_npz(path: Path) -> Table:
     columns: Columns = {}
+    notes: list[str] = []
     with np.load(path, allow_pickle=False) as file:
         for key in file.files:
-            _add(columns, key, file[key])
-    return columns
+            add_columns(columns, notes, key, file[key])
+    return Table(columns, notes=tuple(notes))
 
 
-def _add(columns: Columns, key: str, values: np.ndarray) -> None:
-    """Scalars, vectors and matrices; samples run along a matrix's longer axis."""
-    values = np.atleast_1d(np.squeeze(values))
-    if values.ndim <= 2:
-        wide = values.ndim == 2 and values.shape[0] < values.shape[1]
-        columns[key] = values.T if wide else values
-
-
-_READERS: dict[str, Callable[[Path], Columns]] = {
-    ".csv": _read_text,
-    ".tsv": _read_text,
-    ".txt": _read_text,
-    ".dat": _read_text,
+_READERS: dict[str, Callable[[Path], Table]] = {
+    ".csv": read_text,
+    ".tsv": read_text,
+    ".txt": read_text,
+    ".dat": read_text,
     ".parquet": _read_parquet,
-    ".mat": _read_mat,
+    ".mat": read_mat,
     ".h5": _read_hdf5,
     ".hdf5": _read_hdf5,
     ".npz": _read_npz,
+    ".xlsx": _read_excel,
 }

@@ -393,28 +393,9 @@ class Record:
 
     def plot(self) -> Any:
         """Outputs and inputs over time, masked samples left out: a matplotlib figure."""
-        from matplotlib.figure import Figure  # half a second of import
+        from eoi_jax.report.figures import record_figure
 
-        named = [
-            *zip(self.output_names, self.outputs.T, strict=True),
-            *zip(self.input_names, self.inputs.T, strict=True),
-        ]
-        figure = Figure(figsize=(8.0, 0.6 + 1.7 * len(named)), layout="constrained")
-        axes = figure.subplots(len(named), 1, sharex=True, squeeze=False)[:, 0]
-        for i, (axis, (key, channel)) in enumerate(zip(axes, named, strict=True)):
-            held = self.hold == "zero" and i >= len(self.output_names)
-            axis.plot(
-                self.time,
-                np.where(self.valid, channel, np.nan),
-                linewidth=0.8,
-                color="C1" if i >= len(self.output_names) else "C0",
-                drawstyle="steps-post" if held else "default",
-            )
-            axis.set_ylabel(_label(self, key))
-            axis.grid(visible=True, alpha=0.3)
-        axes[0].set_title(self.name)
-        axes[-1].set_xlabel("time [s]")
-        return figure
+        return record_figure(self)
 
     # -- construction ---------------------------------------------------------------------
 

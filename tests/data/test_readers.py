@@ -219,7 +219,7 @@ def test_a_file_that_is_not_what_its_name_says_is_named(tmp_path, file):
     [
         ("", "it holds no data"),
         ("% only remarks\n", "it holds no data"),
-        ("t,u,u\n1,2,3\n", "its header repeats a name: t, u, u"),
+        ("t,u,u\n1,2,3\n", "its header repeats a name: u; give each column"),
         ("t,u,y\n1,2,3\n1,2,3,4,5\n", "readable .csv file"),
     ],
 )

@@ -1,0 +1,326 @@
+"""What is seen in a file before anything is configured, and the config that is drafted for it."""
+
+import json
+import re
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+import eoi_jax as eoi
+from eoi_jax import build
+from eoi_jax import config as configs
+from eoi_jax.checks import RecordWarning
+from eoi_jax.draft import checked, draft
+from eoi_jax.inspection import Inspection, inspect
+
+N = 600
+H = 0.01
+DRAW = np.random.default_rng(0)
+T = H * np.arange(N)
+U = DRAW.uniform(-3, 3, N // 30)[np.arange(N) // 30]
+NOISE = 1e-3
+
+
+def response():
+    state, rows = np.zeros(2), []
+    step = np.linalg.inv(np.eye(2) - H * np.array([[0.0, 1.0], [-30.0, -2.0]]))
+    for drive in U:
+        rows.append(state[0])
+        state = step @ (state + H * np.array([0.0, 15.0 * drive]))
+    return np.array(rows)
+
+
+CLEAN = response()
+Y = CLEAN + NOISE * DRAW.standard_normal(N)
+
+
+def written(path, **columns):
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def roles(found):
+    return {one.name: one.role for one in found.channels}
+
+
+def channel(found, name):
+    return next(one for one in found.channels if one.name == name)
+
+
+# -- time ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "stamps", "factor"),
+    [
+        ("t", T, 1.0),
+        ("time [ms]", 1e3 * T, 1e-3),
+        ("tempo_ms", np.rint(1e3 * T).astype(int), 1e-3),
+        ("t_us", np.rint(1e6 * T).astype(int), 1e-6),
+        ("stamp", np.rint(1e6 * T).astype(int), 1e-6),
+        ("timestamp", 1.7e9 + T, 1.0),
+        ("timestamp", np.rint(1.7e12 + 1e3 * T).astype(int), 1e-3),
+        ("timestamp", np.rint(1.7e15 + 1e6 * T).astype(int), 1e-6),
+        ("date", 45413.25 + T / 86400.0, 86400.0),
+        ("abscissa", T, 1.0),
+    ],
+)
+def test_time_and_its_unit_are_found(tmp_path, name, stamps, factor):
+    found = inspect(written(tmp_path / "run.csv", u=U, **{name: stamps}, y=Y))
+    assert found.clock.column == name
+    assert found.clock.factor == factor
+    # A spreadsheet's days have a resolution of a microsecond, and epochs of a fifth of one.
+    assert found.clock.sample_period == pytest.approx(H, rel=1e-3)
+
+
+def test_dates_are_time_before_a_number_that_grows(tmp_path):
+    stamps = pd.Timestamp("2024-05-01") + pd.to_timedelta(T, unit="s")
+    found = inspect(written(tmp_path / "run.csv", count=np.arange(N), when=stamps, y=Y))
+    assert found.clock.column == "when"
+    assert found.clock.sample_period == pytest.approx(H)
+
+
+def test_a_row_number_is_time_only_where_nothing_else_is(tmp_path):
+    both = inspect(written(tmp_path / "run.csv", index=np.arange(N), t=T, y=Y))
+    assert both.clock.column == "t"
+    assert both.clock.others == ("index",)
+    assert roles(both)["index"] == "other"
+    alone = inspect(written(tmp_path / "run.csv", index=np.arange(N), y=Y))
+    assert alone.clock.column == "index"
+    assert "counts by ones" in alone.clock.why
+
+
+def test_jitter_gaps_repeats_and_steps_back_are_counted(tmp_path):
+    stamps = T + 1e-3 * DRAW.uniform(-1, 1, N)
+    stamps[300:] += 0.5
+    found = inspect(written(tmp_path / "run.csv", t=stamps, u=U, y=Y))
+    assert found.clock.gaps[0] == 1
+    assert found.clock.gaps[1] == pytest.approx(0.51, abs=3e-3)
+    # The difference of two uniform deviations of ±0.1 periods: sqrt(2/3)·0.1.
+    assert found.clock.jitter == pytest.approx(np.sqrt(2 / 3) * 0.1, rel=0.2)
+    assert any("resampled" in line for line in found.advice)
+    stamps = T.copy()
+    stamps[400:] -= 2.0
+    stamps[100] = stamps[99]
+    found = inspect(written(tmp_path / "run.csv", time=stamps, u=U, y=Y))
+    assert found.clock.backwards == (1, 400)
+    assert found.clock.repeated == 1
+    assert any("goes back 1 times, first at row 400" in line for line in found.advice)
+    assert channel(found, "y").noise is not None  # all else is told all the same
+
+
+def test_a_file_without_time_may_say_its_sample_period(tmp_path):
+    savemat(tmp_path / "run.mat", {"u": U, "y": Y, "Ts": 0.01})
+    found = inspect(tmp_path / "run.mat")
+    assert (found.clock.column, found.clock.sample_period) == (None, 0.01)
+    savemat(tmp_path / "run.mat", {"u": U, "y": Y, "fs": 200.0})
+    assert inspect(tmp_path / "run.mat").clock.sample_period == pytest.approx(0.005)
+    found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
+    assert found.clock.sample_period is None
+    assert "give sample_period" in found.advice[0]
+
+
+# -- channels -----------------------------------------------------------------------------
+
+
+def test_noise_steps_saturation_and_band_are_those_of_the_signal(tmp_path):
+    t = H * np.arange(4000)
+    sine = np.sin(2 * np.pi * 2.0 * t)
+    rounded = 0.05 * np.round(sine / 0.05)
+    clipped = np.clip(sine + 0.01 * DRAW.standard_normal(4000), -2.0, 0.8)
+    noisy = sine + NOISE * DRAW.standard_normal(4000)
+    found = inspect(written(tmp_path / "a.csv", t=t, noisy=noisy, rounded=rounded, clipped=clipped))
+    assert channel(found, "noisy").noise == pytest.approx(NOISE, rel=0.1)
+    assert channel(found, "rounded").quantum == pytest.approx(0.05)
+    assert channel(found, "noisy").band == pytest.approx(2.0, rel=0.05)
+    ((level, share),) = channel(found, "clipped").saturated
+    assert level == pytest.approx(0.8)
+    assert share == pytest.approx(np.arccos(0.8) / np.pi, abs=0.02)  # of a sine above 0.8
+    assert any("saturated at 0.8" in line for line in found.advice)
+
+
+@pytest.mark.parametrize(
+    ("columns", "inputs", "outputs"),
+    [
+        ({"u": U, "y": Y}, ("u",), ("y",)),
+        ({"motorVoltage": U, "shaft_angle": Y}, ("motorVoltage",), ("shaft_angle",)),
+        ({"a": U, "b": Y}, ("a",), ("b",)),  # by how they move: one jumps, one does not
+        ({"b": Y, "a": U}, ("a",), ("b",)),
+        ({"reference": U, "pwm": U + 0.1 * Y, "angle": Y}, ("pwm",), ("angle",)),
+        ({"V1": U, "V2": Y}, ("V1",), ("V2",)),
+    ],
+)
+def test_inputs_and_outputs_are_guessed_and_the_guess_has_a_reason(
+    tmp_path, columns, inputs, outputs
+):
+    found = inspect(written(tmp_path / "run.csv", t=T, **columns))
+    assert (found.inputs, found.outputs) == (inputs, outputs)
+    assert all(channel(found, name).why for name in (*inputs, *outputs))
+
+
+def test_what_is_no_signal_is_told_apart(tmp_path):
+    words = np.where(np.arange(N) % 2, "on", "off")
+    gappy = np.where(np.arange(N) % 10 == 3, np.nan, Y)
+    columns = {"t": T, "u": U, "y": gappy, "still": 4.0, "word": words, "empty": np.nan}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert roles(found)["still"] == roles(found)["empty"] == "constant"
+    assert roles(found)["word"] == "text"
+    assert "'off'" in channel(found, "word").why
+    assert channel(found, "y").missing == N // 10
+    assert "`y` 60" in found.advice[-1]
+
+
+def test_what_an_iddata_structure_says_is_believed(tmp_path):
+    given = {"OutputData": U[:, None], "InputData": Y[:, None], "Ts": H, "OutputName": "strange",
+             "InputName": "smooth"}  # fmt: skip
+    savemat(tmp_path / "run.mat", {"z": given, "frames": np.zeros((3, 4, 5)), "scalar": 3.0})
+    found = inspect(tmp_path / "run.mat")
+    assert (found.inputs, found.outputs) == (("z.smooth",), ("z.strange",))
+    assert found.clock.column == "z.time"
+    assert any("scalar" in line for line in found.left_out)
+
+
+def test_an_inspection_prints_plots_and_is_json(tmp_path):
+    found = inspect(written(tmp_path / "run.csv", t=T, u=U, y=Y, more=np.cos(T)))
+    assert isinstance(found, Inspection)
+    text = str(found)
+    for part in ("600 rows, 4 columns", "every 0.01 s", "u input", "y output", "noise"):
+        assert part in text
+    told = json.loads(json.dumps(found.summary(), allow_nan=False))
+    assert told["clock"]["column"] == "t"
+    figure = found.plot()
+    assert len(figure.axes) == 2 * 4  # three signals and the stamps, each with a second panel
+    assert eoi.inspect is inspect
+
+
+def test_a_wide_file_is_told_in_short(tmp_path):
+    wide = {f"c{i:04}": np.cos(0.01 * (i + 1) * np.arange(50)) for i in range(100)}
+    found = inspect(written(tmp_path / "run.csv", t=T[:50], **wide))
+    assert len(found.channels) == 101
+    assert "and 61 more: --json lists them all" in str(found)
+    assert len(found.plot().axes) == 2 * 7
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,u,y\n0,1,2\n", "must hold at least 8 rows of numbers, got 1"),
+        ("word\n" + "on\n" * 20, "must hold a column of numbers"),
+        ("", "it holds no data"),
+    ],
+)
+def test_a_file_without_a_record_is_named(tmp_path, text, message):
+    (tmp_path / "run.csv").write_text(text)
+    with pytest.raises(ValueError, match=f"`path` .*{message}"):
+        inspect(tmp_path / "run.csv")
+
+
+# -- the draft ----------------------------------------------------------------------------
+
+
+def drafted(path, target):
+    text = checked(draft(inspect(path), target), target)
+    target.write_text(text, encoding="utf-8")
+    settings = configs.load(target)
+    model = build.plant(settings, target.parent)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecordWarning)
+        (record,) = build.records(settings, model, target.parent)
+        (held,) = build.validation_records(settings, model, target.parent)
+    return text, record, held
+
+
+def table(separator=",", comma=False, names=("t", "u", "y"), stamps=T, extra=""):
+    rows = [
+        f"{t}{separator}{u:.4f}{separator}{y:.6f}{extra}"
+        for t, u, y in zip(stamps, U, Y, strict=True)
+    ]
+    body = "\n".join(rows)
+    head = separator.join(names) + "\n" if names else ""
+    return head + (body.replace(".", ",") if comma else body) + "\n"
+
+
+DATES = pd.date_range("2024-05-30 23:59:58", periods=N, freq="10ms")
+FILES = {
+    "decimal commas": (table(";", comma=True), "utf-8"),
+    "byte-order mark": (table(), "utf-8-sig"),
+    "tabs": (table("\t"), "utf-8"),
+    "units row": ("t,u,y\ns,V,rad\n" + table(names=()), "utf-8"),
+    "no header": (table(names=()), "utf-8"),
+    "dates": (table(";", stamps=np.asarray(DATES.strftime("%d.%m.%Y %H:%M:%S.%f"))), "utf-8"),
+    "microseconds": (table(stamps=np.rint(1e6 * T).astype(int), names=("t_us", "u", "y")), "utf-8"),
+    "words": (table(names=("t", "u", "y", "state"), extra=",on"), "utf-8"),
+    "quotes in names": (table(names=('"t"', '"u ""fine"""', "y\u2028x")), "utf-8"),
+    "hostile names": (table(names=("t", "u]\\", "y = 1 # '''")), "utf-8"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_the_draft_reads_every_sample_of_the_file(tmp_path, case, monkeypatch):
+    monkeypatch.delenv(build.DATA_VARIABLE, raising=False)
+    text, encoding = FILES[case]
+    (tmp_path / "run.csv").write_bytes(text.encode(encoding))
+    _, record, held = drafted(tmp_path / "run.csv", tmp_path / "run.toml")
+    assert len(record) + len(held) == N
+    assert record.sample_period == pytest.approx(H, rel=1e-6)
+    np.testing.assert_allclose(record.outputs[:, 0], np.round(Y, 6)[: len(record)], atol=1e-12)
+    np.testing.assert_allclose(held.inputs[:, 0], np.round(U, 4)[len(record) :], atol=1e-12)
+
+
+def test_the_draft_starts_near_the_truth(tmp_path, monkeypatch):
+    monkeypatch.delenv(build.DATA_VARIABLE, raising=False)
+    written(tmp_path / "run.csv", t=T, u=U, y=Y)
+    drafted(tmp_path / "run.csv", tmp_path / "run.toml")
+    settings = configs.load(tmp_path / "run.toml")
+    values = sorted(abs(one) for one in build.plant(settings, tmp_path).parameters.values())
+    # y'' = -30 y - 2 y' + 15 u, but for the half-step of the discrete twin.
+    assert values[-1] == pytest.approx(30.0, rel=0.3)
+    assert values[-2] == pytest.approx(15.0, rel=0.3)
+
+
+def test_the_drafted_model_has_the_units_of_its_columns(tmp_path):
+    file = tmp_path / "run.csv"
+    file.write_text(FILES["units row"][0], encoding="utf-8")
+    target = tmp_path / "run.toml"
+    target.write_text(checked(draft(inspect(file), target), target), encoding="utf-8")
+    plant = build.plant(configs.load(target), tmp_path)
+    assert plant.units["y"] == "rad"
+    assert plant.units["u"] == "V"
+
+
+def test_the_draft_says_every_guess_and_the_alternatives(tmp_path, monkeypatch):
+    monkeypatch.delenv(build.DATA_VARIABLE, raising=False)
+    written(tmp_path / "run.csv", t=T, u=U, y=Y, angle=CLEAN, count=np.arange(N))
+    text, _, _ = drafted(tmp_path / "run.csv", tmp_path / "run.toml")
+    for part in (
+        "# other columns: angle",
+        "# it might be, too: count",
+        "u: input, it is called so",
+    ):
+        assert part in text
+    assert re.search(r"everything in it is a guess", text)
+
+
+def test_a_file_elsewhere_is_named_by_its_whole_path_and_one_in_the_data_folder_is_not(
+    tmp_path, monkeypatch
+):
+    data, here = tmp_path / "data", tmp_path / "here"
+    data.mkdir()
+    here.mkdir()
+    file = written(data / "run.csv", t=T, u=U, y=Y)
+    monkeypatch.delenv(build.DATA_VARIABLE, raising=False)
+    text, _, _ = drafted(file, here / "run.toml")
+    assert json.dumps(file.resolve().as_posix()) in text
+    monkeypatch.setenv(build.DATA_VARIABLE, str(data))
+    text, _, _ = drafted(file, here / "run.toml")
+    assert 'files = ["run.csv"]' in text
+
+
+def test_a_file_without_an_output_gets_no_draft(tmp_path):
+    file = written(tmp_path / "run.csv", t=T, still=np.ones(N))
+    with pytest.raises(ValueError, match="`path` must have a column that can be an output"):
+        draft(inspect(file), tmp_path / "run.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
