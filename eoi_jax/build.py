@@ -31,6 +31,7 @@ from eoi_jax.data import excitation
 from eoi_jax.data.readers import read_record
 from eoi_jax.data.record import Record
 from eoi_jax.effects import AbstractEffect, standard
+from eoi_jax.equations.model import plant_of
 from eoi_jax.lowpass import LowPass
 from eoi_jax.plants.plant import Plant
 from eoi_jax.simulate import simulate
@@ -62,16 +63,23 @@ def plant(config: Config, folder: Path) -> Plant:
     Raises:
         ValueError: an unknown plant or parameter, a value outside its bounds, a file that fails.
     """
-    if ":" in config.plant:
-        base = _plant_from_file(config.plant, folder)
-    else:
-        check_choice("plant", config.plant, _PLANTS)
-        base = _PLANTS[config.plant]()
+    base = _base(config, folder)
     table = config.parameters
     for field in ("nominal", "bounds"):
         for key in getattr(table, field):
             check_choice(f"parameters.{field}", key, base.names)
     return base.declared_anew(table.nominal, table.bounds, table.fixed)
+
+
+def _base(config: Config, folder: Path) -> Plant:
+    """The plant as it is declared: in the config, in a file beside it, or in the library."""
+    if config.model is not None:
+        return plant_of(config.model, config.name)
+    assert config.plant is not None
+    if ":" in config.plant:
+        return _plant_from_file(config.plant, folder)
+    check_choice("plant", config.plant, _PLANTS)
+    return _PLANTS[config.plant]()
 
 
 def _plant_from_file(reference: str, folder: Path) -> Plant:

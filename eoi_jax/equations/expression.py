@@ -1,0 +1,162 @@
+"""Small formulas as trees, and what they are worth."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+
+@dataclass(frozen=True)
+class Number:
+    """A value."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A name, or a derivative of one in time.
+
+    Attributes:
+        name: of a channel, a state or a parameter.
+        order: of the derivative.
+        parameter: whether a value may stand in its place.
+    """
+
+    name: str
+    order: int = 0
+    parameter: bool = False
+
+
+@dataclass(frozen=True)
+class Operation:
+    """left sign right; a change of sign is 0 - right.
+
+    Attributes:
+        sign: ``+ - * / ^``, or one that says true or false: ``< ≤ > ≥ = ≠ and or``.
+        left, right: operands.
+    """
+
+    sign: str
+    left: "Expression"
+    right: "Expression"
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of some arguments."""
+
+    name: str
+    arguments: tuple["Expression", ...]
+
+
+Expression: TypeAlias = Number | Symbol | Operation | Call
+
+COMPARISONS = ("<", "≤", ">", "≥", "=", "≠")
+
+
+def is_flag(expression: Expression) -> bool:
+    """Whether it is true or false, and no number."""
+    match expression:
+        case Operation(sign=sign):
+            return sign in (*COMPARISONS, "and", "or")
+        case Call(name="not"):
+            return True
+    return False
+
+
+# -- what functions are worth -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function that a formula may name.
+
+    Attributes:
+        least, most: how many arguments it takes.
+        value: of an array module (`numpy` or `jax.numpy`) and the arguments.
+    """
+
+    least: int
+    most: int
+    value: Callable[..., Any]
+
+
+def _of(name: str, count: int = 1) -> Function:
+    return Function(count, count, lambda m, *args: getattr(m, name)(*args))
+
+
+def _root(m: Any, x: Any) -> Any:
+    # The inner `where` keeps the derivative of the branch not taken finite.
+    wet = x > 0
+    return m.where(wet, m.sqrt(m.where(wet, x, 1.0)), 0.0)
+
+
+def _joined(name: str) -> Function:
+    def value(m: Any, first: Any, *others: Any) -> Any:
+        for one in others:
+            first = getattr(m, name)(first, one)
+        return first
+
+    return Function(2, 8, value)
+
+
+# `sqrt` is 0 where its argument is not positive, with derivative 0: an empty tank has no outflow,
+# and noise that takes its level below zero makes no NaN.
+FUNCTIONS: dict[str, Function] = {
+    **{name: _of(name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    **{name: _of(name) for name in ("exp", "expm1", "log", "log1p", "cbrt", "abs", "sign")},
+    **{name: _of(name) for name in ("floor", "ceil", "trunc")},
+    **{f"a{name}": _of(f"arc{name}") for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    "sqrt": Function(1, 1, _root),
+    "round": _of("rint"),
+    "atan2": _of("arctan2", 2),
+    "rem": _of("fmod", 2),
+    "min": _joined("minimum"),
+    "max": _joined("maximum"),
+    "clip": Function(3, 3, lambda m, x, low, high: m.minimum(m.maximum(x, low), high)),
+    "where": _of("where", 3),
+}
+
+_OPERATIONS: dict[str, Callable[[Any, Any, Any], Any]] = {
+    "+": lambda m, a, b: m.add(a, b),
+    "-": lambda m, a, b: m.subtract(a, b),
+    "*": lambda m, a, b: m.multiply(a, b),
+    "/": lambda m, a, b: m.divide(a, b),
+    "^": lambda m, a, b: m.power(a, b),
+    "<": lambda m, a, b: m.less(a, b),
+    "≤": lambda m, a, b: m.less_equal(a, b),
+    ">": lambda m, a, b: m.greater(a, b),
+    "≥": lambda m, a, b: m.greater_equal(a, b),
+    "=": lambda m, a, b: m.equal(a, b),
+    "≠": lambda m, a, b: m.not_equal(a, b),
+    "and": lambda m, a, b: m.logical_and(a, b),
+    "or": lambda m, a, b: m.logical_or(a, b),
+}
+
+
+def value_of(expression: Expression, values: Mapping[Symbol, Any], m: Any) -> Any:
+    """What a formula is worth.
+
+    Args:
+        expression: any whose functions are in `FUNCTIONS`.
+        values: of its symbols.
+        m: `numpy` or `jax.numpy`.
+    """
+    match expression:
+        case Number(value=value):
+            return value
+        case Symbol(name="pi"):
+            return float(m.pi)
+        case Symbol():
+            return values[expression]
+        case Operation(sign="-", left=Number(value=0.0), right=right):
+            return m.negative(value_of(right, values, m))
+        case Operation(sign="^", left=left, right=Number(value=power)) if power == int(power):
+            return value_of(left, values, m) ** int(power)
+        case Operation(sign=sign, left=left, right=right):
+            return _OPERATIONS[sign](m, value_of(left, values, m), value_of(right, values, m))
+        case Call(name="not", arguments=(inner,)):
+            return m.logical_not(value_of(inner, values, m))
+        case Call(name=name, arguments=arguments):
+            return FUNCTIONS[name].value(m, *(value_of(one, values, m) for one in arguments))
+    raise TypeError(expression)
