@@ -1,0 +1,88 @@
+"""The model that a finished run ended with: from the files in its folder, and to other tools."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from eoi_jax import build
+from eoi_jax import config as configs
+from eoi_jax.checks import check, check_choice
+from eoi_jax.export.export import LANGUAGES, SUFFIXES, export
+from eoi_jax.plants.plant import Plant
+from eoi_jax.store import load
+
+_NEW = (
+    "Run `eoi identify`, `eoi refine` or `eoi discover` first, and name the folder that it wrote."
+)
+
+
+def export_run(run: Path, output: Path | None = None, language: str | None = None) -> Path:
+    """Write the model of a run for another tool: what `eoi export` does.
+
+    Args:
+        run: as of `plant_of_run`.
+        output: file to write; None: ``model`` with the suffix of the language, beside the run's.
+        language: as of `export`; None: by the suffix of `output`.
+
+    Returns:
+        The file.
+
+    Raises:
+        ValueError: what `plant_of_run` and `export` object to, or neither file nor language.
+    """
+    if output is None:
+        rule, advice = "must be given without --output", f"Choose of {', '.join(LANGUAGES)}."
+        check(language is not None, "--language", rule, "nothing", advice)
+        check_choice("--language", str(language), LANGUAGES)
+        suffix = next(key for key, value in SUFFIXES.items() if value == language)
+        output = (run if run.is_dir() else run.parent) / f"model{suffix}"
+    return export(plant_of_run(run), output, language)
+
+
+def plant_of_run(run: Path) -> Plant:
+    """The estimated model of a run, with the effects that were found.
+
+    Args:
+        run: its folder, or one file: a result that was saved, or a model that was exported as JSON.
+
+    Returns:
+        The plant with its estimate.
+
+    Raises:
+        ValueError: no such run, one that was interrupted, files that were changed by hand, or a
+            model in a Python file that is gone.
+    """
+    check(run.exists(), "run", "must be a folder or a file that exists", run, _NEW)
+    if run.is_file():
+        return _model_of(load(run), run)
+    config = run / "config.toml"
+    check(config.is_file(), "run", "must be the folder of a finished run", run, _NEW)
+    declared = _declared(config)
+    stored = run / "result.npz"
+    if stored.is_file():
+        return _model_of(load(stored, plant=declared), stored)
+    result = run / "result.json"
+    rule = "must hold result.npz or result.json"
+    check(result.is_file(), "run", rule, run, "A sweep ends with no single model. " + _NEW)
+    try:
+        values = json.loads(result.read_text(encoding="utf-8"))["parameters"]
+        return declared.with_parameters({name: float(value) for name, value in values.items()})
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"`run` must hold a result.json that this library wrote: {error}"
+        ) from None
+
+
+def _model_of(found: Any, path: Path) -> Plant:
+    plant = found if isinstance(found, Plant) else getattr(found, "plant", None)
+    check(isinstance(plant, Plant), "run", "must end with a model", path)
+    return plant  # type: ignore[return-value]
+
+
+def _declared(copy: Path) -> Plant:
+    """The declared model; a Python file is beside the config that the copy was made of."""
+    settings = configs.load(copy)
+    command = re.match(r"# eoi \w+ (.*\.toml)", copy.read_text(encoding="utf-8"))
+    folder = Path(command[1]).parent if command else copy.parent
+    return build.plant(settings, folder)

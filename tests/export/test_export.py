@@ -1,0 +1,416 @@
+"""Exported models are run by other tools, and give what ours gives; no name leaves its place."""
+
+import ctypes
+import functools
+import json
+import runpy
+import shutil
+import subprocess
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
+from eoi_jax.effects.library import standard
+from eoi_jax.export.names import comment, identifier
+from eoi_jax.export.program import program
+
+POINTS = 40
+
+
+# -- models -----------------------------------------------------------------------------------
+
+
+def with_effects(plant, chosen):
+    """A plant with effects at their first channel, their parameters somewhere in their bounds."""
+    placed, values = [], {}
+    for i, effect in enumerate(chosen):
+        for channel in range(len(effect.channels(plant))):
+            if effect.fits(plant, channel):
+                placed.append(place(plant, effect, channel))
+                break
+        names = zip(placed[-1].names, effect.parameters, strict=True)
+        values |= {name: min(0.3 + 0.1 * i, one.upper) for name, one in names}
+    return augmented(plant, placed, values)
+
+
+def mixed_dynamics(t, x, u, p):
+    """Two outputs of degrees 2 and 1, with every kind of operation."""
+    (y1, y2), (v1, _) = x.y
+    bent = jnp.where((y1 > 0.2) & ~(v1 > 0.5) | (y2 == 0.0), jnp.exp(-(y1**2)), jnp.abs(y2) ** 1.5)
+    rounded = jnp.round(3.0 * y1) + jnp.floor(y2) - jnp.ceil(v1) + jnp.trunc(4.0 * u[0])
+    ways = jnp.where((y1 > 0) ^ (v1 > 0), 1.0, -2.0)
+    other = jnp.arctan2(y2, 1.0 + u[1] ** 2) + jnp.fmod(y1, 0.7) + jnp.cbrt(v1) * jnp.exp2(y2)
+    smooth = jnp.tanh(y1) + jnp.arcsinh(y2) + jnp.log1p(y1**2) - jnp.expm1(-(v1**4))
+    return jnp.stack(
+        [p.k * bent + rounded - ways, other + smooth * p.m - (y1 - (v1 - y2)) / (p.k / (p.m * y1))]
+    )
+
+
+def mixed():
+    return eoi.Plant(
+        mixed_dynamics, {"k": 2.0, "m": -0.7}, (2, 1), ("u1", "u2"), ("y1", "y2"), name="mixed"
+    )
+
+
+def every_term(plant):
+    """All effects that are terms, or change an input in an instant."""
+    slow = (effects.ActuatorLag, effects.InputDelay)
+    fitting = [one for one in standard() if not isinstance(one, slow)]
+    return [one for one in fitting if one.channels(plant) and one.fits(plant, 0)]
+
+
+MODELS = {
+    "pendulum": eoi.plants.pendulum,
+    "level_tank": eoi.plants.level_tank,
+    "three_masses": eoi.plants.three_mass_spring_damper,
+    "positioning": eoi.plants.positioning_system,
+    "tanks": eoi.plants.cascaded_tanks,
+    "propeller": eoi.plants.propeller_arm,
+    "duffing": eoi.plants.duffing_oscillator,
+    "mixed": mixed,
+    "mechanics_with_all_effects": lambda: with_effects(
+        eoi.plants.pendulum(), every_term(eoi.plants.pendulum())
+    ),
+    "tank_with_all_effects": lambda: with_effects(
+        eoi.plants.cascaded_tanks(), every_term(eoi.plants.cascaded_tanks())
+    ),
+    "lagged": lambda: with_effects(
+        eoi.plants.mass_spring_damper(), [effects.InputDelay(), effects.ActuatorLag()]
+    ),
+    "text": lambda: eoi.plant_from_text(
+        {"x": "v", "v": "-k*x - w*sqrt(x) + z if t > 0.4 else w", "z": "-z + clip(x, -1, 1)"},
+        {"k": 2.0, "start": 0.5}, ["x"], definitions={"w": "k*x*x"}, initial={"z": "2*start"},
+    ),
+}  # fmt: skip
+
+
+@functools.cache
+def case(name):
+    """A model, and dx/dt of it at some points."""
+    plant = MODELS[name]()
+    return plant, points(plant)
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    return request.param, *case(request.param)
+
+
+def points(plant):
+    """States, inputs and times at random, and dx/dt there by the plant itself."""
+    form = program(plant)
+    draw = np.random.default_rng(1)
+    t = draw.uniform(0.0, 1.0, POINTS)
+    x = draw.uniform(-1.5, 1.5, (POINTS, len(form.states)))
+    u = draw.uniform(-1.0, 1.0, (POINTS, len(form.inputs)))
+    return t, x, u, ours(plant, t, x, u)
+
+
+def ours(plant, times, states, inputs):
+    """dx/dt from the plant's own functions, with chains and lags put together by hand."""
+    theta = jnp.asarray(plant.theta)
+    nz = len(plant.internal_start(theta))
+
+    @eqx.filter_jit
+    def rates(t, y, z, u):
+        x = eoi.State(y, z)
+        return plant.derivative(t, x, u, theta), plant.internal_rate(t, x, u, theta)
+
+    out = np.zeros_like(states)
+    for k, (t, x, u) in enumerate(zip(times, states, inputs, strict=True)):
+        y = np.zeros((plant.relative_degree, len(plant.outputs)))
+        place_of, first = [], 0
+        for j, degree in enumerate(plant.degrees):
+            y[:degree, j] = x[first : first + degree]
+            out[k, first : first + degree - 1] = x[first + 1 : first + degree]
+            first += degree
+            place_of.append(first - 1)
+        behind = x[first + nz :]
+        driven = u.copy()
+        if len(behind):
+            out[k, first + nz :] = (u - behind) / plant.parameters["actuator_lag"]
+            driven = behind
+        f, g = rates(t, jnp.asarray(y), jnp.asarray(x[first : first + nz]), jnp.asarray(driven))
+        out[k, place_of], out[k, first : first + nz] = f, g
+    return out
+
+
+def agree(found, wanted):
+    # Sums in another order and another library's functions: some units of the last place of the
+    # largest term, which may be a hundred times the sum.
+    size = np.maximum(np.max(np.abs(wanted), axis=0), 1.0)
+    np.testing.assert_allclose(np.asarray(found) / size, wanted / size, rtol=1e-10, atol=1e-12)
+
+
+# -- languages --------------------------------------------------------------------------------
+
+
+def test_the_python_function_agrees(model, tmp_path):
+    name, plant, (t, x, u, wanted) = model
+    function = runpy.run_path(str(eoi.export(plant, tmp_path / f"{name}_rates.py")))[
+        f"{name}_rates"
+    ]
+    agree([function(*one) for one in zip(t, x, u, strict=True)], wanted)
+    agree(function(t, x.T, u.T).T, wanted)  # many points at once
+
+
+def test_the_c_function_agrees(model, tmp_path):
+    name, plant, (t, x, u, wanted) = model
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler here (gcc or cc)")
+    source = eoi.export(plant, tmp_path / f"{name}_rates.c")
+    library = tmp_path / "model.so"
+    # Every warning is an error: unused names, shadowed functions, comments inside comments.
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wshadow", "-pedantic", "-Werror", "-O1"]
+    command = [compiler, *flags, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
+    subprocess.run(command, check=True, timeout=60)
+    function = getattr(ctypes.CDLL(str(library)), f"{name}_rates")
+    array = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
+    function.argtypes, function.restype = [ctypes.c_double, array, array, array], None
+    found = np.zeros_like(wanted)
+    for k in range(POINTS):
+        # At least one element: an array of none has no address.
+        function(t[k], x[k], np.append(u[k], 0.0), found[k])
+    agree(found, wanted)
+
+
+@pytest.fixture(scope="module")
+def octave():
+    program = shutil.which("octave-cli") or shutil.which("octave")
+    if program is None:
+        pytest.skip("no GNU Octave here")
+    return [program, "--no-gui", "--no-init-file", "--quiet"]
+
+
+def test_the_matlab_functions_agree(octave, tmp_path):
+    """All models in one start of Octave, which takes longer than they do."""
+    wanted, script = {}, []
+    for name in MODELS:
+        plant, (t, x, u, wanted[name]) = case(name)
+        eoi.export(plant, tmp_path / f"{name}_rates.m")
+        np.savetxt(tmp_path / f"{name}.txt", np.column_stack([t, x, u]), fmt="%.17g")
+        n = x.shape[1]
+        script.append(
+            f"a = load('{name}.txt'); r = zeros({POINTS}, {n}); for k = 1:{POINTS}, "
+            f"r(k, :) = {name}_rates(a(k, 1), a(k, 2:{n + 1})', a(k, {n + 2}:end)')'; end; "
+            f"dlmwrite('{name}_out.txt', r, 'precision', '%.17g', 'delimiter', ' ');"
+        )
+    (tmp_path / "run_them.m").write_text("\n".join(script), encoding="utf-8")
+    done = subprocess.run([*octave, "run_them.m"], cwd=tmp_path, timeout=100, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    for name, values in wanted.items():
+        agree(np.loadtxt(tmp_path / f"{name}_out.txt", ndmin=2).reshape(values.shape), values)
+
+
+def test_json_reads_back_to_a_plant_that_agrees(model, tmp_path):
+    _, plant, (t, x, u, wanted) = model
+    back = eoi.load(eoi.export(plant, tmp_path / "model.json"))
+    assert isinstance(back, eoi.Plant)
+    assert back.parameters == plant.parameters
+    assert (back.outputs, back.inputs, back.fixed) == (plant.outputs, plant.inputs, plant.fixed)
+    np.testing.assert_array_equal(back.lower, plant.lower)
+    np.testing.assert_array_equal(back.upper, plant.upper)
+    assert back.units == plant.units
+    assert back.dry_friction == plant.dry_friction
+    agree(ours(back, t, x, u), wanted)
+    theta = jnp.asarray(plant.theta)
+    np.testing.assert_allclose(back.internal_start(theta), plant.internal_start(theta))
+
+
+def test_a_model_read_back_simulates_equally(tmp_path):
+    plant = with_effects(
+        eoi.plants.pendulum(),
+        [effects.CoulombFriction(), effects.ActuatorLag(), effects.InputDelay()],
+    )
+    back = eoi.load(eoi.export(plant, tmp_path / "model.json"))
+    time = np.arange(0.0, 3.0, 1e-3)
+    u = eoi.excitation.square(time, 0.2, 0.7)
+    mine, theirs = (eoi.simulate(one, time, u).outputs for one in (back, plant))
+    # Friction sticks at the same samples; between them, rounding grows slowly.
+    np.testing.assert_allclose(mine, theirs, atol=1e-9)
+
+
+def test_latex_balances_and_names_every_parameter(model, tmp_path):
+    _, plant, _ = model
+    text = eoi.export(plant, tmp_path / "model.tex").read_text(encoding="utf-8")
+    assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    assert text.count(r"\left") == text.count(r"\right")
+    assert text.count(r"\begin") == text.count(r"\end")
+    table = text.split(r"\begin{tabular}")[1]
+    assert table.count(r"\\") == len(plant.names)
+
+
+# -- what a file says -------------------------------------------------------------------------
+
+
+def test_a_file_says_what_its_numbers_are(tmp_path):
+    plant = with_effects(eoi.plants.pendulum(), [effects.InputDelay(), effects.Hysteresis()])
+    text = eoi.export(plant, tmp_path / "model.c").read_text(encoding="utf-8")
+    assert "states[1] angle_rate [rad/s]: derivative 1 of angle" in text
+    assert "states[2] z: internal state, not measured; starts at 0.0" in text
+    assert "inputs[0] voltage [V]: its value input_delay seconds ago" in text
+    assert "input_delay = 0.3 [s]: a delay" in text
+    assert "at angle_rate = 0 the right-hand side is set-valued" in text
+    assert "const double a = 76.0; /* 1/s² */" in text
+
+
+def test_a_result_is_exported_by_its_plant(tmp_path):
+    class Result:
+        plant = eoi.plants.pendulum()
+
+    text = eoi.export(Result(), tmp_path / "a", language="latex").read_text(encoding="utf-8")
+    assert r"\ddot{\mathrm{angle}}" in text
+
+
+# -- hostile names ----------------------------------------------------------------------------
+
+HOSTILE = [
+    "*/ int evil; /*",
+    "a\nimport os; os.abort() #",
+    "coding: utf-7",
+    "%{\nsystem('ls')\n%}",
+    "\\\n*/",
+    r"\input{secret}",
+    '"""',
+    "}",
+    "??/",
+    "\u2028x = 1",
+    "for",
+    "states",
+    "x",
+    "if",
+    "",
+]
+
+
+def hostile():
+    def f(t, x, u, p):
+        return -p.int * x.y[0] - p.end * x.y[0] + p.pi * u.sum()
+
+    names = (*HOSTILE, *(f"{one} 2" for one in HOSTILE[:3]))
+    units = dict.fromkeys((*names, "int", "end", "pi", "y*/"), HOSTILE[0] + HOSTILE[1] + HOSTILE[3])
+    return eoi.Plant(f, {"int": 1.0, "end": 2.0, "pi": 3.0}, 1, names, ("y*/",), units=units,
+                     name=HOSTILE[1])  # fmt: skip
+
+
+def test_no_name_or_unit_leaves_its_place(tmp_path):
+    plant = hostile()
+    t, x, u, wanted = points(plant)
+    function = runpy.run_path(str(eoi.export(plant, tmp_path / "odd.py")))["odd"]
+    agree(function(t, x.T, u.T).T, wanted)
+    back = eoi.load(eoi.export(plant, tmp_path / "odd.json"))
+    agree(ours(back, t, x, u), wanted)
+    tex = eoi.export(plant, tmp_path / "odd.tex").read_text(encoding="utf-8")
+    assert r"\input" not in tex
+    source = eoi.export(plant, tmp_path / "odd.c")
+    code = source.read_text(encoding="utf-8")
+    assert code.count("*/") == code.count("/*")
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler here (gcc or cc)")
+    for language in ("c", "c++"):
+        flags = ["-x", language, "-fsyntax-only", "-Wall", "-Wextra", "-trigraphs", "-Werror"]
+        subprocess.run([compiler, *flags, str(source)], check=True, timeout=60)
+
+
+def test_hostile_names_are_safe_in_octave(octave, tmp_path):
+    plant = hostile()
+    t, x, u, wanted = points(plant)
+    eoi.export(plant, tmp_path / "odd.m")
+    np.savetxt(tmp_path / "u.txt", u[0], fmt="%.17g")
+    call = f"printf('%.17g', odd({t[0]:.17g}, {x[0, 0]:.17g}, load('u.txt')))"
+    done = subprocess.run([*octave, "--eval", call], cwd=tmp_path, timeout=60, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    assert float(done.stdout) == pytest.approx(wanted[0, 0], rel=1e-10)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_identifiers_and_comments_hold_nothing_else(text):
+    assert identifier(text).isascii()
+    assert identifier(text).isidentifier()
+    assert identifier(text, [identifier(text)]) != identifier(text)
+    line = comment(text)
+    assert line.isprintable() or not line
+    assert "*/" not in line
+    assert "/*" not in line
+    assert "\\" not in line
+
+
+def test_greek_is_spelled_out():
+    assert identifier("α_Ω") == "alpha_omega"
+
+
+# -- what cannot be exported ------------------------------------------------------------------
+
+
+def simple(dynamics, **more):
+    return eoi.Plant(dynamics, {"a": 1.0}, 1, ("u",), ("y",), **more)
+
+
+def lookup(t, x, u, p):
+    return p.a * jnp.asarray([1.0, 2.0, 3.0])[jnp.int32(jnp.abs(x.y[0, 0]))]
+
+
+@pytest.mark.parametrize(
+    ("plant", "name", "message"),
+    [
+        (lambda: simple(lookup), "a.c", "`plant` must be arithmetic on.*places that depend on"),
+        (lambda: simple(lambda t, x, u, p: p.a * x.y[0], actuator=lambda t, u, p: u), "a.c",
+         "`actuator` must be made of the effects"),
+        (lambda: with_effects(eoi.plants.pendulum(), [effects.ActuatorLag()]).with_parameters(
+            {"actuator_lag": 0.0}), "a.c", r"`parameters\[actuator_lag\]` must be positive"),
+        (lambda: simple(lambda t, x, u, p: x.y[0] + 0 * p.a), "a.json",
+         r"`parameters\[a\]` must be used"),
+        (lambda: simple(lambda t, x, u, p: p.a * jnp.minimum(x.y[0], jnp.inf)), "a.c",
+         "finite constants"),
+        (eoi.plants.pendulum, "a.txt", "`path` must end in .py, .c"),
+        (eoi.plants.pendulum, "for.c", "`path` must be named as a function can be.*for_"),
+        (eoi.plants.pendulum, "my model.m", "For example my_model"),
+        (eoi.plants.pendulum, "none/a.c", "`path` must be writable"),
+        (lambda: 3, "a.c", "`model` must be a Plant or a result that has one, got int"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_exported_is_refused_with_the_reason(plant, name, message, tmp_path):
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        eoi.export(plant(), tmp_path / name)
+    assert not list(tmp_path.iterdir())  # nothing half-written
+
+
+def test_an_unknown_language_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="`language` must be one of python, c, matlab"):
+        eoi.export(eoi.plants.pendulum(), tmp_path / "a.c", language="fortran")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "must be a model that `export` wrote, got no JSON"),
+        ("[" * 5000, "got no JSON"),
+        ('{"a": 1}', "got other JSON"),
+        (
+            '{"kind": "eoi_jax model", "format": 9, "version": "7"}',
+            "format 9, written by eoi_jax 7",
+        ),
+        ('{"kind": "eoi_jax model", "format": 1, "model": 3}', "`model` must be a table"),
+        ('{"kind": "eoi_jax model", "format": 1, "model": {}}', "`model.outputs` must be given"),
+    ],
+)
+def test_what_is_no_model_is_refused_on_reading(text, message, tmp_path):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        eoi.load(tmp_path / "a.json")
+
+
+def test_a_model_that_was_changed_by_hand_is_read_like_any_text(tmp_path):
+    path = eoi.export(eoi.plants.pendulum(), tmp_path / "a.json")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["model"]["derivatives"]["angle_rate"] = "__import__('os').abort()"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"`model.derivatives.angle_rate` must not hold"):
+        eoi.load(path)
