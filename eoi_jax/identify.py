@@ -16,11 +16,12 @@ from jaxtyping import Float
 
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
+from eoi_jax.engines.alone import OnePass, alone
 from eoi_jax.instruments import Instrumented, cured
 from eoi_jax.iteration import Iterations, Pass, Tally, iterate, mean, sandwich
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.passes import Steps, Sums, run_pass
+from eoi_jax.passes import Steps, Sums
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import (
     TAPER,
@@ -224,7 +225,8 @@ def estimate(
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
     notes += _precision_note()
-    driver = _Driver(plant, observer, filters, steps, prepared.substeps, passes, callback, cure)
+    run = alone(plant, observer, filters, steps)
+    driver = _Driver(plant, observer, run, steps, prepared.substeps, passes, callback, cure)
     return driver.run(prepared.records, lowpass, reasons, tuple(notes))
 
 
@@ -234,7 +236,7 @@ class _Driver:
 
     plant: Plant
     observer: AbstractObserver
-    filters: DiscreteFilter
+    one_pass: OnePass
     steps: Steps
     substeps: int
     passes: int
@@ -313,16 +315,7 @@ class _Driver:
     ) -> tuple[Sums, Any]:
         moved = np.zeros_like(theta) if increment is None else increment
         weighed = np.ones(len(self.plant.outputs)) if weights is None else weights
-        sums, trace = run_pass(
-            self.plant,
-            self.observer,
-            self.filters,
-            self.steps,
-            jnp.asarray(theta),
-            jnp.asarray(moved),
-            jnp.asarray(weighed),
-            store,
-        )
+        sums, trace = self.one_pass(theta, moved, weighed, store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:

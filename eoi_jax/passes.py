@@ -77,10 +77,10 @@ class Trace(eqx.Module):
     `weight` = F[m] it is a weighted mean over the filter's memory.
     """
 
-    injection: Float[Array, "*steps ny"]
-    explained: Float[Array, "*steps ny"]
-    weight: Float[Array, "*steps ny"]
-    Phi: Float[Array, "*steps ny np"] | None
+    injection: Float[Array | np.ndarray, "*steps ny"]
+    explained: Float[Array | np.ndarray, "*steps ny"]
+    weight: Float[Array | np.ndarray, "*steps ny"]
+    Phi: Float[Array | np.ndarray, "*steps ny np"] | None
 
 
 class Step(eqx.Module):

@@ -321,7 +321,8 @@ def test_injection_and_residual_are_nan_where_nothing_is_scored(swung):
     # Eq. (14) from the stored injection, which keeps one of two sub-steps.
     assert np.nanmean(got.injection[0] ** 2) == pytest.approx(got.index[got.best_pass, 0], rel=1e-2)
     assert np.nanmean(got.first_injection[0] ** 2) == pytest.approx(got.index[0, 0], rel=1e-2)
-    assert np.nanmean(got.residual[0] ** 2) <= np.nanmean(got.injection[0] ** 2)
+    # Least squares lowers it, but for rounding where nothing is left to lower.
+    assert np.nanmean(got.residual[0] ** 2) <= np.nanmean(got.injection[0] ** 2) * (1.0 + 1e-9)
 
 
 def test_burn_in_of_the_record_is_not_scored():

@@ -174,9 +174,9 @@ class Pass(AbstractLoop):
         return lane.kernel(plant, lowpass, self.store).init(y, y_next, h)
 
     def advance(self, lane: Lanes, fixed: tuple, carry: Carry, row: Step) -> tuple[Carry, Any]:
-        """One step; it shows nothing."""
+        """One step, and the signals of a trace where the pass stores them."""
         plant, lowpass, h, _, _ = fixed
-        return lane.kernel(plant, lowpass, self.store).step(carry, row, h)[0], ()
+        return lane.kernel(plant, lowpass, self.store).step(carry, row, h)
 
     def result(self, carry: Carry) -> Any:
         """What is wanted after the last step."""

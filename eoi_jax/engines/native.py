@@ -70,7 +70,7 @@ class Native(AbstractEngine):
             What is not supported, by its name in JAX.
         """
         try:
-            translated(*_pass(plant, lanes, lowpass, steps, store))
+            translated(*pass_of(plant, lanes, lowpass, steps, store))
         except Untranslatable as reason:
             return str(reason)
         return None
@@ -90,19 +90,23 @@ class Native(AbstractEngine):
         Raises:
             Untranslatable: what `supports` says.
         """
-        what, columns = _pass(plant, lanes, lowpass, steps, store)
-        run = _Run(translated(what, columns), what, lanes, self.threads or cores())
-        run.go(plant, lowpass, steps)
+        what, columns = pass_of(plant, lanes, lowpass, steps, store)
+        run = PassRun(translated(what, columns), what, lanes, self.threads or cores())
+        run.go(plant, lowpass, steps, rows_of(steps, what.dtype))
         return run.sums()
 
 
 # -- what is compiled -------------------------------------------------------------------------
 
 
-def _pass(
+def pass_of(
     plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str
 ) -> tuple[Pass, int]:
-    """What is traced, and the number of columns of the record."""
+    """What is traced, and the number of columns of the record; arguments as of `Native.run`.
+
+    Raises:
+        Untranslatable: inputs behind an actuator.
+    """
     if plant.actuator is not None:
         raise Untranslatable("inputs behind an actuator")
     dtype = np.dtype(lanes.theta.dtype)
@@ -137,10 +141,17 @@ def _step_names() -> list[str]:
     return [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(step)]
 
 
+def rows_of(steps: Steps, dtype: Any) -> np.ndarray:
+    """What is read of each step of one record, shape (S, columns)."""
+    parts = [np.asarray(getattr(steps, name)) for name in _step_names()]
+    columns = [part.reshape(len(part), -1) for part in parts]
+    return np.concatenate(columns, axis=1, dtype=dtype, casting="unsafe")
+
+
 # -- one run ----------------------------------------------------------------------------------
 
 
-class _Run:
+class PassRun:
     """Memory of one run of a compiled pass."""
 
     def __init__(self, compiled: Compiled, what: Pass, lanes: Lanes, threads: int):
@@ -164,19 +175,35 @@ class _Run:
         whole = aligned((tiles, size * block + _APART // dtype.itemsize), dtype)
         return whole[:, : size * block].reshape(tiles, size, where.rows, where.width)
 
-    def go(self, plant: Plant, lowpass: DiscreteFilter, steps: Steps) -> None:
-        """Fill the memory, and go through the record."""
+    def go(
+        self,
+        plant: Plant,
+        lowpass: DiscreteFilter,
+        steps: Steps,
+        rows: np.ndarray,
+        keep: np.ndarray | None = None,
+        chunk_bytes: int = _CHUNK_BYTES,
+    ) -> None:
+        """Fill the memory, and go through the record.
+
+        Args:
+            plant: as in `Native.run`, like `lowpass` and `steps`.
+            lowpass: F.
+            steps: of one record.
+            rows: of these, by `rows_of`; the first ones only, if the others do not count.
+            keep: where a single lane's signals go, shape (rows, signals).
+            chunk_bytes: of what the lanes share of the record, at a time.
+        """
         where, dtype = self._code.where, self._what.dtype
         fixed = self._start(plant, lowpass, steps)
-        record = self._record(steps)
         rare, block, emphasis = self._events(steps)
         tiles, size = self._memory.shape[:2]
-        count = max(1, _CHUNK_BYTES // (max(len(where.shared), 1) * dtype.itemsize))
-        shared = aligned((min(count, len(record)), max(len(where.shared), 1)), dtype)
-        for first in range(0, len(record), count):
-            last = min(first + count, len(record))
+        count = max(1, chunk_bytes // (max(len(where.shared), 1) * dtype.itemsize))
+        shared = aligned((min(count, len(rows)), max(len(where.shared), 1)), dtype)
+        for first in range(0, len(rows), count):
+            last = min(first + count, len(rows))
             self._code.steps(
-                record[first:].ctypes.data,
+                rows[first:].ctypes.data,
                 fixed.ctypes.data,
                 self._carries.ctypes.data,
                 shared.ctypes.data,
@@ -199,7 +226,7 @@ class _Run:
                     emphasis.ctypes.data,
                     block[first:].ctypes.data,
                     emphasis.shape[1],
-                    None,  # a pass shows nothing
+                    None if keep is None else keep[first:].ctypes.data,
                     last - first,
                 ),
                 min(self._threads, tiles),
@@ -245,11 +272,6 @@ class _Run:
             for nodes in (program.fixed, carries)
         )
         return fixed
-
-    def _record(self, steps: Steps) -> np.ndarray:
-        parts = [np.asarray(getattr(steps, name)) for name in _step_names()]
-        columns = [part.reshape(len(part), -1) for part in parts]
-        return np.concatenate(columns, axis=1, dtype=self._what.dtype, casting="unsafe")
 
     def _events(self, steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the next few steps hold a flag, the block of each step, the lanes' emphasis."""

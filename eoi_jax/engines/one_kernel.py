@@ -44,6 +44,9 @@ class OneKernel(AbstractEngine):
             a CPU if None.
         memory: for the inputs behind actuators, which differ between lanes [bytes]; more lanes
             than fit go in several launches.
+
+    Raises:
+        ValueError: a tile that is no power of two.
     """
 
     tile: int = _WARP

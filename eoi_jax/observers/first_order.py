@@ -39,6 +39,9 @@ class FirstOrder(AbstractObserver):
         leak: T [1/s].
         scheme: ``"implicit"``, or ``"explicit"`` (Euler) as published.
 
+    Raises:
+        ValueError: a gain that is not positive and finite, an unknown scheme.
+
     Source:
         Bu et al. (2015), Wang et al. (2015), as used in section 3.1 of the paper.
     """

@@ -43,6 +43,9 @@ class HighOrder(AbstractObserver):
         degree: r.
         lambdas: λ₁ … λᵣ; Levant's for r ≤ 5 if left out.
 
+    Raises:
+        ValueError: a gain that is not positive and finite, a degree below 1, not r gains λ.
+
     Source:
         Levant (2003), *Higher-order sliding modes, differentiation and output-feedback control*.
     """

@@ -15,6 +15,9 @@ class PerOutput(AbstractObserver):
 
     Args:
         observers: one for each output of the plant, in its order; all of one scheme.
+
+    Raises:
+        ValueError: observers of different schemes.
     """
 
     observers: tuple[AbstractObserver, ...]

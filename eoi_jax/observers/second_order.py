@@ -43,6 +43,9 @@ class SecondOrder(AbstractObserver):
             tenfold.
         scheme: ``"implicit"``, or ``"explicit"`` (Euler) as published.
 
+    Raises:
+        ValueError: a gain that is not positive and finite, an unknown scheme.
+
     Source:
         Almeida et al. (2007), section 3.2 of the paper.
     """

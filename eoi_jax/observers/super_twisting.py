@@ -34,6 +34,9 @@ class SuperTwisting(AbstractObserver):
         lambda1: λ₁ [√(unit of ÿ)]; 1.5 √α if left out.
         scheme: ``"implicit"``, or ``"explicit"`` (Euler) as published.
 
+    Raises:
+        ValueError: a gain that is not positive and finite, an unknown scheme.
+
     Source:
         Davila, Fridman, Poznyak (2006).
     """

@@ -176,7 +176,7 @@ def test_a_diverged_lane_shows_that_it_is(swinging):
 
 def program_of(plant, observer, steps, store="nothing"):
     lanes = lanes_of(plant, observer, 1)
-    what, _ = native._pass(plant, lanes, LOWPASS, steps, store)
+    what, _ = native.pass_of(plant, lanes, LOWPASS, steps, store)
     return lane_program.lane_program(what)
 
 
