@@ -36,9 +36,9 @@ def bootstrap(
         records: that it was made from, as they were given.
         resamples: how many. 500 are enough for a 95 % interval.
         seed: of the draws.
-        transient: as it was given to `identify`.
+        transient: as it was given to `identify` [s].
         substeps: the same.
-        smoothing: the same.
+        smoothing: the same [rad/s].
 
     Returns:
         The uncertainty with the covariance of the resamples, and intervals from their quantiles:

@@ -22,6 +22,12 @@ from eoi_jax.types import Scalar
 _DAMPING = 1e-2  # of the first step, relative to the squared length of each column
 _FLOOR = 1e-18  # mean square of weighed errors below which cost is rounding, divided by PROMISE
 _SHORTEST_STEP = 1e-4  # of the trust region, relative to the first
+# Kinks of dry friction: steps keep being taken that lower the cost by next to nothing, and by
+# little of what they promise. So many in a row end the search.
+_POOR, _LITTLE, _MOST_POOR = 3e-4, 0.1, 3
+
+
+Watch = Callable[[Any, Any], None]
 
 
 class _Reduced(eqx.Module):
@@ -32,6 +38,7 @@ class _Reduced(eqx.Module):
         own, shared: lengths of the columns of starts and of θ (over all runs).
         room: how far θ may go down and up.
         promise: share of the cost that a step without damping would take away.
+        cost: there. poor: accepted steps in a row that lowered it by next to nothing.
     """
 
     triangles: Float[Array, "runs size size"]
@@ -39,6 +46,8 @@ class _Reduced(eqx.Module):
     shared: Float[Array, " free"]
     room: Float[Array, "2 free"]
     promise: Scalar
+    cost: Scalar
+    poor: Int[Array, ""]
 
 
 class _Arrow(optx.AbstractDescent):
@@ -56,12 +65,11 @@ class _Arrow(optx.AbstractDescent):
         one = jnp.ones((), y.theta.dtype)
         return _Reduced(
             jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta,
-            jnp.stack([y.theta, y.theta]), one,
+            jnp.stack([y.theta, y.theta]), one, jnp.inf * one, jnp.asarray(0),
         )  # fmt: skip
 
     def query(self, y: Unknowns, f_info: Any, state: _Reduced) -> _Reduced:
         """Linearise at an accepted point."""
-        del state
         own = y.starts.shape[1]
         columns, error = _columns(f_info.jac, y), f_info.residual
         # On its bound, and the cost falls beyond it: not a direction to go.
@@ -80,7 +88,10 @@ class _Arrow(optx.AbstractDescent):
         _, left = _shared_step(_damped(triangles, own, least), own, least)
         cost = jnp.sum(error**2)
         promise = (cost - left) / jnp.maximum(cost, _FLOOR * self.scored)
-        return _Reduced(triangles, *lengths, room, promise)
+        lowered = 1.0 - cost / state.cost  # one at the very start
+        poor = (lowered < _POOR) & (lowered < _LITTLE * state.promise)
+        count = jnp.where(poor, state.poor + 1, 0)
+        return _Reduced(triangles, *lengths, room, promise, cost, count)
 
     def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
         """The step of damping inverse to `step_size`."""
@@ -130,24 +141,38 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     search: optx.ClassicalTrustRegion
     verbose: Callable[..., None]
     most: Int[Array, ""]
+    watch: Watch | None
 
     def terminate(
         self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
-        """Whether the cost is at its floor, no step, however short, lowers it, or time is up."""
+        """Whether the cost is at its floor, no step lowers it to speak of, or time is up."""
         del fn, y, args, options, tags
+        if self.watch is not None:
+            half = 0.5 * jnp.sum(state.f_info.residual**2)
+            jax.debug.callback(self.watch, state.num_steps, half)
         done = state.descent_state.promise < PROMISE
         end = done | _lost(state) | (state.num_steps >= self.most)
         return ~state.first_step & end, state.result
 
 
 def _lost(state: Any) -> Array:
-    return state.search_state.step_size < _SHORTEST_STEP
+    short = state.search_state.step_size < _SHORTEST_STEP
+    return short | (state.descent_state.poor >= _MOST_POOR)
 
 
-def solve(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
-    """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs."""
-    return _solve(problem, unknowns, jnp.asarray(max_steps))
+def solve(
+    problem: Problem, unknowns: Unknowns, max_steps: int, watch: Watch | None = None
+) -> Outcome:
+    """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs.
+
+    Args:
+        problem: the runs.
+        unknowns: to start from.
+        max_steps: at most.
+        watch: called with the number of steps done, from 0, and half of the cost; compiled in.
+    """
+    return _solve(problem, unknowns, jnp.asarray(max_steps), watch)
 
 
 def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
@@ -159,18 +184,22 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
 
 @eqx.filter_jit
 def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
-    return jax.vmap(lambda one: _search(problem, one, most))(unknowns)
+    return jax.vmap(lambda one: _search(problem, one, most, None))(unknowns)
 
 
 @eqx.filter_jit
-def _solve(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
-    return _search(problem, unknowns, most)
+def _solve(
+    problem: Problem, unknowns: Unknowns, most: Int[Array, ""], watch: Watch | None
+) -> Outcome:
+    return _search(problem, unknowns, most, watch)
 
 
-def _search(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
+def _search(
+    problem: Problem, unknowns: Unknowns, most: Int[Array, ""], watch: Watch | None
+) -> Outcome:
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper, _scored(problem)),
-        optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most,
+        optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most, watch,
     )  # fmt: skip
     found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
     steps = found.stats["num_steps"]

@@ -36,14 +36,15 @@ class Profile:
     Attributes:
         name: of the parameter.
         values: at which it was held, ascending, the estimate among them, shape (points,).
-        statistic: D at these, shape (points,).
+        statistic: D at these, shape (points,): by how much twice the log-likelihood of `samples`
+            independent samples is below its best.
         parameters: best ones of all names at these, shape (points, np).
         estimate: θ̂_i.
         standard_error: of the refinement.
         threshold: that D must reach at the ends of the interval.
         level: of the interval.
         interval: infinite on a side where D does not reach the threshold.
-        samples: n_e.
+        samples: n_e, the independent ones that coloured residuals are worth.
         notes: why a side is open, and what else there is to know.
         unit: of the parameter, "" where unknown.
     """
@@ -73,7 +74,7 @@ class Profile:
 
     def plot(self) -> Any:
         """The profile, its threshold and the parabola of the standard error: a figure."""
-        from eoi_jax.report.figures import profile_figure
+        from eoi_jax.report.estimate_figures import profile_figure
 
         return profile_figure(self)
 
@@ -84,7 +85,7 @@ def profile(
     name: str,
     *,
     level: float = 0.95,
-    substeps: int = 4,
+    substeps: int | None = None,
     max_steps: int = 50,
 ) -> Profile:
     """Profile likelihood of one parameter of a refined estimate.
@@ -97,7 +98,7 @@ def profile(
         records: that it was made from.
         name: of a free parameter with a standard error.
         level: of the interval.
-        substeps: as they were given to `refine`.
+        substeps: steps of the simulation per sample; those of the refinement if None.
         max_steps: of the solver, for each point.
 
     Returns:
@@ -105,6 +106,9 @@ def profile(
 
     Raises:
         ValueError: no such free parameter, one without a standard error, no other free one.
+
+    Source:
+        J. Kent, Biometrika 69 (1982) 19; A. Raue et al., Bioinformatics 25 (2009) 1923.
     """
     plant = refinement.plant
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
@@ -119,12 +123,11 @@ def profile(
     check(good, "name", "must have a finite standard error", f"{name} ± {error:g}")
     quantile = student(level, known.degrees_of_freedom)
     held = plant.declared_anew(fixed=(name,))
+    count = refinement.substeps if substeps is None else substeps
 
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
-        return refine(
-            moved, records, window=refinement.window, substeps=substeps, max_steps=max_steps
-        )
+        return refine(moved, records, window=refinement.window, substeps=count, max_steps=max_steps)
 
     centre = fit(held, plant.parameters[name])
     check(centre.status.ok, "records", "must be those of the refinement", str(centre.status))

@@ -8,8 +8,8 @@ easy to fit and forgive what the model lacks, long ones use the most of a model 
 Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marquardt.py`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -43,6 +43,8 @@ _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one befor
 _SETTLED = 0.02  # relative change of these weights that is none
 _TOURNAMENT = (8, 16)  # steps of the solver for all points, and for those that are left
 _SHARE = 8  # one of so many is kept
+_COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
+_SUFFERS = 1e-3  # relative rise of the cost
 
 
 def refine(
@@ -50,10 +52,11 @@ def refine(
     records: Record | Sequence[Record],
     *,
     window: float | None = None,
-    substeps: int = 4,
+    substeps: int | None = None,
     max_steps: int = 50,
     starts: Any = None,
     huber: float | None = None,
+    callback: Callable[[int, int], None] | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
@@ -62,13 +65,17 @@ def refine(
         records: one or several; masked samples and a record's burn-in are not scored.
         window: length of each run [s], about: every record is cut into runs of equal length. The
             state is estimated anew at the start of each. None: whole records.
-        substeps: steps of the simulation per sample; one does where the sampling is fine.
+        substeps: steps of the simulation per sample; one does where the sampling is fine. None:
+            four, and twice as many as long as their error would show in the estimate and the fit
+            does not suffer.
         max_steps: of the solver, each one simulation with its sensitivities.
         starts: further points to start from, run side by side: dicts of parameters, or rows
             (starts, np). All get a few steps, the better ones more, the best one the rest.
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
+        callback: called with the number of the solver's steps done and `max_steps`, from 0 again
+            where weights or steps are settled anew; the solver is compiled with it.
 
     Returns:
         The estimate, never worse than its start on these runs. Look at `status` first. At the
@@ -97,18 +104,40 @@ def refine(
     spans = spans_of(several, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
-    problem = problem_of(nominal, several, spans, substeps)
+    count = _COARSE if substeps is None else substeps
+    problem = problem_of(nominal, several, spans, count)
     unknowns = Unknowns(
         jnp.asarray(nominal.theta)[np.asarray(problem.free)],
-        jnp.asarray(guessed_starts(nominal, several, spans, substeps)),
+        jnp.asarray(guessed_starts(nominal, several, spans, count)),
     )
-    before = _unweighed(problem, signals(unknowns, problem))
+    before = first = _unweighed(problem, signals(unknowns, problem))
     if len(points):
         unknowns = _best(problem, unknowns, points)
-    fit = _fitted(problem, unknowns, before, max_steps, huber)
-    if fit is None:
+        first = _unweighed(problem, signals(unknowns, problem))
+    if not np.all(np.isfinite(first)):
         return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
+    effort = _Effort(max_steps, _watch(callback, max_steps))
+    fit = _fitted(problem, unknowns, before, effort, huber)
+    if substeps is None:
+        fit = _finer(fit, several, spans, effort, huber)
     return _refinement(fit, several, spans, window)
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """How many steps the solver may take, and who is told of them."""
+
+    max_steps: int
+    watch: Callable[[Any, Any], None] | None
+
+
+def _watch(
+    callback: Callable[[int, int], None] | None, max_steps: int
+) -> Callable[[Any, Any], None] | None:
+    if callback is None:
+        return None
+    told = callback
+    return lambda number, _: told(int(number), max_steps)
 
 
 def _points(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
@@ -142,23 +171,22 @@ def _fitted(
     problem: Problem,
     unknowns: Unknowns,
     before: Float[np.ndarray, "runs time ny"],
-    max_steps: int,
+    effort: _Effort,
     huber: float | None,
-) -> "_Fit | None":
+) -> "_Fit":
     """Fits until the outputs are weighed by their residuals (one output: a single fit).
 
     Each lowers the cost under weights that were the best ones before: for squares, alternating
-    minimisation of the likelihood over the unknowns and σ, which never goes up. None where the
-    runs diverge from the start.
+    minimisation of the likelihood over the unknowns and σ, which never goes up.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve
 
-    if not np.all(np.isfinite(_unweighed(problem, signals(unknowns, problem)))):
-        return None
     steps = 0
     for _ in range(1 + _ROUNDS):
-        outcome = solve(problem, unknowns, max_steps)
+        outcome = solve(problem, unknowns, effort.max_steps, effort.watch)
+        if effort.watch is not None:
+            jax.effects_barrier()  # all of it told before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
         fit = _Fit(problem, signals(unknowns, problem), before, outcome, steps)
         sigma = _rms(fit.error, fit.use) if huber is None else _typical(fit.error, fit.use)
@@ -170,6 +198,35 @@ def _fitted(
         if max(apart) < (1.0 + _SETTLED) * min(apart):
             break
         problem = weighed(problem, sigma, np.inf if huber is None else huber)
+    return fit
+
+
+def _finer(
+    fit: "_Fit",
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    effort: _Effort,
+    huber: float | None,
+) -> "_Fit":
+    r"""Half the step, as long as its error shows in the estimate.
+
+    An error e of the simulation moves θ, in units of its standard error, by up to
+    $\sqrt{N}\,\mathrm{rms}(e) / \mathrm{rms}(r)$: noise averages out over N samples, e does not.
+    Records that were simulated with coarse steps themselves fit worse with finer ones.
+    """
+    while fit.differentiable and fit.problem.substeps < _FINEST:
+        old, unknowns = fit.problem, fit.outcome.unknowns
+        problem = problem_of(old.kernel.plant, records, spans, 2 * old.substeps)
+        problem = weighed(problem, 1.0 / np.asarray(old.scale), float(old.threshold))
+        apart = _unweighed(problem, signals(unknowns, problem)) - fit.error
+        count, rms = np.sqrt(np.sum(fit.use, axis=(0, 1))), _rms(fit.error, fit.use)
+        if np.all(count * _rms(apart, fit.use) <= rms):
+            break
+        finer = _fitted(problem, unknowns, fit.before, effort, huber)
+        suffers = _cost(_rms(finer.error, fit.use)) > _cost(rms) + _SUFFERS
+        if suffers or not finer.differentiable:
+            break
+        fit = replace(finer, steps=fit.steps + finer.steps)
     return fit
 
 
@@ -257,6 +314,7 @@ def _refinement(
         certainty.freedom,
         tuple(_per_sample(fit.before, fit.use, records, spans)),
         tuple(records),
+        problem.substeps,
     )
 
 

@@ -53,6 +53,7 @@ class Refinement:
         degrees_of_freedom: of `covariance`; infinite where they were not kept.
         residual_before: as `residual`, at the starting point; empty where it was not kept.
         records: as given; empty where they were not kept.
+        substeps: steps of the simulation per sample.
     """
 
     parameters: dict[str, float]
@@ -74,6 +75,7 @@ class Refinement:
     degrees_of_freedom: float = np.inf
     residual_before: tuple[np.ndarray, ...] = ()
     records: tuple[Record, ...] = ()
+    substeps: int = 4
 
     def __str__(self) -> str:
         """A short table."""
@@ -96,7 +98,7 @@ class Refinement:
 
     def plot(self) -> Any:
         """Measured and free run, residual, and the parameters' intervals: a matplotlib figure."""
-        from eoi_jax.report.figures import refinement_figure
+        from eoi_jax.report.estimate_figures import refinement_figure
 
         return refinement_figure(self)
 

@@ -27,9 +27,10 @@ def silverbox(data_directory: Path):
 @NUMBA
 def test_the_rival_and_refine_end_at_one_optimum_of_the_silverbox(silverbox):
     plant, record = silverbox
-    ours = eoi.refine(plant, record)
-    theirs = rivals.fit(rivals.silverbox(), plant.parameters, record, 4, ("lm", 1e-8))
-    # Two integrators of one rule, and one minimum: costs differ by what the solvers leave.
+    steps = 4
+    ours = eoi.refine(plant, record, substeps=steps)
+    theirs = rivals.fit(rivals.silverbox(), plant.parameters, record, steps, ("lm", 1e-8))
+    # Two integrators of one rule and step, and one minimum: costs differ by what the solvers leave.
     assert float(ours.rmse[0]) ** 2 == pytest.approx(theirs.cost, rel=1e-4)
     errors = np.asarray(list(ours.standard_errors.values()))
     apart = np.asarray(list(ours.parameters.values())) - list(theirs.parameters.values())

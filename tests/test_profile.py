@@ -8,7 +8,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax.profile import Profile
 from eoi_jax.refinement import Refinement
-from eoi_jax.report.figures import profile_figure
+from eoi_jax.report.estimate_figures import profile_figure
 from eoi_jax.results import Status
 
 PERIOD, COUNT, NOISE = 0.02, 1000, 1e-3

@@ -53,6 +53,7 @@ def hardening(t, x, u, p):
 
 
 VALUES = {"gain": 1.2, "damping": 0.5, "stiffness": 9.0, "cubic": 4.0, "offset": 0.1}
+STIFF = {"gain": 8e3, "damping": 5.0, "stiffness": 4e4, "cubic": 3e4}
 OSCILLATOR = eoi.Plant(hardening, VALUES, 2, ("u",), ("y",))
 
 
@@ -167,6 +168,61 @@ def test_dry_friction_is_refined_to_the_truth():
     assert result.status.ok
     # Moments of rest come and go with the parameters, so that the cost has kinks.
     np.testing.assert_allclose(result.plant.theta, true.theta, rtol=1e-4)
+
+
+def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
+    """A drift that the model lacks: at its best fit, rests begin and end as θ moves."""
+
+    def drifting(t, x, u, p):
+        return rubbing(t, x, u, p) + 0.4 * jnp.sin(0.9 * t)
+
+    values = {**RUBBING.parameters, "dry": 0.6}
+    truth = eoi.Plant(drifting, values, 2, ("force",), ("position",))
+    record = run(truth, count=2001)
+    found = refine(RUBBING.with_parameters({"mass": 0.6, "dry": 0.4}), record)
+    assert found.status.code == "stalled"
+    assert "not smooth" in found.status.message
+    again = refine(found.plant, record)
+    assert again.rmse**2 >= 0.999 * found.rmse**2
+
+
+def test_the_step_is_halved_while_its_error_shows_in_the_estimate():
+    """Four steps a radian of its resonance."""
+    stiff = OSCILLATOR.with_parameters(STIFF)
+    time = np.arange(2001) * PERIOD
+    force = np.repeat(np.random.default_rng(3).normal(size=201), 10)[: len(time)]
+    exact = eoi.simulate(stiff, time, force, hold="zero", substeps=64)
+    noise = 1e-4 * np.random.default_rng(4).standard_normal(exact.outputs.shape)
+    record = eoi.Record(time, force, exact.outputs + noise, hold="zero")
+    coarse, found = (refine(stiff, record, substeps=count) for count in (4, None))
+    assert found.substeps > 4
+
+    def worst(result):
+        errors = [abs(result.parameters[name] - stiff.parameters[name])
+                  / found.standard_errors[name] for name in stiff.names]  # fmt: skip
+        return max(errors)
+
+    assert worst(found) < 4.0 < worst(coarse)
+
+
+def test_records_of_coarse_steps_are_fitted_with_the_steps_they_were_made_of():
+    stiff = OSCILLATOR.with_parameters(STIFF)
+    force = np.repeat(np.random.default_rng(3).normal(size=101), 10)[:1001]
+    record = eoi.simulate(stiff, TIME, force, hold="zero", substeps=4)
+    found = refine(stiff.with_parameters({"stiffness": 3.9e4}), record)
+    assert found.substeps == 4
+    assert found.parameters["stiffness"] == pytest.approx(4e4, rel=1e-8)
+
+
+def test_the_callback_hears_of_every_step():
+    heard = []
+    found = refine(
+        MASS.with_parameters({"mass": 0.6}), run(MASS), substeps=4, max_steps=20,
+        callback=lambda number, most: heard.append((number, most)),
+    )  # fmt: skip
+    assert found.status.ok
+    assert [number for number, _ in heard] == list(range(found.steps + 1))
+    assert {most for _, most in heard} == {20}
 
 
 def test_estimates_scatter_as_their_standard_errors_say():

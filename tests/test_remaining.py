@@ -79,6 +79,31 @@ def test_two_effects_are_named_that_hide_each_other():
     assert set(found.best.names) - {"cubic_stiffness", "free_play"} == {"drift"}
 
 
+def test_held_out_records_confirm_what_is_there_and_refuse_what_only_fits():
+    """A slow wave that comes once, in the records of the fit, looks like any slow disturbance."""
+    hidden = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
+    run, held_out = hidden[:2500], hidden[2500:]
+    found = remaining(refine(PLANT, run, substeps=2), validation=held_out, substeps=2)
+    assert found.answer is not None
+    assert found.answer.candidate.names == ("quadratic_drag",)
+    assert found.best is found.answer.candidate
+    assert found.with_best() is found.answer.refinement.plant
+    assert found.held_out is not None
+    assert found.answer.held_out.rmse[0] < 0.5 * found.held_out.rmse[0]
+    assert "held out with quadratic_drag: " in str(found)
+
+    clean = with_hidden(values={})
+    wave = 0.02 * np.sin(0.4 * TIME[:2500])
+    shaken = eoi.Record(TIME[:2500], force()[:2500], clean.outputs[:2500] + wave[:, None],
+                        "lab", hold="zero")  # fmt: skip
+    found = remaining(refine(PLANT, shaken, substeps=2), validation=clean[2500:], substeps=2)
+    assert found.significant
+    assert len(found.trials) > 0
+    assert found.answer is None
+    assert found.with_best() is found.plant
+    assert "None of them lowers the error on held-out records" in str(found)
+
+
 def test_only_given_effects_are_tried():
     record = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
     result = refine(PLANT, record, substeps=2)
