@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.compare import Comparison, Entry
+from eoi_jax.report.style import WIDE, finished, logarithmic, new, series, styled, with_unit
 from eoi_jax.report.tables import columns, with_error
 
 _COLUMNS = 6  # parameters side by side
-_BAR, _WEAK = "#0072B2", "#56B4E9"
 
 
 def comparison_text(result: Comparison) -> str:
@@ -88,6 +88,7 @@ def _parameters(result: Comparison) -> str:
     return "\n\n".join(parts)
 
 
+@styled()
 def comparison_figure(result: Comparison) -> Any:
     """Bars on logarithmic axes: worst parameter error (with a truth), held-out error, time.
 
@@ -97,8 +98,6 @@ def comparison_figure(result: Comparison) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
-
     spread = np.array([one.rmse for one in result.entries])
     units = [result.plant.units.get(name, "") for name in result.plant.outputs]
     panels = []
@@ -106,12 +105,12 @@ def comparison_figure(result: Comparison) -> Any:
         errors = np.array([[100 * worst_error(one)] for one in result.entries])
         panels.append(("worst parameter error [%]", errors, [""]))
     where = "held out" if result.held_out else "fitted records"
-    unit = f" [{units[0]}]" if len(set(units)) == 1 and units[0] else ""
-    panels.append((f"free-run rmse, {where}{unit}", spread, list(result.plant.outputs)))
+    unit = units[0] if len(set(units)) == 1 else ""
+    panels.append((with_unit(f"free-run rmse, {where}", unit), spread, list(result.plant.outputs)))
     seconds = np.array([[one.seconds] for one in result.entries])
     panels.append(("time, compiled [s]", seconds, [""]))
     height = 1.6 + 0.4 * len(result.entries)
-    figure = Figure(figsize=(3.2 * len(panels) + 1.5, height), dpi=100, layout="constrained")
+    figure = new(max(3.2 * len(panels) + 1.5, WIDE), height)
     shared = None
     for i, (title, values, labels) in enumerate(panels):
         axes = figure.add_subplot(1, len(panels), i + 1, sharey=shared)
@@ -121,28 +120,26 @@ def comparison_figure(result: Comparison) -> Any:
     axes = figure.axes[0]
     axes.set_yticks(range(len(result.entries)), [one.method for one in result.entries])
     axes.invert_yaxis()
-    figure.suptitle(result.plant.name, fontsize=13)
-    return figure
+    figure.suptitle(result.plant.name)
+    return finished(figure)
 
 
 def _draw(axes: Any, title: str, values: np.ndarray, labels: list[str]) -> None:
     """Points, for bars have no foot on a logarithmic axis; what has no value is said."""
     rows, count = values.shape
-    colours = (_BAR, "#E69F00", "#009E73", "#CC79A7", _WEAK, "#F0E442")
     shown = np.isfinite(values) & (values > 0)
     for j in range(count):
         at = np.arange(rows) + 0.18 * (j - 0.5 * (count - 1))
         keep = shown[:, j]
-        axes.plot(values[keep, j], at[keep], "o", color=colours[j % len(colours)], label=labels[j])
-    axes.set_xscale("log")
+        axes.plot(values[keep, j], at[keep], "o", color=series(j), label=labels[j])
+    logarithmic(axes.xaxis)
     if np.any(shown):  # whole decades: labels between them would run into each other
         ends = np.log10([np.min(values[shown]), np.max(values[shown])])
         axes.set_xlim(10.0 ** np.floor(ends[0] - 0.05), 10.0 ** np.ceil(ends[1] + 0.05))
     for row in np.flatnonzero(~np.any(shown, axis=1)):
         place = axes.get_yaxis_transform()
-        axes.text(0.5, row, "none", transform=place, ha="center", va="center", color="0.5")
+        axes.text(0.5, row, "none", transform=place, ha="center", va="center", alpha=0.6)
     axes.set_ylim(-0.6, rows - 0.4)
-    axes.set_title(title, fontsize=10)
-    axes.grid(alpha=0.3, which="major")
+    axes.set_title(title)
     if count > 1:
-        axes.legend(fontsize=8)
+        axes.legend()

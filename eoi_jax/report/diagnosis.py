@@ -6,11 +6,23 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.diagnosis import Cross, Diagnosis, Map
-from eoi_jax.report.figures import _injection_unit
+from eoi_jax.report.style import (
+    AFTER,
+    BEFORE,
+    WIDE,
+    WIDTH,
+    finished,
+    injection_unit,
+    ink,
+    logarithmic,
+    new,
+    series,
+    styled,
+    with_unit,
+)
 from eoi_jax.report.tables import columns
 from eoi_jax.results import Status
 
-_LINE, _BAND, _STRONG = "#0072B2", "#56B4E9", "#D55E00"
 _BELOW_NOISE = 0.5  # of the noise is quantisation: the noise is called that
 
 
@@ -28,15 +40,15 @@ def findings(diagnosis: Diagnosis, status: Status) -> tuple[str, ...]:
         return (f"Nothing was scored, so there is nothing to diagnose. {status.message}.",)
     found = [] if status.ok else [f"The estimate is not one: {status.message}."]
     for part in (
-        _saturation,
-        _sliding,
-        _residual,
-        _delays,
-        _feedback,
-        _confounding,
-        _windows,
-        _quantisation,
-        _colour,
+        saturation,
+        sliding,
+        residual,
+        delays,
+        feedback,
+        confounding,
+        windows,
+        quantisation,
+        colour,
     ):
         found += part(diagnosis)
     return tuple(found) or (
@@ -78,6 +90,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     return "\n\n".join(block for block in blocks if block)
 
 
+@styled()
 def diagnosis_figure(diagnosis: Diagnosis) -> Any:
     """Maps of each residual, its correlations with the inputs, and the excitation of each window.
 
@@ -87,17 +100,13 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
-
     rows = [
         ([one for one in diagnosis.maps if one.output == name],
          [one for one in diagnosis.cross if one.output == name])
         for name in diagnosis.outputs
     ]  # fmt: skip
     width = max(max(len(maps), len(cross) + 1) for maps, cross in rows)
-    figure = Figure(
-        figsize=(2.6 * width + 0.8, 4.4 * len(rows) + 1.8), dpi=100, layout="constrained"
-    )
+    figure = new(max(2.4 * width + 0.8, WIDE), 4.4 * len(rows) + 1.8)
     grid = figure.add_gridspec(2 * len(rows) + 1, width)
     for j, (maps, cross) in enumerate(rows):
         shared = None
@@ -109,16 +118,39 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Any:
         for i, one in enumerate(cross):
             _draw_cross(figure.add_subplot(grid[2 * j + 1, i + 1]), one)
     _draw_windows(figure.add_subplot(grid[-1, :]), diagnosis)
-    return figure
+    return finished(figure)
+
+
+@styled()
+def map_figure(diagnosis: Diagnosis, output: str) -> Any:
+    """The residual of one output against everything, two maps in a row, the strongest marked.
+
+    Args:
+        diagnosis: of `diagnose`, with maps.
+        output: its name.
+
+    Returns:
+        A `matplotlib.figure.Figure`.
+    """
+    maps = [one for one in diagnosis.maps if one.output == output]
+    rows = -(-len(maps) // 2)
+    figure = new(WIDTH, 0.3 + 1.9 * rows)
+    panels = figure.subplots(rows, 2, sharey=True, squeeze=False)
+    for i, one in enumerate(maps):
+        _draw_map(panels.flat[i], diagnosis, one, first=i % 2 == 0)
+    for axes in panels.ravel()[len(maps) :]:
+        axes.set_visible(False)
+    return finished(figure)
 
 
 # -- sentences -------------------------------------------------------------------------------
 
 
-def _residual(diagnosis: Diagnosis) -> Iterator[str]:
+def residual(diagnosis: Diagnosis) -> Iterator[str]:
+    """What the residual is, and where it lives."""
     for j, name in enumerate(diagnosis.outputs):
         rms, floor = diagnosis.residual_rms[j], diagnosis.noise_floor[j]
-        unit = _spaced(_unit(diagnosis, j))
+        unit = spaced(_unit(diagnosis, j))
         strongest = diagnosis.strongest[j]
         where = "its maps show no dependence on what was measured"
         if strongest is not None:
@@ -140,7 +172,8 @@ def _residual(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"The residual of {name} has a mean of {mean:.3g} ± {error:.2g}{unit}."
 
 
-def _delays(diagnosis: Diagnosis) -> Iterator[str]:
+def delays(diagnosis: Diagnosis) -> Iterator[str]:
+    """Inputs that act late."""
     for one in diagnosis.cross:
         if np.isfinite(one.delay):
             yield (
@@ -149,7 +182,8 @@ def _delays(diagnosis: Diagnosis) -> Iterator[str]:
             )
 
 
-def _feedback(diagnosis: Diagnosis) -> Iterator[str]:
+def feedback(diagnosis: Diagnosis) -> Iterator[str]:
+    """Inputs that are computed from an output."""
     for one in diagnosis.cross:
         if one.feedback:
             yield (
@@ -159,16 +193,18 @@ def _feedback(diagnosis: Diagnosis) -> Iterator[str]:
             )
 
 
-def _saturation(diagnosis: Diagnosis) -> Iterator[str]:
+def saturation(diagnosis: Diagnosis) -> Iterator[str]:
+    """Channels that stop at a limit."""
     for one in diagnosis.saturation:
-        unit = _spaced(diagnosis.units.get(one.channel, ""))
+        unit = spaced(diagnosis.units.get(one.channel, ""))
         yield (
             f"{one.channel} of {one.record} stops at {one.level:.6g}{unit}, where {one.share:.2g} "
             "of its samples lie: it saturates. Mask those samples, or model the limit."
         )
 
 
-def _sliding(diagnosis: Diagnosis) -> Iterator[str]:
+def sliding(diagnosis: Diagnosis) -> Iterator[str]:
+    """Observers that lose the sliding mode."""
     for name, share in zip(diagnosis.outputs, diagnosis.sliding_fraction, strict=True):
         if share < 0.9:
             yield (
@@ -177,7 +213,8 @@ def _sliding(diagnosis: Diagnosis) -> Iterator[str]:
             )
 
 
-def _confounding(diagnosis: Diagnosis) -> Iterator[str]:
+def confounding(diagnosis: Diagnosis) -> Iterator[str]:
+    """Parameters that cannot be told apart."""
     for one in diagnosis.confounded:
         yield (
             f"{one.first} and {one.second} are confounded: their estimates are correlated by "
@@ -187,7 +224,8 @@ def _confounding(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"The data say least about {diagnosis.worst_combination}."
 
 
-def _windows(diagnosis: Diagnosis) -> Iterator[str]:
+def windows(diagnosis: Diagnosis) -> Iterator[str]:
+    """Stretches in which the plant hardly moves."""
     poor = [one for one in diagnosis.windows if one.poor]
     if poor:
         shown = ", ".join(f"{one.record} {one.start:.4g}–{one.stop:.4g} s" for one in poor[:4])
@@ -199,19 +237,21 @@ def _windows(diagnosis: Diagnosis) -> Iterator[str]:
         )
 
 
-def _quantisation(diagnosis: Diagnosis) -> Iterator[str]:
+def quantisation(diagnosis: Diagnosis) -> Iterator[str]:
+    """Outputs whose noise is steps."""
     for name, noise, step in zip(
         diagnosis.outputs, diagnosis.noise, diagnosis.quantum, strict=True
     ):
         if step / np.sqrt(12.0) > _BELOW_NOISE * noise > 0:
-            unit = _spaced(diagnosis.units.get(name, ""))
+            unit = spaced(diagnosis.units.get(name, ""))
             yield (
                 f"{name} is quantised in steps of {step:.4g}{unit}, which make most of its noise "
                 f"({noise:.3g}): that is not white while the signal moves slowly."
             )
 
 
-def _colour(diagnosis: Diagnosis) -> Iterator[str]:
+def colour(diagnosis: Diagnosis) -> Iterator[str]:
+    """Residuals of the noise's size that are not white."""
     for j, name in enumerate(diagnosis.outputs):
         if not diagnosis.white[j] and not diagnosis.more_than_noise[j]:
             yield (
@@ -229,10 +269,11 @@ def _is_strongest(diagnosis: Diagnosis, one: Map) -> bool:
 
 
 def _unit(diagnosis: Diagnosis, j: int) -> str:
-    return _injection_unit(diagnosis.units.get(diagnosis.outputs[j]), diagnosis.degrees[j])
+    return injection_unit(diagnosis.units.get(diagnosis.outputs[j]), diagnosis.degrees[j])
 
 
-def _spaced(unit: str) -> str:
+def spaced(unit: str) -> str:
+    """A unit with a space before it; empty for none."""
     return f" {unit}" if unit else ""
 
 
@@ -246,38 +287,41 @@ def _probability(value: float) -> str:
 
 
 def _draw_map(axes: Any, diagnosis: Diagnosis, one: Map, first: bool) -> None:
-    colour = _STRONG if _is_strongest(diagnosis, one) else _LINE
-    axes.fill_between(
-        one.centre, one.mean - one.band, one.mean + one.band, color=colour, alpha=0.25, lw=0
-    )
-    axes.plot(one.centre, one.mean, ".-", color=colour, linewidth=1)
-    axes.axhline(0.0, color="black", linewidth=0.6)
+    colour = series(AFTER if _is_strongest(diagnosis, one) else BEFORE)
+    low, high = one.mean - one.band, one.mean + one.band
+    axes.fill_between(one.centre, low, high, color=colour, alpha=0.25, linewidth=0)
+    axes.plot(one.centre, one.mean, ".-", color=colour)
+    axes.axhline(0.0, color=ink(), linewidth=0.5)
     unit = diagnosis.units.get(one.variable, "s" if one.variable == "time" else "")
-    axes.set_xlabel(one.variable + (f" [{unit}]" if unit else ""))
-    axes.set_title(f"explains {100 * one.explained:.2g} %", fontsize=9)
-    axes.grid(alpha=0.3)
+    axes.set_xlabel(with_unit(one.variable, unit))
+    strongest = ": the strongest" if _is_strongest(diagnosis, one) else ""
+    axes.set_title(f"explains {100 * one.explained:.2g} %{strongest}")
     if first:
         unit = _unit(diagnosis, diagnosis.outputs.index(one.output))
-        axes.set_ylabel(f"residual of\n{one.output}" + (f" [{unit}]" if unit else ""))
+        axes.set_ylabel(f"residual of\n{with_unit(one.output, unit)}")
     else:
         axes.tick_params(labelleft=False)
 
 
+def _stem(axes: Any, x: np.ndarray, y: np.ndarray) -> None:
+    axes.vlines(x, 0.0, y, color=series(BEFORE), linewidth=1.0)
+    axes.plot(x, y, ".", color=series(BEFORE))
+    axes.axhline(0.0, color=ink(), linewidth=0.5)
+
+
 def _draw_autocorrelation(axes: Any, diagnosis: Diagnosis, j: int) -> None:
     values = diagnosis.autocorrelation[j]
-    axes.stem(np.arange(1, len(values) + 1), values, basefmt="k-", markerfmt=".")
+    _stem(axes, np.arange(1, len(values) + 1), values)
     axes.set_xlabel("lag [thinned samples]")
     axes.set_ylabel("autocorrelation,\nwhitened")
-    axes.set_title(f"whiteness p {_probability(diagnosis.whiteness[j])}", fontsize=9)
-    axes.grid(alpha=0.3)
+    axes.set_title(f"whiteness p {_probability(diagnosis.whiteness[j])}")
 
 
 def _draw_cross(axes: Any, one: Cross) -> None:
-    axes.stem(one.lags, one.correlation, basefmt="k-", markerfmt=".")
-    axes.axvline(0.0, color="black", linewidth=0.6)
+    _stem(axes, one.lags, one.correlation)
+    axes.axvline(0.0, color=ink(), linewidth=0.5)
     axes.set_xlabel(f"residual after {one.input} [s]")
-    axes.set_title(f"cross-correlation p {_probability(one.p_value)}", fontsize=9)
-    axes.grid(alpha=0.3)
+    axes.set_title(f"cross-correlation p {_probability(one.p_value)}")
 
 
 def _draw_windows(axes: Any, diagnosis: Diagnosis) -> None:
@@ -285,9 +329,9 @@ def _draw_windows(axes: Any, diagnosis: Diagnosis) -> None:
     poor = np.asarray([one.poor for one in diagnosis.windows], dtype=bool)
     # From one frequency at a time to a rich signal it spans decades; none at all has no logarithm.
     values = np.asarray([max(one.excitation, 1e-9) for one in diagnosis.windows])
-    axes.semilogy(number[~poor], values[~poor], "o", color=_LINE)
-    axes.semilogy(number[poor], values[poor], "o", color=_STRONG)
-    axes.axhline(max(diagnosis.excitation, 1e-9), color="black", linewidth=0.8, linestyle="--")
-    axes.set_xlabel("window (dashed: all together; red: the plant hardly moves)")
+    axes.plot(number[~poor], values[~poor], "o", color=series(BEFORE))
+    axes.plot(number[poor], values[poor], "o", color=series(AFTER))
+    logarithmic(axes.yaxis)
+    axes.axhline(max(diagnosis.excitation, 1e-9), color=ink(), linewidth=0.8, linestyle="--")
+    axes.set_xlabel("window (dashed: all together; second colour: the plant hardly moves)")
     axes.set_ylabel("excitation")
-    axes.grid(alpha=0.3)

@@ -89,6 +89,11 @@ def phrase(discovery: Discovery, added: Added) -> str:
 
 def change_table(discovery: Discovery) -> str:
     """Parameters with standard errors before and after the effects were added."""
+    return columns(change_rows(discovery), "<>>>>><")
+
+
+def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
+    """The cells of `change_table`, the header first."""
     before, after = discovery.declared, discovery.found
     rows = [("parameter", "nominal", "before", "± std. error", "after", "± std. error", "unit")]
     nominal, units = before.nominal.parameters, discovery.plant.units
@@ -105,11 +110,17 @@ def change_table(discovery: Discovery) -> str:
                 units.get(name, ""),
             )
         )
-    return columns(rows, "<>>>>><")
+    return rows
 
 
 def error_table(discovery: Discovery) -> str:
     """Free-run errors and the index, before and after."""
+    rows = error_rows(discovery)
+    return columns(rows, "<>>><" if discovery.added else "<><")
+
+
+def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
+    """The cells of `error_table`, the header first."""
     data = "in-sample" if discovery.in_sample else "held-out"
     rows: list[tuple[str, ...]] = [("", "before", "after", "after/before", "unit")]
     runs = (
@@ -130,21 +141,26 @@ def error_table(discovery: Discovery) -> str:
         rows.append(_row(f"index P of {output}", before, after, ""))
     if not discovery.added:  # both are the declared model's
         rows = [(name, value, unit) for name, value, _, _, unit in rows]
-        return columns([("", "declared", "unit"), *rows[1:]], "<><")
-    return columns(rows, "<>>><")
+        return [("", "declared", "unit"), *rows[1:]]
+    return rows
 
 
 def candidate_table(discovery: Discovery) -> str:
     """The best candidates that were not added, with the reason; empty if there are none."""
+    rows = candidate_rows(discovery)[: 1 + _NEXT]
+    return columns(rows, "<<>><") if rows else ""
+
+
+def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
+    """The cells of a table of all candidates that were not added, the header first; or none."""
     added = {(one.effect.name, one.output) for one in discovery.added}
     others = [one for one in discovery.ranking if (one.effect, one.output) not in added]
-    if not others:
-        return ""
-    rows = [("other candidate", "at", "explains alone", "score", "")]
-    for one in others[:_NEXT]:
+    rows = [("other candidate", "at", "explains alone", "score", "")] if others else []
+    for one in others:
         share = f"{100 * one.explained:.3g} %"
-        rows.append((one.effect, one.output, share, f"{one.score:.4g}", one.remark))
-    return columns(rows, "<<>><")
+        score = f"{one.score:.4g}" if np.isfinite(one.score) else "-"
+        rows.append((one.effect, one.output, share, score, one.remark))
+    return rows
 
 
 def _explained(discovery: Discovery) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.effects.effect import internal_names
+from eoi_jax.equations.system import TextDynamics, TextInternal
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.expression import (
     Call,
@@ -62,18 +63,32 @@ def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = Fa
 
 def equation_latex(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
     r"""The same as the body of an ``aligned`` environment; arguments as in `equation_text`."""
+    parts, changes = equation_lines(plant, added, numeric=numeric)
+    lines = [" ".join([f"{left} &= {right}", *terms]) for left, right, terms in parts]
+    lines += [rf"&\text{{with }} {change}" for change in changes]
+    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+
+def equation_lines(
+    plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False
+) -> tuple[list[tuple[str, str, list[str]]], list[str]]:
+    """The equations in LaTeX, with what was added apart; arguments as in `equation_text`.
+
+    Returns:
+        Left side, declared right side and the terms that were added, of each equation; then what
+        happens to inputs.
+    """
     values = plant.parameters if numeric else {}
     rights = [latex(one, values) for one in declared(plant)]
     terms, changes = _effects(plant, added, numeric, True)
-    lines = []
-    for output, degree, right in zip(plant.outputs, plant.degrees, rights, strict=True):
-        left = latex(Symbol(output, degree), {})
-        lines.append(" ".join([f"{left} &= {right}", *terms.get(output, ())]))
+    outputs = zip(plant.outputs, plant.degrees, rights, strict=True)
+    lines = [
+        (latex(Symbol(output, degree), {}), right, terms.get(output, []))
+        for output, degree, right in outputs
+    ]
     for name, one in _internal(plant):
-        left = latex(Symbol(name, 1), {})
-        lines.append(" ".join([f"{left} &= {latex(one, values)}", *terms.get(name, ())]))
-    lines += [rf"&\text{{with }} {change}" for change in changes]
-    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+        lines.append((latex(Symbol(name, 1), {}), latex(one, values), terms.get(name, [])))
+    return lines, changes
 
 
 def _prime(name: str, order: int) -> str:
@@ -174,6 +189,11 @@ class _UnreadableError(Exception):
 
 def _read(function: Any, plant: Plant, count: int) -> tuple[Expression, ...] | None:
     """What `function` returns, flattened; None where it cannot be read."""
+    if isinstance(function, TextDynamics | TextInternal):
+        text = function.equations
+        trees = text.highest if isinstance(function, TextDynamics) else text.internal
+        written = tuple(text.written_out(tree) for tree in trees)
+        return None if None in written else written  # type: ignore[return-value]
     try:
         inner = inspect.unwrap(function)  # a decorator may have its own globals
         body, arguments = _source(inner)

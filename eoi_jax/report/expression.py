@@ -4,55 +4,19 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
+
+from eoi_jax.equations.expression import Call as Call
+from eoi_jax.equations.expression import Expression as Expression
+from eoi_jax.equations.expression import Number as Number
+from eoi_jax.equations.expression import Operation as Operation
+from eoi_jax.equations.expression import Symbol as Symbol
 
 # How tightly an operation binds.
 _COMPARISON, _SUM, _PRODUCT, _POWER, _ATOM = range(5)
 _BINDING = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "^": _POWER}
-
-
-@dataclass(frozen=True)
-class Number:
-    """A value."""
-
-    value: float
-
-
-@dataclass(frozen=True)
-class Symbol:
-    """A name, or a derivative of one in time.
-
-    Attributes:
-        name: of a channel, a state or a parameter.
-        order: of the derivative.
-        parameter: whether a value may stand in its place.
-    """
-
-    name: str
-    order: int = 0
-    parameter: bool = False
-
-
-@dataclass(frozen=True)
-class Operation:
-    """left sign right; a change of sign is 0 - right."""
-
-    sign: str
-    left: "Expression"
-    right: "Expression"
-
-
-@dataclass(frozen=True)
-class Call:
-    """A function of some arguments."""
-
-    name: str
-    arguments: tuple["Expression", ...]
-
-
-Expression: TypeAlias = Number | Symbol | Operation | Call
 
 
 @dataclass(frozen=True)
@@ -292,6 +256,10 @@ def _latex_call(name: str, arguments: list[str]) -> str:
         return rf"\left|{arguments[0]}\right|"
     if name == "sqrt":
         return rf"\sqrt{{{arguments[0]}}}"
+    if name == "where" and len(arguments) == 3:
+        condition, first, second = arguments
+        ways = rf"{first} & {condition} \\ {second} & \text{{otherwise}}"
+        return rf"\begin{{cases}} {ways} \end{{cases}}"
     head = (
         rf"\{name}" if name in _KNOWN else rf"\operatorname{{{name.replace('_', chr(92) + '_')}}}"
     )

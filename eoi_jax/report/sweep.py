@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.report.style import AFTER, finished, logarithmic, new, series, styled
 from eoi_jax.report.tables import columns
 
 _LABELS = {"cutoff": "cut-off [rad/s]"}
@@ -71,25 +72,24 @@ def _estimates(best: Any) -> str:
     return columns(rows, "<" + ">" * len(names)) + note
 
 
-def sweep_figure(sweep: Any) -> Any:
+@styled()
+def sweep_figure(sweep: Any, best: Any = None) -> Any:
     """The common index of every lane against each gain that varies, one panel each.
 
     Args:
         sweep: of `eoi_jax.sweep`.
+        best: of `eoi_jax.best`: its lane is marked.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
-
     one = sweep.sel(resample=0)
     index = one["common_index"].where(one["ok"])
     varying = [name for name in gain_names(sweep) if len(_finite(sweep[name].values)) > 1]
     varying += ["cutoff"] if "cutoff" in sweep.coords and sweep.sizes["lowpass"] > 1 else []
     shown = varying[:_SHOWN] or ["observer"]
     rows = sweep.sizes["output"]
-    size = (3.2 * len(shown) + 1.2, 3.0 * rows + 0.6)
-    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    figure = new(3.2 * len(shown) + 1.2, 3.0 * rows + 0.6)
     panels = figure.subplots(rows, len(shown), squeeze=False, sharey="row")
     drawn = [
         _scatter(panel, sweep, index.isel(output=j), name, j)
@@ -98,15 +98,28 @@ def sweep_figure(sweep: Any) -> Any:
     ]
     for j, output in enumerate(sweep["output"].values):
         panels[j, 0].set_ylabel(f"common index of {output}")
+    for j, name in np.ndindex(rows, len(shown)) if best is not None else ():
+        _mark(panels[j, name], best, shown[name], j)
     if "cutoff" in varying:
         figure.colorbar(drawn[0], ax=panels, label=_LABELS["cutoff"])
-    figure.suptitle(f"{sweep.attrs['plant']}: {index.isel(output=0).size} lanes", fontsize=13)
-    return figure
+    figure.suptitle(f"{sweep.attrs['plant']}: {index.isel(output=0).size} lanes")
+    return finished(figure)
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
     """Every finite value once."""
     return np.unique(values[np.isfinite(values)])
+
+
+def _mark(panel: Any, best: Any, name: str, j: int) -> None:
+    """A ring around the best lane, one for each record."""
+    if name not in best.coords and name not in best:
+        return
+    place = best[name].isel(output=j) if "output" in best[name].dims else best[name]
+    index = best["common_index"].isel(output=j).sel(resample=0)
+    x, y = (np.ravel(one.broadcast_like(index).values) for one in (place, index))
+    ring = {"mfc": "none", "mec": series(AFTER), "ms": 11.0, "mew": 1.8, "ls": "none"}
+    panel.plot(x, y, "o", **ring)
 
 
 def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int) -> Any:
@@ -118,12 +131,11 @@ def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int) -> Any:
     )
     drawn = panel.scatter(x, y, c=colour, s=9, cmap="viridis", alpha=0.7, linewidths=0)
     if name != "observer":
-        panel.set_xscale("log")
+        logarithmic(panel.xaxis)
     few = _finite(x)
     if len(few) <= _TICKS:
         panel.set_xticks(few, [f"{value:.3g}" for value in few])
         panel.set_xticks([], minor=True)
-    panel.set_yscale("log")
+    logarithmic(panel.yaxis)
     panel.set_xlabel(_LABELS.get(name, name))
-    panel.grid(alpha=0.3, which="both", linewidth=0.5)
     return drawn

@@ -33,6 +33,11 @@ def identification_text(result: Identification) -> str:
 
 def parameter_table(result: Identification) -> str:
     """A line for each parameter: nominal, estimate, standard error, change [%], unit."""
+    return columns(parameter_rows(result), "<>>>><")
+
+
+def parameter_rows(result: Identification) -> list[tuple[str, ...]]:
+    """The cells of `parameter_table`, the header first."""
     nominal, units = result.nominal.parameters, result.plant.units
     rows = [("parameter", "nominal", "estimate", "± std. error", "change", "unit")]
     for name, value in result.parameters.items():
@@ -48,7 +53,7 @@ def parameter_table(result: Identification) -> str:
                 units.get(name, ""),
             )
         )
-    return columns(rows, "<>>>><")
+    return rows
 
 
 def uncertainty_text(result: Uncertainty, level: float = 0.95) -> str:
@@ -69,6 +74,66 @@ def uncertainty_text(result: Uncertainty, level: float = 0.95) -> str:
             ends = f"{low:.6g}", f"{high:.6g}"
             rows.append((name, f"{value:.6g}", f"{errors[name]:.2g}", *ends, unit))
     return "\n".join([columns(rows, "<>>>><"), *(f"- {line}" for line in result.unclear)])
+
+
+def refined_rows(result: Refinement) -> list[tuple[str, ...]]:
+    """A row for each parameter before and after its refinement, the header first."""
+    rows = [("parameter", "before", "refined", "± std. error", "unit")]
+    for name, value in result.parameters.items():
+        fixed = name in result.plant.fixed
+        error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
+        before = f"{result.nominal.parameters[name]:.6g}"
+        rows.append((name, before, f"{value:.6g}", error, result.plant.units.get(name, "")))
+    return rows
+
+
+def validation_rows(result: Validation) -> list[tuple[str, ...]]:
+    """A row for each output with the errors of its free run, the header first."""
+    rows = [("output", "rmse", "rmse / std. deviation", "fit [%]", "unit")]
+    values = zip(result.outputs, result.rmse, result.nrmse, result.fit, result.units, strict=True)
+    for name, rmse, nrmse, fit, unit in values:
+        rows.append((name, f"{rmse:.5g}", f"{nrmse:.4f}", f"{fit:.2f}", unit))
+    return rows
+
+
+def identification_answer(result: Identification, validation: Validation | None = None) -> str:
+    """How an identification ended, in one sentence.
+
+    Args:
+        result: of `identify`.
+        validation: on held-out records, if there are any.
+    """
+    count = sum(name not in result.plant.fixed for name in result.parameters)
+    samples = sum(len(record) for record in result.records)
+    many = f"{count} parameter{'s' if count != 1 else ''}"
+    left = 100 * float(np.max(result.unexplained))
+    start = (
+        f"{many} of {result.plant.name} identified from {samples} samples in pass "
+        f"{result.best_pass + 1} of {len(result.index)}; {left:.2g} % of the highest derivative "
+        "is left unexplained"
+    )
+    if validation is None or not np.all(np.isfinite(validation.rmse)):
+        return f"{start}."
+    return f"{start}, and the free run fits held-out data by {np.min(validation.fit):.4g} %."
+
+
+def refinement_answer(result: Refinement, after: Validation | None = None) -> str:
+    """What a refinement changed, in one sentence.
+
+    Args:
+        result: of `refine`.
+        after: its free run on held-out records, if there are any.
+    """
+    units = result.plant.units
+    parts = [
+        f"{quantity(old, units.get(name, ''))} before, {quantity(new, units.get(name, ''))} after"
+        + (f" ({name})" if len(result.rmse) > 1 else "")
+        for name, old, new in zip(result.plant.outputs, result.before, result.rmse, strict=True)
+    ]
+    end = ""
+    if after is not None and np.all(np.isfinite(after.rmse)):
+        end = f"; held-out data are fitted by {np.min(after.fit):.4g} %"
+    return f"Refined: free-run error of {result.plant.name} {'; '.join(parts)}{end}."
 
 
 def refinement_text(
@@ -162,6 +227,8 @@ def columns(rows: Sequence[Sequence[str]], sides: str) -> str:
     return "\n".join(lines)
 
 
+_SMALL = 1e-5  # below that an error has an exponent
+
 # Units that take a prefix, and the prefixes.
 _PREFIXED = ("m", "s", "V", "A", "N", "rad", "N m", "N·m", "Pa", "W")
 _PREFIXES = ((1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
@@ -195,4 +262,7 @@ def with_error(value: float, error: float) -> str:
     digits = int(min(4 - size, 1 - np.floor(np.log10(error))))
     if digits < 0 or digits > 8:
         return f"{value:.4g} ± {error:.2g}"
-    return f"{value:.{digits}f} ± {error:.2g}"
+    shown = f"{error:.2g}"
+    if error >= _SMALL:  # "9.3e-05" would not be read as a small part of the number before it
+        shown = np.format_float_positional(float(shown), trim="-")
+    return f"{value:.{digits}f} ± {shown}"

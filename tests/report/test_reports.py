@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from eoi_jax.data import excitation
 from eoi_jax.identify import Identification, identify
@@ -107,26 +105,3 @@ def test_the_drawn_injection_reaches_the_peaks_of_the_computed_one(result: Ident
 def test_an_output_without_unit_has_none_in_the_figure(partly_fixed: Identification):
     axes = figures.identification_figure(partly_fixed).axes[1]
     assert axes.get_ylabel() == "injection of\ny"
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.integers(1, 5000), st.integers(1, 40), st.integers(0, 2**31))
-def test_decimation_keeps_extremes_order_and_points_of_the_signal(
-    samples: int, columns: int, seed: int
-):
-    values = np.random.default_rng(seed).standard_normal(samples)
-    time = np.arange(samples, dtype=float)
-    t, v = figures.decimate(time, values, columns)
-    assert v.max() == values.max()
-    assert v.min() == values.min()
-    assert np.all(np.diff(t) >= 0)
-    np.testing.assert_array_equal(v, values[t.astype(int)])
-    assert len(v) <= 2 * columns
-
-
-def test_decimation_leaves_gaps_as_gaps():
-    values = np.ones(1000)
-    values[200:700] = np.nan
-    _, v = figures.decimate(np.arange(1000.0), values, 10)
-    assert np.isnan(v).sum() == 10
-    assert np.nansum(v) == 10

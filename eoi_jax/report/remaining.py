@@ -1,0 +1,53 @@
+"""What is left of a refined model's error, as a figure."""
+
+from typing import Any
+
+import numpy as np
+
+from eoi_jax.remaining import Remaining
+from eoi_jax.report.style import (
+    AFTER,
+    WIDTH,
+    finished,
+    ink,
+    legend_above,
+    new,
+    series,
+    shortened,
+    styled,
+)
+
+_SINGLE, _PAIRS = 8, 4  # candidates that are drawn
+_FAINT = 0.35  # opacity of what may be chance
+
+
+@styled()
+def remaining_figure(result: Remaining) -> Any:
+    """Share of the free run's error that each effect, and each pair, explains.
+
+    Args:
+        result: of `remaining`.
+
+    Returns:
+        A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
+    """
+    shown = [*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]]
+    figure = new(WIDTH, 1.1 + 0.26 * len(shown))
+    axes = figure.add_subplot()
+    for sure in (True, False):
+        rows = [i for i, one in enumerate(shown) if (one.significance < result.level) == sure]
+        axes.barh(
+            rows,
+            [100.0 * shown[i].share for i in rows],
+            height=0.65,
+            color=series(AFTER) if sure else ink(),
+            alpha=1.0 if sure else _FAINT,
+            label="significant" if sure else "may be chance",
+        )
+    names = [" + ".join(one.names).replace("_", " ") for one in shown]
+    axes.set_yticks(np.arange(len(shown)), [shortened(name) for name in names])
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("share of the free run's squared error [%]")
+    legend_above(axes)
+    return finished(figure)
