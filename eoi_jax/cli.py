@@ -1,29 +1,27 @@
-"""The command ``eoi``: a config in; a table, figures and a JSON file out.
+"""What the commands of ``eoi`` do: a config in; a table, figures and a JSON file out.
 
-Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data, 130 interrupted.
+Nothing is printed here: a command returns how it ended, and `eoi_command` shows that.
 """
 
-import json
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from importlib.metadata import version as version_of
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any
 
-import equinox as eqx
 import msgspec
 import numpy as np
-import typer
 
-from eoi_jax import backend, build, runs
+from eoi_jax import backend, build, pages, runs
 from eoi_jax import config as configs
 from eoi_jax.batch.best import best
 from eoi_jax.checks import check
 from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
+from eoi_jax.draft import checked, draft
+from eoi_jax.finished import export_run
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
+from eoi_jax.inspection import inspect as look
 from eoi_jax.refine import refine as run_refinement
 from eoi_jax.refinement import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
@@ -32,182 +30,279 @@ from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.sweep import sweep as run_sweep
 from eoi_jax.validate import Validation, validate
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
-
-_NO_ANSWER, _WRONG, _INTERRUPTED = 1, 2, 130
+_NO_ANSWER, _INTERRUPTED = 1, 130
 # Ends of a discovery that are worth a folder.
 _ANSWERS = ("explained", "nothing_missing", "unexplained")
 
-
-def main() -> None:
-    """The entry point of the ``eoi`` command."""
-    app()
+# A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
+Shown = Callable[[str, int, int | None, str], None]
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"eoi_jax {version_of('eoi_jax')}")
-        raise typer.Exit
+@dataclass(frozen=True)
+class Ending:
+    """How a command ended.
+
+    Attributes:
+        summary: what a program wants, as JSON.
+        text: what a reader wants.
+        place: the folder or file that was written; None: nothing was, and `complaint` says why.
+        code: exit status.
+        complaint: what is wrong, if the status is not 0.
+    """
+
+    summary: dict[str, Any]
+    text: str = ""
+    place: Path | None = None
+    code: int = 0
+    complaint: str = ""
 
 
-@app.callback()
-def options(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
-    ] = False,
-) -> None:
-    """Identify a plant, and find what its model lacks, from the equivalent output injection."""
-    del version
-
-
-Source = Annotated[Path | None, typer.Argument(help="TOML file; left out: the built-in pendulum.")]
-Data = Annotated[
-    Path | None,
-    typer.Option(help="Folder of measured files; else $EOI_DATA, else the config's folder."),
-]
-Output = Annotated[Path, typer.Option(help="Folder that the run's folder goes into.")]
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print only the run's folder.")]
-_RUNS = Path("runs")
-
-
-@app.command()
 def identify(
-    config: Source = None,
-    data: Data = None,
-    output: Output = _RUNS,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    passes: Annotated[int | None, typer.Option(min=1, help="Instead of the config's.")] = None,
-) -> None:
-    """Identify a plant's parameters from simulated or measured records."""
-    with _failures(as_json):
-        backend.configure()
-        source = config or _default_config("pendulum")
-        _check_output(output)
-        given = runs.job(_settings(source, passes), source.parent, data)
-        with _progress(not quiet) as callback, runs.quiet_records():
-            result, validation = _identified(given, callback)
-        summary = runs.identification_summary(given, result, validation)
-        if not result.status.ok:
-            _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
-        folder = output / given.settings.name
-        option = "" if passes is None else f" --passes {passes}"
-        text = _with_command(f"eoi identify {source}{option}", source)
-        runs.publish(folder, lambda draft: runs.write_identification(draft, result, summary, text))
+    config: Path | None, data: Path | None, output: Path, passes: int | None, shown: Shown | None
+) -> Ending:
+    """Identify a plant's parameters.
+
+    Args:
+        config: TOML file; None: the built-in pendulum.
+        data: folder of measured files, if it is not that of the config.
+        output: folder that the run's folder goes into.
+        passes: instead of the config's.
+        shown: is told how far the work is.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a wrong config or wrong data.
+    """
+    source, given = _given(config, "pendulum", data, output, shown, passes)
+    with runs.quiet_records():
+        result, validation = _identified(given, shown)
+    summary = runs.identification_summary(given, result, validation)
+    if not result.status.ok:
+        return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+    folder = output / given.settings.name
+    option = "" if passes is None else f" --passes {passes}"
+    text = _with_command(f"eoi identify{_named(config)}{option}", source)
+    runs.publish(
+        folder, lambda draft: runs.write_identification(draft, result, validation, summary, text)
+    )
+    pages.write_report(folder)
     lines = [identification_text(result), "" if validation is None else str(validation)]
-    _show(folder, "\n\n".join(filter(None, lines)), summary, as_json, quiet)
+    return Ending(summary, "\n\n".join(filter(None, lines)), folder)
 
 
-@app.command()
-def discover(
-    config: Annotated[
-        Path | None, typer.Argument(help="TOML file; left out: the built-in example.")
-    ] = None,
-    data: Data = None,
-    output: Output = _RUNS,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
-    """Find what a plant's model lacks: name the effect, add it, compare before and after."""
-    with _failures(as_json):
-        backend.configure()
-        source = config or _default_config("hidden_friction")
-        _check_output(output)
-        given = runs.job(configs.load(source), source.parent, data)
-        with runs.quiet_records():
-            result = _discovered(given)
-        summary = runs.discovery_summary(given, result)
-        if not (result.status.ok or result.status.code in _ANSWERS):
-            _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
-        folder = output / given.settings.name
-        text = _with_command(f"eoi discover {source}", source)
-        runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
-    _show(folder, discovery_text(result), summary, as_json, quiet)
+def discover(config: Path | None, data: Path | None, output: Path, shown: Shown | None) -> Ending:
+    """Find what a plant's model lacks.
+
+    Args:
+        config: TOML file; None: the built-in example.
+        data: folder of measured files, if it is not that of the config.
+        output: folder that the run's folder goes into.
+        shown: is told how far the work is.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a wrong config or wrong data.
+    """
+    source, given = _given(config, "hidden_friction", data, output, shown)
+    with runs.quiet_records():
+        result = _discovered(given, shown)
+    summary = runs.discovery_summary(given, result)
+    if not (result.status.ok or result.status.code in _ANSWERS):
+        return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+    folder = output / given.settings.name
+    text = _with_command(f"eoi discover{_named(config)}", source)
+    runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
+    pages.write_report(folder)
     if result.status.code == "unexplained":
         # The maps of the residual are written all the same: they are what is known.
-        typer.echo(f"eoi: {answer(result)}", err=True)
-        raise typer.Exit(_NO_ANSWER)
+        return Ending(summary, discovery_text(result), folder, _NO_ANSWER, answer(result))
+    return Ending(summary, discovery_text(result), folder)
 
 
-@app.command()
-def refine(
-    config: Source = None,
-    data: Data = None,
-    output: Output = _RUNS,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
-    """Identify, then fit the free run itself: output error, with what it is sure of."""
-    with _failures(as_json):
-        backend.configure()
-        source = config or _default_config("pendulum")
-        _check_output(output)
-        given = runs.job(configs.load(source), source.parent, data)
-        with _progress(not quiet) as callback, runs.quiet_records():
-            start, before = _identified(given, callback)
-            if not start.status.ok:
-                summary = runs.identification_summary(given, start, before)
-                _stop(_NO_ANSWER, f"nothing to refine ({start.status})", as_json, summary)
-            result, after = _refined(given, start)
-        summary = runs.refinement_summary(given, start, before, result, after)
-        if not result.status.ok:
-            _stop(_NO_ANSWER, f"no answer ({result.status})", as_json, summary)
-        folder = output / given.settings.name
-        text = refinement_text(result, before, after)
-        copy = _with_command(f"eoi refine {source}", source)
-        runs.publish(
-            folder, lambda draft: runs.write_refinement(draft, result, summary, text, copy)
-        )
-    _show(folder, text, summary, as_json, quiet)
+def refine(config: Path | None, data: Path | None, output: Path, shown: Shown | None) -> Ending:
+    """Identify, then fit the free run itself.
+
+    Args:
+        config: TOML file; None: the built-in pendulum.
+        data: folder of measured files, if it is not that of the config.
+        output: folder that the run's folder goes into.
+        shown: is told how far the work is.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a wrong config or wrong data.
+    """
+    source, given = _given(config, "pendulum", data, output, shown)
+    with runs.quiet_records():
+        start, before = _identified(given, shown)
+        if not start.status.ok:
+            summary = runs.identification_summary(given, start, before)
+            complaint = f"nothing to refine ({start.status})"
+            return Ending(summary, code=_NO_ANSWER, complaint=complaint)
+        if shown is not None:
+            shown("step of the free runs' fit", 0, None, "compiling")
+        result, after = _refined(given, start, shown)
+    summary = runs.refinement_summary(given, start, before, result, after)
+    if not result.status.ok:
+        return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+    folder = output / given.settings.name
+    text = refinement_text(result, before, after)
+    copy = _with_command(f"eoi refine{_named(config)}", source)
+    beside = {"start": start, "before": before, "after": after}
+    runs.publish(
+        folder, lambda draft: runs.write_refinement(draft, result, beside, summary, text, copy)
+    )
+    pages.write_report(folder)
+    return Ending(summary, text, folder)
 
 
-@app.command()
 def sweep(
-    config: Annotated[
-        Path | None, typer.Argument(help="TOML file; left out: the built-in example.")
-    ] = None,
-    data: Data = None,
-    output: Output = _RUNS,
-    part: Annotated[
-        str, typer.Option(help="i/n: every n-th chunk from the i-th (0 … n-1), for a job array.")
-    ] = "0/1",
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
-    """Try many gains, filters, starts and resamples; interrupted, the same command goes on."""
-    with _failures(as_json):
-        backend.configure()
-        source = config or _default_config("pendulum_sweep")
-        _check_output(output)
-        given = runs.job(configs.load(source), source.parent, data)
-        folder = output / given.settings.name
-        with runs.quiet_records():
-            result = run_sweep(
-                given.model,
-                given.records,
-                **build.sweep(given.settings, given.model),
-                store=folder / "sweep.zarr",
-                part=_part(part),
-                progress=not quiet and sys.stderr.isatty(),
-            )
-            done = bool(result["ok"].any())
-            chosen = best(result, given.model, given.held_out or None) if done else None
-        summary = runs.sweep_summary(given, result, chosen)
-        text = sweep_text(result, chosen)
-        runs.write_sweep(
-            folder, result, summary, text, _with_command(f"eoi sweep {source}", source)
+    config: Path | None, data: Path | None, output: Path, part: str, progress: bool
+) -> Ending:
+    """Try many gains, filters, starts and resamples.
+
+    Args:
+        config: TOML file; None: the built-in example.
+        data: folder of measured files, if it is not that of the config.
+        output: folder that the run's folder goes into.
+        part: ``i/n``: every n-th chunk from the i-th.
+        progress: show a bar.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a wrong config or wrong data.
+    """
+    source, given = _given(config, "pendulum_sweep", data, output, None)
+    folder = output / given.settings.name
+    with runs.quiet_records():
+        result = run_sweep(
+            given.model,
+            given.records,
+            **build.sweep(given.settings, given.model),
+            store=folder / "sweep.zarr",
+            part=_part(part),
+            progress=progress,
         )
+        done = bool(result["ok"].any())
+        chosen = best(result, given.model, given.held_out or None) if done else None
+    summary = runs.sweep_summary(given, result, chosen)
+    text = sweep_text(result, chosen)
+    copy = _with_command(f"eoi sweep{_named(config)}", source)
+    runs.write_sweep(folder, result, chosen, summary, text, copy)
     if not result.attrs["finished"]:
-        ended = summary["statuses"].get("not_run", 0)
-        message = f"interrupted with {ended} of {summary['lanes']} lanes left"
-        _stop(_INTERRUPTED, f"{message}; the same command goes on from there", as_json, summary)
+        left = f"{summary['statuses'].get('not_run', 0)} of {summary['lanes']} lanes left"
+        complaint = f"interrupted with {left}; the same command goes on from there"
+        return Ending(summary, code=_INTERRUPTED, complaint=complaint)
     if chosen is None:
-        _stop(_NO_ANSWER, f"no answer: {text}", as_json, summary)
-    _show(folder, text, summary, as_json, quiet)
+        return Ending(summary, code=_NO_ANSWER, complaint=f"no answer: {text}")
+    return Ending(summary, text, folder)
+
+
+def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
+    """Look at a data file before anything is configured.
+
+    Args:
+        path: of the file.
+        output: folder that a folder with the picture goes into.
+        shown: is told how far the work is.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a file that cannot be read.
+    """
+    _check_output(output)
+    if shown is not None:
+        shown("reading", 0, None, "")
+    found = look(path)
+    if shown is not None:
+        shown("drawing", 0, None, "")
+    folder = output / f"{_stem(path)}.inspect"
+    summary, text = found.summary(), str(found)
+    runs.publish(folder, lambda draft: runs.write_inspection(draft, found, summary, text))
+    return Ending(summary, text, folder)
+
+
+def init(path: Path, target: Path | None, force: bool) -> Ending:
+    """Write a config for a data file: one that runs as it is, with every guess said.
+
+    Args:
+        path: of the data file.
+        target: of the config; None: named after the file, in the working folder.
+        force: replace a config that is there.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: a file that cannot be read, or a config that is there already.
+    """
+    goal = target or Path(f"{_stem(path)}.toml")
+    rule = "must be a new file"
+    check(force or not goal.exists(), "--output", rule, goal, "Replace it with --force.")
+    check(not goal.is_dir(), "--output", "must be a file", goal)
+    with runs.quiet_records():
+        found = look(path)
+        text = checked(draft(found, goal), goal)
+    runs.replace_file(goal, text)
+    facts = {"time": found.clock.column, "inputs": found.inputs, "outputs": found.outputs}
+    guesses = "\n".join(
+        f"  {one.name}: {one.role}, {one.why}"
+        for one in found.channels
+        if one.role in ("time", "input", "output")
+    )
+    said = "\n".join(f"- {line}" for line in (*found.notes, *found.advice))
+    text = f"Guesses:\n{guesses}\n{said}\n\n{goal} is written; next: eoi identify {goal}"
+    return Ending({"config": str(goal), **facts}, text, goal)
+
+
+def report(run: Path) -> Ending:
+    """Make the report of a run anew, from its folder alone.
+
+    Args:
+        run: folder of a run.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: no run, an interrupted one, or a folder of something else.
+    """
+    path = pages.write_report(run)
+    return Ending({"report": str(path)}, str(path), path)
+
+
+def export(run: Path, language: str | None, target: Path | None) -> Ending:
+    """Write the model of a run for another tool.
+
+    Args:
+        run: folder of a run, or a file with a model.
+        language: of `LANGUAGES`; None: by the suffix of `target`.
+        target: the file; None: ``model.*`` beside the run's files.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: neither language nor target, no model there, one that cannot be written so.
+    """
+    backend.configure()
+    path = export_run(run, target, language)
+    return Ending({"model": str(path)}, str(path), path)
+
+
+def _stem(path: Path) -> str:
+    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return Path(name).stem
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -217,6 +312,23 @@ def _part(text: str) -> tuple[int, int]:
 
 
 # -- the run ----------------------------------------------------------------------------------
+
+
+def _given(
+    config: Path | None,
+    example: str,
+    data: Path | None,
+    output: Path,
+    shown: Shown | None,
+    passes: int | None = None,
+) -> tuple[Path, runs.Job]:
+    """The config's file, and what it stands for."""
+    backend.configure()
+    source = config or _default_config(example)
+    _check_output(output)
+    if shown is not None:
+        shown("reading", 0, None, "")
+    return source, runs.job(_settings(source, passes), source.parent, data)
 
 
 def _default_config(name: str) -> Path:
@@ -238,11 +350,17 @@ def _settings(source: Path, passes: int | None) -> configs.Config:
     return msgspec.structs.replace(settings, identify=table)
 
 
-def _identified(
-    given: runs.Job, callback: Callable[[int, int, Any], None] | None
-) -> tuple[Identification, Validation | None]:
+def _identified(given: runs.Job, shown: Shown | None) -> tuple[Identification, Validation | None]:
     """The passes, and the held-out error of what they end with."""
     table = given.settings.identify
+
+    def passed(number: int, passes: int, index: Any) -> None:
+        values = "  ".join(f"{value:.3g}" for value in np.atleast_1d(index))
+        assert shown is not None
+        shown("pass", number, passes, f"P = {values}")
+
+    if shown is not None:
+        shown("pass", 0, None, "compiling")
     result = run_passes(
         given.model,
         given.records,
@@ -253,15 +371,20 @@ def _identified(
         substeps=table.substeps,
         smoothing=table.smoothing,
         instruments=table.instruments,
-        callback=callback,
+        callback=None if shown is None else passed,
     )
     known = result.status.ok and given.held_out
     return result, validate(result.plant, given.held_out) if known else None
 
 
-def _discovered(given: runs.Job) -> Discovery:
+def _discovered(given: runs.Job, shown: Shown | None) -> Discovery:
     """Fit, search, add, fit again."""
     table = given.settings.discover
+
+    def told(stage: str, done: int, stages: int) -> None:
+        assert shown is not None
+        shown("discover", done, stages, stage)
+
     return run_discovery(
         given.model,
         given.records,
@@ -271,80 +394,35 @@ def _discovered(given: runs.Job) -> Discovery:
         alpha=table.alpha,
         most=table.most,
         window=table.window,
+        callback=None if shown is None else told,
     )
 
 
-def _refined(given: runs.Job, start: Identification) -> tuple[Refinement, Validation | None]:
+def _refined(
+    given: runs.Job, start: Identification, shown: Shown | None
+) -> tuple[Refinement, Validation | None]:
     """Output error from the estimate of the passes on, and its held-out error."""
     table = given.settings.refine
+
+    def stepped(number: int, most: int) -> None:
+        assert shown is not None
+        shown("step of the free runs' fit", number, most, "at most")
+
     result = run_refinement(
         start,
         given.records,
         window=table.window,
         substeps=table.substeps,
         max_steps=table.max_steps,
+        callback=None if shown is None else stepped,
     )
     known = result.status.ok and given.held_out
     return result, validate(result.plant, given.held_out) if known else None
 
 
-# -- what the user sees -----------------------------------------------------------------------
-
-
-@contextmanager
-def _progress(show: bool) -> Iterator[Callable[[int, int, Any], None] | None]:
-    """A callback that shows each pass on the terminal; None where there is no terminal."""
-    if not (show and sys.stderr.isatty()):
-        yield None
-        return
-    from rich.console import Console  # only where there is a terminal to draw on
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[index]}"),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("pass", total=None, index="reading and compiling")
-
-        def shown(number: int, passes: int, index: Any) -> None:
-            values = "  ".join(f"{value:.3g}" for value in np.atleast_1d(index))
-            bar.update(task, completed=number, total=passes, index=f"P = {values}")
-
-        yield shown
-
-
-@contextmanager
-def _failures(as_json: bool) -> Iterator[None]:
-    """A user's mistake ends in one sentence and status 2, never in a traceback."""
-    try:
-        yield
-    except (ValueError, OSError, eqx.EquinoxRuntimeError) as error:
-        _stop(_WRONG, str(error), as_json)
-    except KeyboardInterrupt:
-        _stop(_INTERRUPTED, "interrupted; nothing was written", as_json)
-
-
-def _stop(
-    code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None
-) -> NoReturn:
-    typer.echo(f"eoi: {message}", err=True)
-    if as_json:
-        typer.echo(json.dumps({"error": message, **(summary or {})}, allow_nan=False))
-    raise typer.Exit(code)
-
-
-def _show(folder: Path, text: str, summary: dict[str, Any], as_json: bool, quiet: bool) -> None:
-    """The answer on stdout, as a reader or as a program wants it."""
-    if as_json:
-        typer.echo(json.dumps(summary, allow_nan=False))
-    elif quiet:
-        typer.echo(folder)
-    else:
-        files = ", ".join(sorted(path.name for path in folder.iterdir()))
-        typer.echo(f"{text}\n\n{folder}/: {files}")
+def _named(config: Path | None) -> str:
+    """The config of a command as it was given: left out where it was left out."""
+    return "" if config is None else f" {config}"
 
 
 def _with_command(command: str, source: Path) -> str:

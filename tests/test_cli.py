@@ -10,6 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from eoi_command.commands import app
 from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
 from eoi_jax.data.record import Record
@@ -32,7 +33,7 @@ amplitude = 0.2
 frequency = 0.25
 """
 TRUTH = {"a": 81.0, "b": 1.7, "c": 0.3}
-FILES = {"result.json", "figure.png", "config.toml"}
+FILES = {"result.json", "figure.png", "config.toml", "result.npz", "report.npz", "report.html"}
 
 
 @pytest.fixture(autouse=True)
@@ -49,10 +50,10 @@ def config(tmp_path: Path) -> Path:
 
 
 def eoi(*arguments: object):
-    return CliRunner().invoke(cli.app, [str(one) for one in arguments])
+    return CliRunner().invoke(app, [str(one) for one in arguments])
 
 
-def test_a_run_prints_its_table_and_writes_three_files(config: Path, tmp_path: Path):
+def test_a_run_prints_its_table_and_writes_its_files(config: Path, tmp_path: Path):
     done = eoi("identify", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "short"
@@ -194,7 +195,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
 def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "identify", "--json"],
+        [sys.executable, "-c", "from eoi_command import main; main()", "identify", "--json"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,
@@ -218,5 +219,5 @@ def test_version_is_printed():
 
 
 def test_the_command_lists_its_verbs():
-    command = typer.main.get_command(cli.app)
+    command = typer.main.get_command(app)
     assert "identify" in command.commands  # type: ignore[attr-defined]

@@ -10,6 +10,7 @@ from found import discovery
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
+from eoi_command.commands import app
 from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
 
@@ -43,7 +44,7 @@ seed = 1
 """
 FILES = {
     "discovery.json", "report.txt", "equation.tex", "residual.png", "effect.png", "free_run.png",
-    "result.npz", "config.toml",
+    "result.npz", "report.npz", "report.html", "config.toml",
 }  # fmt: skip
 
 
@@ -82,7 +83,7 @@ def known(found, monkeypatch: pytest.MonkeyPatch):
 
 
 def eoi_command(*arguments: object):
-    return CliRunner().invoke(cli.app, [str(one) for one in arguments])
+    return CliRunner().invoke(app, [str(one) for one in arguments])
 
 
 # -- what comes out ---------------------------------------------------------------------------

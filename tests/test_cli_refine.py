@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from eoi_command.commands import app
 from eoi_jax import backend, cli
 from eoi_jax.results import Status
 
@@ -42,7 +43,10 @@ holding_time = 0.5
 seed = 1
 """
 TRUTH = {"alpha": 154.2, "beta": 10.57, "rho": 2.367}
-FILES = {"result.json", "report.txt", "figure.png", "config.toml"}
+FILES = {
+    "result.json", "report.txt", "figure.png", "config.toml", "result.npz", "report.npz",
+    "report.html",
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -59,10 +63,10 @@ def config(tmp_path: Path) -> Path:
 
 
 def run(*words: object):
-    return CliRunner().invoke(cli.app, ["refine", *map(str, words)])
+    return CliRunner().invoke(app, ["refine", *map(str, words)])
 
 
-def test_a_run_prints_its_tables_and_writes_four_files(config: Path, tmp_path: Path):
+def test_a_run_prints_its_tables_and_writes_its_files(config: Path, tmp_path: Path):
     done = run(config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "short"
@@ -151,7 +155,7 @@ def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, m
 def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "refine", "--json"],
+        [sys.executable, "-c", "from eoi_command import main; main()", "refine", "--json"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
+from eoi_command.commands import app
 from eoi_jax import backend, build, cli
 from eoi_jax import config as configs
 from eoi_jax.engines import Scan
@@ -73,7 +74,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def run(*words: object):
-    return CliRunner().invoke(cli.app, ["sweep", *map(str, words)])
+    return CliRunner().invoke(app, ["sweep", *map(str, words)])
 
 
 def test_a_config_stands_for_the_same_call(config: Path):
@@ -170,7 +171,7 @@ def test_a_store_of_another_config_is_not_touched(config: Path, tmp_path: Path):
 def test_the_installed_command_sweeps_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "sweep"],
+        [sys.executable, "-c", "from eoi_command import main; main()", "sweep"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

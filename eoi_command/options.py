@@ -1,0 +1,90 @@
+"""Options that several commands have, and how a shell completes their values."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RUNS = Path("runs")
+DATA_FILES = (
+    ".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet", ".mat", ".h5", ".hdf5", ".npz", ".xlsx",
+)  # fmt: skip
+
+
+def _paths(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Folders, and files with one of the suffixes, that begin with what is typed."""
+    typed = Path(incomplete)
+    folder = typed if incomplete.endswith(("/", "\\")) or not incomplete else typed.parent
+    found = []
+    try:
+        for path in sorted(folder.iterdir()):
+            if path.name.startswith("."):
+                continue
+            if path.is_dir():
+                found.append(f"{path}/")
+            elif path.suffix.lower() in suffixes:
+                found.append(str(path))
+    except OSError:
+        return []
+    return [one for one in found if one.startswith(incomplete)]
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Configs and folders.
+
+    Args:
+        incomplete: what is typed already.
+    """
+    return _paths(incomplete, (".toml",))
+
+
+def complete_data(incomplete: str) -> list[str]:
+    """Data files and folders.
+
+    Args:
+        incomplete: what is typed already.
+    """
+    return _paths(incomplete, DATA_FILES)
+
+
+def complete_folder(incomplete: str) -> list[str]:
+    """Folders, such as that of a run.
+
+    Args:
+        incomplete: what is typed already.
+    """
+    return _paths(incomplete, ())
+
+
+Source = Annotated[
+    Path | None,
+    typer.Argument(
+        help="TOML file; left out: a built-in example.",
+        autocompletion=complete_config,
+        show_default=False,
+    ),
+]
+DataFile = Annotated[
+    Path, typer.Argument(help="Data file, as of `eoi_jax.read_record`.",
+                         autocompletion=complete_data)
+]  # fmt: skip
+Run = Annotated[
+    Path,
+    typer.Argument(help="Folder of a run, or a file with a model.", autocompletion=complete_folder),
+]
+Data = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of measured files; else $EOI_DATA, else the config's folder.",
+        autocompletion=complete_folder,
+        show_default=False,
+    ),
+]
+Output = Annotated[
+    Path,
+    typer.Option(help="Folder that the run's folder goes into.", autocompletion=complete_folder),
+]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print only where the result was written.")]

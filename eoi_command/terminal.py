@@ -1,0 +1,164 @@
+"""What the user sees: an answer on stdout, progress and refusals on stderr, the exit status.
+
+Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data, 130 interrupted.
+"""
+
+import json
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import typer
+
+NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
+
+_AGAIN = 0.5  # seconds; cleaning up takes less
+
+# A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
+Shown = Callable[[str, int, int | None, str], None]
+
+
+@contextmanager
+def failures(as_json: bool) -> Iterator[None]:
+    """A user's mistake ends in one sentence and status 2, an interrupt in 130: no traceback.
+
+    Args:
+        as_json: print the sentence as an object on stdout, too.
+    """
+    try:
+        with _insistent():
+            yield
+    except (ValueError, OSError) as error:
+        stop(WRONG, str(error), as_json)
+    except MemoryError:
+        stop(WRONG, "out of memory; take fewer columns, or a `slice` of the samples", as_json)
+    except RuntimeError as error:
+        import equinox as eqx  # raised by it, so that it is loaded already
+
+        if not isinstance(error, eqx.EquinoxRuntimeError):
+            raise
+        stop(WRONG, str(error), as_json)
+    except KeyboardInterrupt:
+        stop(INTERRUPTED, "interrupted; nothing was written", as_json)
+
+
+@contextmanager
+def _insistent() -> Iterator[None]:
+    """Ctrl-C again and again until it is heard.
+
+    Python drops an interrupt that arrives inside a callback of the garbage collector, of which JAX
+    has one; the run would go on as if nothing had been said.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    again: list[threading.Timer] = []
+
+    def interrupt(*_: Any) -> None:
+        again.append(threading.Timer(_AGAIN, signal.raise_signal, [signal.SIGINT]))
+        again[-1].daemon = True
+        again[-1].start()
+        raise KeyboardInterrupt
+
+    def unheard(what: Any) -> None:
+        if not isinstance(what.exc_value, KeyboardInterrupt):
+            sys.__unraisablehook__(what)
+
+    before, hook = signal.signal(signal.SIGINT, interrupt), sys.unraisablehook
+    sys.unraisablehook = unheard
+    try:
+        yield
+    finally:
+        for one in again:
+            one.cancel()
+        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = hook
+
+
+def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None) -> NoReturn:
+    """End with a sentence on stderr.
+
+    Args:
+        code: exit status.
+        message: the sentence.
+        as_json: print one object on stdout, too.
+        summary: further keys of that object.
+    """
+    typer.echo(f"eoi: {message}", err=True)
+    if as_json:
+        typer.echo(json.dumps({"error": message, **(summary or {})}, allow_nan=False))
+    raise typer.Exit(code)
+
+
+def show(ending: Any, as_json: bool, quiet: bool) -> None:
+    """The answer on stdout, as a reader or as a program wants it; then the exit status.
+
+    Args:
+        ending: an `eoi_jax.cli.Ending`.
+        as_json: its summary as one object, and nothing else.
+        quiet: only the folder or the file that was written.
+    """
+    if ending.place is None:
+        stop(ending.code, ending.complaint, as_json, ending.summary)
+    if as_json:
+        typer.echo(json.dumps(ending.summary, allow_nan=False))
+    elif quiet:
+        typer.echo(ending.place)
+    elif ending.place.is_dir():
+        files = ", ".join(sorted(path.name for path in ending.place.iterdir()))
+        typer.echo(f"{ending.text}\n\n{ending.place}/: {files}")
+    else:
+        typer.echo(ending.text)
+    if ending.code:
+        typer.echo(f"eoi: {ending.complaint}", err=True)
+        raise typer.Exit(ending.code)
+
+
+@contextmanager
+def progress(wanted: bool) -> Iterator[Shown | None]:
+    """A callback that shows the work on the terminal; None where there is no terminal.
+
+    Args:
+        wanted: false for none.
+    """
+    if not (wanted and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console  # only where there is a terminal to draw on
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[remark]}", markup=False),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None, remark="")
+        stage = "starting"
+
+        def shown(name: str, done: int, total: int | None, remark: str) -> None:
+            nonlocal stage, task
+            if name != stage:  # the time left is that of a stage: stages differ in their speed
+                stage = name
+                bar.remove_task(task)
+                task = bar.add_task(name, total=total, remark=remark)
+            bar.update(task, completed=done, total=total, remark=remark)
+
+        yield shown

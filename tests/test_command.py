@@ -1,0 +1,277 @@
+"""The command as a process: help, completion, colours, progress, interrupts."""
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from eoi_command.commands import app
+from eoi_command.options import complete_config, complete_data
+from eoi_command.terminal import progress
+
+START = [sys.executable, "-c", "from eoi_command import main; main()"]
+COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+COLOUR = re.compile(r"\x1b\[[0-9;]*3[0-8][0-9;]*m")
+
+
+def environment(tmp_path: Path, **more: str) -> dict[str, str]:
+    known = {key: value for key, value in os.environ.items() if not key.startswith("_TYPER")}
+    for key in ("NO_COLOR", "FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS"):
+        known.pop(key, None)
+    cache = str(tmp_path.parent / "cache")  # one for all tests of this process
+    return {**known, "EOI_CACHE": cache, "TERM": "xterm-256color", **more}
+
+
+def call(tmp_path: Path, *words: str, **more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*START, *words],
+        cwd=tmp_path,
+        env=environment(tmp_path, **more),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def on_a_terminal(tmp_path: Path, *words: str, **more: str) -> tuple[int, str]:
+    """Exit status and everything that appears on a terminal of its own."""
+    ours, theirs = pty.openpty()
+    done = subprocess.Popen(
+        [*START, *words],
+        cwd=tmp_path,
+        env=environment(tmp_path, **more),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+    )
+    os.close(theirs)
+    shown = b""
+    end = time.monotonic() + 120
+    while time.monotonic() < end:
+        if select.select([ours], [], [], 0.2)[0]:
+            try:
+                piece = os.read(ours, 65536)
+            except OSError:  # the other side is closed
+                break
+            if not piece:
+                break
+            shown += piece
+        elif done.poll() is not None:
+            break
+    os.close(ours)
+    return done.wait(timeout=30), shown.decode(errors="replace")
+
+
+def test_help_and_completion_do_not_import_jax(tmp_path: Path):
+    """The reason for a package of its own; time itself depends on the machine."""
+    code = (
+        "import sys; from typer.testing import CliRunner; from eoi_command.commands import app; "
+        "r = CliRunner().invoke(app, ['identify', '--help']); assert r.exit_code == 0, r.output; "
+        "heavy = {'jax', 'numpy', 'pandas', 'matplotlib', 'eoi_jax'} & set(sys.modules); "
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_examples_and_takes_json_and_quiet(name: str):
+    done = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80", "NO_COLOR": "1"})
+    assert done.exit_code == 0
+    assert "Examples" in done.stdout
+    assert f"eoi {name}" in done.stdout.partition("Examples")[2]
+    assert "--json" in done.stdout
+    assert "--quiet" in done.stdout
+    examples = done.stdout.partition("Examples")[2].strip().splitlines()
+    assert all(line.strip().startswith("eoi ") for line in examples), "one wraps at 80 columns"
+
+
+def test_a_shell_completes_commands_configs_and_data_files(tmp_path: Path):
+    (tmp_path / "rig.toml").write_text("")
+    (tmp_path / "run.csv").write_text("")
+    (tmp_path / "notes.doc").write_text("")
+    (tmp_path / "more").mkdir()
+
+    def completed(words: str) -> set[str]:
+        position = str(len(words.split(" ")) - 1)
+        more = {"_EOI_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": position}
+        done = call(tmp_path, **more)
+        return set(done.stdout.split())
+
+    assert {"identify", "inspect", "init"} <= completed("eoi i")
+    assert completed("eoi identify ") == {"rig.toml", "more/"}
+    assert completed("eoi inspect r") == {"run.csv"}
+    shown = call(
+        tmp_path, "--show-completion", "bash", _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1"
+    )
+    assert "_EOI_COMPLETE" in shown.stdout
+
+
+def test_completion_of_a_folder_that_is_not_there_is_empty(tmp_path: Path):
+    assert complete_config(str(tmp_path / "none" / "x")) == []
+    (tmp_path / "a.csv.gz").write_text("")
+    assert complete_data(f"{tmp_path}/a") == [f"{tmp_path}/a.csv.gz"]
+
+
+def test_colours_appear_on_a_terminal_only_and_no_color_is_honoured(tmp_path: Path):
+    status, shown = on_a_terminal(tmp_path, "identify", "--help")
+    assert status == 0
+    assert COLOUR.search(shown)
+    status, shown = on_a_terminal(tmp_path, "identify", "--help", NO_COLOR="1")
+    assert status == 0
+    assert "Examples" in shown
+    assert not COLOUR.search(shown)
+    assert "\x1b" not in call(tmp_path, "identify", "--help").stdout
+
+
+CONFIG = """
+name = "rig"
+plant = "pendulum"
+
+[observer]
+kind = "second_order"
+c1 = 17.5
+c2 = 57.25
+c3 = 30.0
+
+[lowpass]
+cutoff = 90.0
+
+[simulate]
+sample_period = 0.002
+duration = 10.0
+increments = { a = 5.0, b = -0.8, c = -0.2, d = -4.0 }
+
+[simulate.input.voltage]
+kind = "square"
+amplitude = 0.2
+frequency = 0.25
+"""
+
+
+def test_progress_is_drawn_on_a_terminal_and_quiet_draws_nothing(tmp_path: Path):
+    (tmp_path / "rig.toml").write_text(CONFIG)
+    status, shown = on_a_terminal(tmp_path, "identify", "rig.toml", COLUMNS="120")
+    assert status == 0, shown
+    assert "pass" in shown
+    assert re.search(r"\d+/10.*left", shown)  # of the passes asked for, with the time left
+    assert "estimate" in shown
+    with progress(wanted=False) as shown:
+        assert shown is None
+
+
+@pytest.mark.parametrize("wait", [0.1, 1.5, 3.0, 5.0])
+def test_ctrl_c_ends_with_130_and_leaves_no_half_written_run(tmp_path: Path, wait: float):
+    """At some times, counted in the time that help takes: machines differ, and their load."""
+    (tmp_path / "rig.toml").write_text(CONFIG)
+    began = time.perf_counter()
+    subprocess.run([*START, "--help"], env=environment(tmp_path), capture_output=True, check=True)
+    unit = time.perf_counter() - began
+    run = subprocess.Popen(
+        [*START, "identify", "rig.toml"],
+        cwd=tmp_path,
+        env=environment(tmp_path),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(wait * unit)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    left = sorted(path.name for path in tmp_path.glob("runs/*"))
+    if run.returncode == 0:  # it was done before
+        assert left == ["rig"]
+        return
+    if wait > 1.0:  # before, Python itself may still be starting
+        assert run.returncode == 130, err
+        # Nothing to say where no command has begun.
+        assert err in ("", "eoi: interrupted; nothing was written\n")
+    assert out == ""
+    assert left == []
+
+
+# -- inspect and init -----------------------------------------------------------------------
+
+
+def motor(path: Path, samples: int = 2000) -> Path:
+    """A driven, damped oscillator in a table with decimal commas."""
+    h, levels = 0.01, np.random.default_rng(1).uniform(-3, 3, samples // 50 + 1)
+    t, u = h * np.arange(samples), levels[np.arange(samples) // 50]
+    state, rows = np.zeros(2), []
+    step = np.linalg.inv(np.eye(2) - h * np.array([[0.0, 1.0], [-30.0, -2.0]]))
+    for now, drive in zip(t, u, strict=True):
+        rows.append(f"{now:.2f};{drive:.4f};{state[0]:.6f}".replace(".", ","))
+        state = step @ (state + h * np.array([0.0, 15.0 * drive]))
+    path.write_text("\n".join(["time [s];voltage [V];angle [rad]", *rows]), encoding="utf-8")
+    return path
+
+
+def test_inspect_tells_what_is_in_a_file_and_draws_it(tmp_path: Path):
+    file = motor(tmp_path / "motor.csv")
+    done = CliRunner().invoke(
+        app, ["inspect", str(file), "--output", str(tmp_path / "runs"), "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "runs" / "motor.inspect"
+    assert {path.name for path in folder.iterdir()} == {
+        "inspect.json",
+        "inspect.txt",
+        "inspect.png",
+    }
+    assert (folder / "inspect.png").read_bytes().startswith(b"\x89PNG")
+    text = (folder / "inspect.txt").read_text()
+    for part in ("every 0.01 s", "voltage [V] input", "angle [rad] output", "decimal commas"):
+        assert part in text
+    told = json.loads(done.stdout)
+    assert told == json.loads((folder / "inspect.json").read_text())
+    assert told["clock"]["sample_period"] == pytest.approx(0.01)
+    assert (told["inputs"], told["outputs"]) == (["voltage [V]"], ["angle [rad]"])
+
+
+def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("EOI_DATA", raising=False)
+    monkeypatch.setattr("eoi_jax.backend.configure", lambda: None)
+    motor(tmp_path / "motor.csv")
+    done = CliRunner().invoke(app, ["init", "motor.csv"])
+    assert done.exit_code == 0, done.output
+    assert "next: eoi identify motor.toml" in done.stdout
+    done = CliRunner().invoke(app, ["identify", "motor.toml", "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    # The stiffness of the discrete oscillator is that of its continuous twin within a few percent.
+    values = sorted(abs(one) for one in result["parameters"].values())
+    assert values[-1] == pytest.approx(30.0, rel=0.2)
+    (fit,) = result["validation"]["fit"].values()
+    assert fit > 80
+    again = CliRunner().invoke(app, ["init", "motor.csv"])
+    assert again.exit_code == 2
+    assert "--force" in again.stderr
+    assert (
+        CliRunner().invoke(app, ["init", "motor.csv", "--force", "--quiet"]).stdout
+        == "motor.toml\n"
+    )
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("command", ["inspect", "init"])
+def test_a_file_that_cannot_be_read_is_one_sentence(command: str, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
+    for name in ("run.csv", "none.csv"):
+        done = CliRunner().invoke(app, [command, name])
+        assert done.exit_code == 2
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert name in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
