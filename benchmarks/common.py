@@ -98,7 +98,7 @@ def case(name: str, sample_period: float | None = None, duration: float | None =
     start = plant.parameters
     truth = {key: value + table.increments.get(key, 0.0) for key, value in start.items()}
     truth |= table.truth
-    y = simulated(config.plant, truth, library, table.initial)
+    y = simulated(config.plant or "", truth, library, table.initial)
     noise, quantum = (
         np.array([given.get(key, 0.0) for key in plant.outputs])
         for given in (table.noise, table.quantisation)

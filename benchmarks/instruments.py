@@ -20,7 +20,8 @@ import eoi_jax as eoi
 from eoi_jax.comparators import StateVariableInstruments
 
 LEVELS = (1e-4, 1e-3, 1e-2)  # of rms(y), output by output
-SEEDS, FEW = 50, 6
+SEEDS = {1e-4: 20, 1e-3: 50, 1e-2: 20}
+MANY, FEW = 200, 6  # of the refinement at the middle level, and with --quick
 Found = tuple[np.ndarray, np.ndarray]  # parameters and standard errors
 METHODS: dict[str, Callable[[Case, eoi.Record], Found]] = {
     "plain": lambda one, record: _fitted(eoi.identify(one.plant, record, instruments=False)),
@@ -36,10 +37,9 @@ METHODS: dict[str, Callable[[Case, eoi.Record], Found]] = {
 def main() -> None:
     """Every plant and level."""
     given = arguments(__doc__)
-    seeds = FEW if given.quick else SEEDS
     report = Report("Instruments")
     report.add(
-        f"Records of `comparator_cases.py` under one drive, {seeds} seeds of white noise on every "
+        "Records of `comparator_cases.py` under one drive, several seeds of white noise on every "
         "output, σ a share of its rms; everything chosen by the library. *Error*: rms over the "
         "seeds of each parameter's error, over its Cramér–Rao bound (free run, initial state "
         "unknown, differences of `eoi.simulate`): geometric mean and worst parameter. *Bias*: the "
@@ -48,11 +48,20 @@ def main() -> None:
         "of `eoi_jax.compare`."
     )
     for one in cases():
-        report.add(f"## {one.plant.name}", plant_table(one, LEVELS, seeds))
+        report.add(f"## {one.plant.name}", plant_table(one, LEVELS, seeds_of(given.quick)))
     report.close("instruments", given.write)
 
 
-def plant_table(one: Case, levels: tuple[float, ...], seeds: int) -> str:
+def seeds_of(quick: bool) -> Callable[[float, str], int]:
+    """How many, by level and method."""
+
+    def count(level: float, name: str) -> int:
+        return FEW if quick else MANY if (level, name) == (1e-3, "refine") else SEEDS[level]
+
+    return count
+
+
+def plant_table(one: Case, levels: tuple[float, ...], seeds: Callable[[float, str], int]) -> str:
     """A row for each level and method."""
     u = one.drive(one.time, 1)
     y = one.simulate(u)
@@ -61,8 +70,9 @@ def plant_table(one: Case, levels: tuple[float, ...], seeds: int) -> str:
         bound = cramer_rao(one, u, y, level)
         for name in METHODS:
             started = time.perf_counter()
-            errors, claimed = _scattered(one, name, u, y, level, seeds)
-            seconds = (time.perf_counter() - started) / seeds
+            count = seeds(level, name)
+            errors, claimed = _scattered(one, name, u, y, level, count)
+            seconds = (time.perf_counter() - started) / count
             rows.append([f"{level:g}", name, *_summary(errors, claimed, bound), f"{seconds:.2g}"])
     header = ["σ / rms(y)", "method", "error / bound", "worst", "bias", "coverage", "seeds", "s"]
     return table(header, rows)

@@ -86,11 +86,11 @@ def measured(case: Case, rounds: int) -> Measured:
 def turn(case: Case, setting: tuple[str, float]) -> tuple[dict[str, float], dict[str, float]]:
     """Seconds and costs of one round."""
     seconds, cost = {}, {}
-    seconds["identify"], pass_ = timed(lambda: eoi.identify(case.plant, case.record))
-    seconds["coarse identify"], coarse = timed(
+    seconds["identify"], pass_ = timed(
         lambda: eoi.identify(case.plant, case.record, substeps=case.substeps)
     )
-    starts = {"": pass_, "coarse ": coarse, "cold ": case.plant}
+    seconds["fine identify"], fine = timed(lambda: eoi.identify(case.plant, case.record))
+    starts = {"": pass_, "fine ": fine, "cold ": case.plant}
     for name, start in starts.items():
         seconds[f"{name}refine"], refined = timed(
             lambda start=start: eoi.refine(start, case.record, substeps=case.substeps)
@@ -173,14 +173,14 @@ def row(name: str, one: Measured) -> list[str]:
 
 def other_row(name: str, one: Measured) -> list[str]:
     """Of the second one."""
-    coarse, best = ("coarse identify", "coarse refine"), min(one.cost.values())
+    fine, best = ("fine identify", "fine refine"), min(one.cost.values())
     costs = (f"{100 * (one.cost[key] / best - 1.0):+.2g} %" for key in
-             ("coarse refine", "cold refine", "warm scipy"))  # fmt: skip
+             ("fine refine", "cold refine", "warm scipy"))  # fmt: skip
     return [
         name,
-        milliseconds(one.median("coarse identify")),
-        milliseconds(one.median(*coarse)),
-        f"{one.ratio(coarse, 'scipy'):.2f}",
+        milliseconds(one.median("fine identify")),
+        milliseconds(one.median(*fine)),
+        f"{one.ratio(fine, 'scipy'):.2f}",
         milliseconds(one.median("cold refine")),
         f"{one.ratio(('cold refine',), 'scipy'):.2f}",
         milliseconds(one.median("warm scipy")),
@@ -191,7 +191,7 @@ def other_row(name: str, one: Measured) -> list[str]:
 
 HEADER = ("case", "identify", "refine", "both", "scipy (method, ftol)", "both / scipy",
           "ours, rms", "scipy, rms", "cost, ours over scipy's")  # fmt: skip
-OTHER = ("case", "identify, steps as simulated", "and refine", "/ scipy", "cold refine", "/ scipy",
+OTHER = ("case", "identify, 20 steps a sample", "and refine", "/ scipy", "cold refine", "/ scipy",
          "scipy from the pass", "refine / that", "costs of the three over the best")  # fmt: skip
 
 
@@ -204,16 +204,16 @@ def main() -> None:
         f"Medians of {rounds} rounds by turns, everything compiled; load average before "
         f"{os.getloadavg()[0]:.2f}. emps: 24 841 samples, Coulomb friction and offset; silverbox: "
         "5000 samples of the estimation part, quadratic and cubic stiffness, offset, band-limited "
-        "input. All start from the plant's starting values; rms in mm and mV. Ours ends with "
-        "standard errors, the rival with a point.",
+        "input. All start from the plant's starting values; pass, refinement and rival take the "
+        "same steps a sample; rms in mm and mV. Ours ends with standard errors, the rival with a "
+        "point.",
     )
     several = cases()[-1:] if given.quick else cases()
     found = {case.name: measured(case, rounds) for case in several}
     report.add(table(HEADER, [row(name, one) for name, one in found.items()]))
     report.add(
-        "The same with the pass at as many steps a sample as the simulation (by default it chooses "
-        "20); refinement without a pass (cold); scipy from the estimate of the pass; what each of "
-        "these ends at:",
+        "The same with the pass at the steps a sample that it chooses by itself, 20; refinement "
+        "without a pass (cold); scipy from the estimate of the pass; what each of these ends at:",
         table(OTHER, [other_row(name, one) for name, one in found.items()]),
     )
     rows = []
