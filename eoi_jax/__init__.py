@@ -13,6 +13,11 @@ from eoi_jax.checks import RecordWarning as RecordWarning
 from eoi_jax.compare import Comparison as Comparison
 from eoi_jax.compare import compare as compare
 from eoi_jax.data import excitation as excitation
+from eoi_jax.data.exchange import record_from_benchmark as record_from_benchmark
+from eoi_jax.data.exchange import record_from_pandas as record_from_pandas
+from eoi_jax.data.exchange import record_from_xarray as record_from_xarray
+from eoi_jax.data.exchange import record_to_pandas as record_to_pandas
+from eoi_jax.data.exchange import record_to_xarray as record_to_xarray
 from eoi_jax.data.long_record import LongRecord as LongRecord
 from eoi_jax.data.readers import read_record as read_record
 from eoi_jax.data.record import Record as Record
@@ -20,9 +25,14 @@ from eoi_jax.diagnose import diagnose as diagnose
 from eoi_jax.diagnosis import Diagnosis as Diagnosis
 from eoi_jax.discover import discover as discover
 from eoi_jax.discovery import Discovery as Discovery
+from eoi_jax.equations.model import plant_from_text as plant_from_text
+from eoi_jax.export.export import export as export
 from eoi_jax.identify import Identification as Identification
 from eoi_jax.identify import identify as identify
+from eoi_jax.inspection import Inspection as Inspection
+from eoi_jax.inspection import inspect as inspect
 from eoi_jax.lowpass import LowPass as LowPass
+from eoi_jax.plants.linear_system import plant_from_control as plant_from_control
 from eoi_jax.plants.plant import Plant as Plant
 from eoi_jax.plants.plant import State as State
 from eoi_jax.profile import Profile as Profile

@@ -14,6 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from eoi_jax.checks import check
 from eoi_jax.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
@@ -126,6 +127,31 @@ def augmented(
     )
 
 
+def acting(placed: Sequence[Placed]) -> Actuator:
+    """What inputs go through on their way, of delays and lags alone.
+
+    Args:
+        placed: effects that are actuators, in the order in which an input meets them.
+    """
+    return _Actuator(None, (), tuple(placed))
+
+
+def actuators(plant: Plant) -> tuple[Placed, ...]:
+    """The delays and lags that a plant's inputs go through, in the order in which they meet them.
+
+    Raises:
+        ValueError: an actuator that is a function of the user's own.
+    """
+    found: list[Placed] = []
+    actuator = plant.actuator
+    while isinstance(actuator, _Actuator):
+        found += [one for one in actuator.placed if isinstance(one.effect, AbstractActuator)]
+        actuator = actuator.base
+    rule = "must be made of the effects input_delay and actuator_lag"
+    check(actuator is None, "actuator", rule, "a function of its own")
+    return tuple(found)
+
+
 def own_states(plant: Plant) -> int:
     """Number of internal states that the declared plant has: without those of effects."""
     start, count = plant.internal_initial, len(plant.internal_start(jnp.asarray(plant.theta)))
@@ -177,6 +203,13 @@ class _Internal:
     names: tuple[str, ...]
     placed: tuple[Placed, ...]
     nz: int
+
+    @property
+    def states(self) -> tuple[str, ...] | None:
+        """Names of the internal states, where the declared plant has names for its own."""
+        own = getattr(self.base, "states", None)
+        count = self.nz + sum(one.effect.states for one in self.placed)
+        return None if own is None else own + tuple(f"z{i + 1}" for i in range(self.nz, count))
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         rates = []

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+_AROUND = 40  # characters shown on either side of a mark
+
 
 class RecordWarning(UserWarning):
     """A record was changed on the way in (resampled, masked): nothing is done silently."""
@@ -29,6 +31,29 @@ def check(
     if not condition:
         shown = f"`{name}` {rule}, got {_short(value)}."
         raise ValueError(f"{shown} {advice}".rstrip())
+
+
+def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") -> ValueError:
+    """The error to raise for a text that is wrong at one place; it is shown with the column marked.
+
+    Args:
+        name: the field, as the user wrote it.
+        rule: what it must be.
+        text: what it was.
+        column: of the first wrong character, counted from 0.
+        advice: one sentence on what to do.
+
+    Returns:
+        The error; the caller raises it.
+    """
+    first = max(0, column - _AROUND) if len(text) > 2 * _AROUND else 0
+    part = text[first : first + 2 * _AROUND]
+    # What does not print would move the mark, or the terminal's cursor.
+    clean = part.isprintable()
+    shown = part if clean else "".join(one if one.isprintable() else " " for one in part)
+    mark = " " * (column - first) + "^"
+    message = f"`{name}` {rule}, at column {column + 1}:\n    {shown}\n    {mark}"
+    return ValueError(f"{message}\n{advice}" if advice else message)
 
 
 def check_positive(name: str, value: object, advice: str = "") -> None:

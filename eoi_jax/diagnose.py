@@ -75,6 +75,10 @@ def diagnose(
 
     Raises:
         ValueError: a level outside (0, 0.5), records that do not fit the plant.
+
+    Source:
+        Ljung and Box, Biometrika 65 (1978) 297; Newey and West, Econometrica 55 (1987) 703; Ljung,
+        *System Identification*, chapter 16.
     """
     check(0.0 < level < 0.5, "level", "must lie in (0, 0.5)", level)
     plant = identification.plant

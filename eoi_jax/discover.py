@@ -11,7 +11,7 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 6. Free runs on records that the fit did not see, before and after.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -37,6 +37,7 @@ from eoi_jax.validate import Validation, validate
 
 _BEYOND = 0.5  # of an effect: what another one that contains it would add to it
 _ROUNDS = 3
+_STAGES = _ROUNDS + 2
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
@@ -46,6 +47,7 @@ _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
 
 Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
+Told = Callable[[str, int, int], None]
 FreeRuns = tuple[Validation, Validation | None]  # whole, in windows
 
 
@@ -59,6 +61,7 @@ def discover(
     alpha: float = 0.01,
     most: int = 3,
     window: float | None = None,
+    callback: Told | None = None,
 ) -> Discovery:
     """Find what a model lacks, and add it.
 
@@ -73,12 +76,18 @@ def discover(
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
         window: length of re-initialised free runs [s]; by default a tenth of a record.
+        callback: called at each stage with what is done now, how many stages are over, and how
+            many there are at most.
 
     Returns:
         The effects, the augmented plant, evidence for every candidate, errors before and after.
 
     Raises:
         ValueError: arguments or records that do not fit; the message says which and what to do.
+
+    Source:
+        Equations (1)-(14) of the paper for the residual; the search over effects, its score and its
+        tests are our own and stand in `search.py`, `modes.py` and `noise_model.py`.
     """
     several = check_records(plant, records)
     if isinstance(validation, float | int):
@@ -89,25 +98,34 @@ def discover(
     tried = _effects([effects] if isinstance(effects, str) else effects)
     check(0.0 < alpha < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     check(isinstance(most, int) and most >= 1, "most", "must be an integer ≥ 1", most)
+    told = callback or _untold
+    told("fitting the declared model", 0, _STAGES)
     prepared = ready(plant, several, lowpass)
     declared = estimate(plant, prepared)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
-    return _run(Task(plant, prepared, several, held, tried, declared, alpha, most, window))
+    task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
+    return _run(task, told)
 
 
-def _run(task: Task) -> Discovery:
+def _untold(stage: str, done: int, stages: int) -> None:
+    del stage, done, stages
+
+
+def _run(task: Task, told: Told) -> Discovery:
     """Rounds of search and refit, then the free runs."""
     with ThreadPoolExecutor(1) as aside:  # the search does not wait for the free runs before it
         before = aside.submit(_free_runs, task, task.declared.plant)
-        steps, rounds = _searched(task)
+        steps, rounds = _searched(task, told)
+        told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         return _answer(task, steps, rounds, before.result())
 
 
-def _searched(task: Task) -> tuple[list[Step], list[Round]]:
+def _searched(task: Task, told: Told) -> tuple[list[Step], list[Round]]:
     """Rounds of search and refit until nothing is justified; the steps are those that added."""
     model, placed, rounds, steps = task.declared.plant, [], [], []
-    for _ in range(_ROUNDS):
+    for i in range(_ROUNDS):
+        told(f"searching, round {i + 1}", 1 + i, _STAGES)
         one = Round(task, model, placed, rounds[-1] if rounds else None)
         one.search(rounds[0].found.lacking if rounds else one.lacking)
         rounds.append(one)
@@ -318,34 +336,36 @@ def _akin(one: AbstractEffect, other: AbstractEffect) -> bool:
 def _judged(
     placed: Sequence[Placed], share: float, left: float, noise_like: bool, alone: bool = False
 ) -> Status:
-    good = noise_like or left <= _MATERIAL
+    good, rest = noise_like or left <= _MATERIAL, _rest(left)
     if not placed:
         if good:
-            return Status("nothing_missing", _NOTHING.format(left))
-        return Status("unexplained", _UNKNOWN.format(left))
+            return Status("nothing_missing", _NOTHING.format(rest))
+        return Status("unexplained", _UNKNOWN.format(rest))
     if share >= _EXPLAINED or good:
-        return Status("explained", _FOUND.format(share, left))
+        return Status("explained", _FOUND.format(share, rest))
     if alone and share >= _MAINLY:
-        return Status("explained", _FOUND.format(share, left) + _REST)
-    return Status("unexplained", _PARTLY.format(" and ".join(_names(placed)), share, left))
+        return Status("explained", _FOUND.format(share, rest) + _REST)
+    return Status("unexplained", _PARTLY.format(" and ".join(_names(placed)), share, rest))
 
 
-_NOTHING = "what is left is {:.2g} of the highest derivative (rms): nothing that the data can name"
+def _rest(left: float) -> str:
+    share = f"{left:.2g} of the highest derivative (rms)"
+    return share if left > 0.0 else "nothing beyond the noise"
+
+
+_NOTHING = "what is left is {}: nothing that the data can name"
 _UNKNOWN = (
-    "what is left is {:.2g} of the highest derivative (rms), more than noise, and no effect of the "
-    "library explains it. `diagnosis` shows where it lives; more records with other inputs may tell"
+    "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "
+    "shows where it lives; more records with other inputs may tell"
 )
-_FOUND = (
-    "the effects take {:.1%} of the residual's power; what is left is {:.2g} of the highest "
-    "derivative (rms)"
-)
+_FOUND = "the effects take {:.1%} of the residual's power; what is left is {}"
 _REST = (
     ", more than noise. No other effect comes near the first of them, and free runs on other data "
     "confirm it; the rest stays unexplained"
 )
 _PARTLY = (
     "the best that the library has, {}, takes only {:.0%} of the residual's power and leaves "
-    "{:.2g} of the highest derivative (rms): not the whole story, so nothing was added"
+    "{}: not the whole story, so nothing was added"
 )
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"

@@ -120,7 +120,7 @@ class Discovery:
 
     def plot(self) -> Any:
         """Residual before and after, the effect in it, the free run: a matplotlib figure."""
-        from eoi_jax.report.figures import discovery_figure
+        from eoi_jax.report.discovery_figures import discovery_figure
 
         return discovery_figure(self)
 

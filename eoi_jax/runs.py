@@ -5,7 +5,7 @@ import platform
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version as version_of
@@ -21,15 +21,24 @@ from eoi_jax import build
 from eoi_jax import config as configs
 from eoi_jax.checks import RecordWarning
 from eoi_jax.data.record import Record
+from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Discovery
 from eoi_jax.identify import Identification
+from eoi_jax.inspection import Inspection
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refinement import Refinement
-from eoi_jax.report.discovery import discovery_text
-from eoi_jax.report.equation import equation_latex, equation_text
+from eoi_jax.report.discovery import answer, discovery_text
+from eoi_jax.report.equation import equation_latex, equation_lines, equation_text
 from eoi_jax.report.sweep import gain_names, statuses, sweep_figure
+from eoi_jax.report.tables import identification_answer, refinement_answer
+from eoi_jax.store import save
 from eoi_jax.uncertainty import Uncertainty, uncertainty
 from eoi_jax.validate import Validation
+
+RESULT = "result.npz"  # the run's result, for `eoi_jax.load`
+BESIDE = "report.npz"  # what its report shows beside that
+SWEEP = "sweep.json"
+SUMMARY_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -92,12 +101,13 @@ def identification_summary(
         validation: on the held-out records, if there are any.
     """
     summary = {
-        "name": given.settings.name,
+        **_head(given, "identify", identification_answer(result, validation)),
         "status": _status(result),
         **_fit(result),
         "nominal": result.nominal.parameters,
         "units": result.plant.units,
         "outputs": result.plant.outputs,
+        "equation": _equation(result.plant, ()),
         "increments": result.increments,
         "observer": result.observer,
         "lowpass": result.lowpass,
@@ -117,7 +127,7 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
     """
     declared, added, fitted = result.declared.nominal, result.added, _declared(result)
     summary = {
-        "name": given.settings.name,
+        **_head(given, "discover", answer(result)),
         "status": _status(result),
         "effects": result.effects,
         "added": [{**_fields(one), "effect": one.effect.name} for one in added],
@@ -139,11 +149,7 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
         "found": _fit(result.found),
         "observer": result.found.observer,
         "lowpass": result.found.lowpass,
-        "equation": {
-            "text": equation_text(fitted, added),
-            "values": equation_text(fitted, added, numeric=True),
-            "latex": equation_latex(fitted, added),
-        },
+        "equation": _equation(fitted, added),
         "findings": result.diagnosis.findings if result.diagnosis else (),
         "notes": result.notes,
     }
@@ -167,7 +173,7 @@ def refinement_summary(
         after: of that one on the held-out records.
     """
     summary = {
-        "name": given.settings.name,
+        **_head(given, "refine", refinement_answer(result, after)),
         "status": _status(result),
         "parameters": result.parameters,
         "standard_errors": result.standard_errors,
@@ -175,6 +181,7 @@ def refinement_summary(
         "nominal": given.model.parameters,
         "units": result.plant.units,
         "outputs": result.plant.outputs,
+        "equation": _equation(result.plant, ()),
         "rmse": dict(zip(result.plant.outputs, result.rmse, strict=True)),
         "rmse_before": dict(zip(result.plant.outputs, result.before, strict=True)),
         "starts": [_fields(one) for one in result.starts],
@@ -239,6 +246,27 @@ def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
         "best": lane,
     }
     return _plain({**summary, **_provenance(given)})
+
+
+def _head(given: Job, kind: str, sentence: str) -> dict[str, Any]:
+    return {
+        "format": SUMMARY_FORMAT,
+        "kind": kind,
+        "name": given.settings.name,
+        "answer": sentence,
+    }
+
+
+def _equation(model: Plant, added: Sequence[Any]) -> dict[str, Any]:
+    """The equations in every form; their lines, with what was added apart, in LaTeX."""
+    names, values = (equation_lines(model, added, numeric=one) for one in (False, True))
+    return {
+        "text": equation_text(model, added),
+        "values": equation_text(model, added, numeric=True),
+        "latex": equation_latex(model, added),
+        "lines": {"names": names[0], "values": values[0]},
+        "changes": {"names": names[1], "values": values[1]},
+    }
 
 
 def _declared(result: Discovery) -> Plant:
@@ -318,13 +346,18 @@ def _plain(value: Any) -> Any:
 
 
 def write_identification(
-    folder: Path, result: Identification, summary: dict[str, Any], config: str
+    folder: Path,
+    result: Identification,
+    validation: Validation | None,
+    summary: dict[str, Any],
+    config: str,
 ) -> None:
-    """`result.json`, `figure.png` and `config.toml`.
+    """`result.json`, `figure.png`, `result.npz`, `report.npz` and `config.toml`.
 
     Args:
         folder: an empty one.
         result: of `identify`.
+        validation: on the held-out records, if there are any.
         summary: of `identification_summary`.
         config: text of the config, with the command that was given above it.
     """
@@ -332,17 +365,26 @@ def write_identification(
 
     _write_json(folder / "result.json", summary)
     identification_figure(result).savefig(folder / "figure.png")
+    result.save(folder / RESULT)
+    save({"diagnosis": diagnose(result), "validation": validation}, folder / BESIDE)
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
 def write_refinement(
-    folder: Path, result: Refinement, summary: dict[str, Any], text: str, config: str
+    folder: Path,
+    result: Refinement,
+    beside: dict[str, Any],
+    summary: dict[str, Any],
+    text: str,
+    config: str,
 ) -> None:
-    """`result.json`, `report.txt`, `figure.png` and `config.toml`.
+    """`result.json`, `report.txt`, `figure.png`, `result.npz`, `report.npz` and `config.toml`.
 
     Args:
         folder: an empty one.
         result: of `refine`.
+        beside: ``start``, the identification it went on from; ``before`` and ``after``, free runs
+            on the held-out records, or None.
         summary: of `refinement_summary`.
         text: of `refinement_text`.
         config: text of the config, with the command that was given above it.
@@ -350,11 +392,13 @@ def write_refinement(
     _write_json(folder / "result.json", summary)
     (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
     result.plot().savefig(folder / "figure.png")
+    result.save(folder / RESULT)
+    save({**beside, "diagnosis": diagnose(beside["start"])}, folder / BESIDE)
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
 def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], config: str) -> None:
-    """`discovery.json`, `report.txt`, `equation.tex`, three figures, `result.npz`, `config.toml`.
+    """`discovery.json`, `report.txt`, `equation.tex`, three figures, two `.npz`, `config.toml`.
 
     Args:
         folder: an empty one.
@@ -362,7 +406,7 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
         summary: of `discovery_summary`.
         config: text of the config, with the command that was given above it.
     """
-    from eoi_jax.report.figures import discovery_figures
+    from eoi_jax.report.discovery_figures import discovery_figures
 
     _write_json(folder / "discovery.json", summary)
     (folder / "report.txt").write_text(discovery_text(result) + "\n", encoding="utf-8")
@@ -372,24 +416,59 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
     for name, figure in discovery_figures(result).items():
         figure.savefig(folder / f"{name}.png")
-    result.save(folder / "result.npz")
+    result.save(folder / RESULT)
+    last = result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
+    save({"diagnosis": last}, folder / BESIDE)
     (folder / "config.toml").write_text(config, encoding="utf-8")
 
 
-def write_sweep(folder: Path, result: Any, summary: dict[str, Any], text: str, config: str) -> None:
+def write_sweep(
+    folder: Path, result: Any, best: Any, summary: dict[str, Any], text: str, config: str
+) -> None:
     """`sweep.json`, `report.txt`, `figure.png` and `config.toml`, beside the store of a sweep.
 
     Args:
         folder: the run's, which holds the store already.
         result: of `sweep`.
+        best: its best lane, or None.
         summary: of `sweep_summary`.
         text: of `sweep_text`.
         config: text of the config, with the command that was given above it.
     """
-    _write_json(folder / "sweep.json", summary)
+    _write_json(folder / SWEEP, summary)
     (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
-    sweep_figure(result).savefig(folder / "figure.png")
+    sweep_figure(result, best).savefig(folder / "figure.png")
     (folder / "config.toml").write_text(config, encoding="utf-8")
+
+
+def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], text: str) -> None:
+    """`inspect.json`, `inspect.txt` and `inspect.png`.
+
+    Args:
+        folder: an empty one.
+        found: of `inspect`.
+        summary: of its `summary`.
+        text: for a reader.
+    """
+    _write_json(folder / "inspect.json", summary)
+    (folder / "inspect.txt").write_text(text + "\n", encoding="utf-8")
+    found.plot().savefig(folder / "inspect.png")
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a file, all or nothing.
+
+    Args:
+        path: of the file; its folder is made.
+        text: what goes into it.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.draft")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:

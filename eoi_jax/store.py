@@ -21,6 +21,7 @@ import numpy as np
 
 from eoi_jax.checks import check
 from eoi_jax.effects import AbstractEffect
+from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
 
 _FORMAT = 1
@@ -53,6 +54,7 @@ class MissingEffect:
     name: str
     kind: str
     fields: dict[str, Any]
+    depends_on = "t"  # what a report draws it against, for lack of better knowledge
 
     def __getattr__(self, attribute: str) -> Any:
         if attribute.startswith("__"):
@@ -98,7 +100,7 @@ def save(result: Any, path: str | Path) -> None:
 def load(
     path: str | Path, plant: Plant | None = None, effects: Sequence[AbstractEffect] = ()
 ) -> Any:
-    """Read a result that `.save(path)` wrote.
+    """Read a result that `.save(path)` wrote, or a model that `export` wrote as JSON.
 
     Args:
         path: of the file.
@@ -107,15 +109,21 @@ def load(
         effects: of the user's own that the result holds.
 
     Returns:
-        The result, of the class that was saved.
+        The result, of the class that was saved; of a JSON file the `Plant`.
 
     Raises:
         ValueError: no such file, a file of something else or of a newer version, another plant.
     """
     path = Path(path)
     check(path.is_file(), "path", "must be a file", path)
+    if path.suffix == ".json":
+        try:
+            return plant_from_json(path.read_text(encoding="utf-8"))
+        except UnicodeDecodeError:
+            check(False, "path", "must be a model that `export` wrote", path)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, so that it is closed also where it turns out to be no archive.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         tree = json.loads(str(arrays[_HEADER]))
     except (zipfile.BadZipFile, KeyError, ValueError, OSError):

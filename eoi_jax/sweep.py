@@ -67,7 +67,7 @@ def sweep(
         passes: how many at most.
         transient: time at the start of each record that is not scored [s].
         substeps: as of `identify`.
-        smoothing: as of `identify`.
+        smoothing: as of `identify` [rad/s].
         precision: of the loop, ``"float64"`` or ``"float32"``; attributes ``float32_error_of_…``
             then tell what that costs, against double precision on some of the lanes.
         seed: of the resamples.

@@ -64,6 +64,12 @@ class Uncertainty:
         known = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
         return self.covariance / np.outer(known, known)
 
+    def plot(self) -> Any:
+        """Parameters with their intervals, and their correlation: a matplotlib figure."""
+        from eoi_jax.report.estimate_figures import uncertainty_figure
+
+        return uncertainty_figure(self)
+
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence intervals by name.
 

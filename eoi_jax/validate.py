@@ -8,6 +8,7 @@ scored.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -47,6 +48,7 @@ class Validation:
         outputs: names.
         units: of the outputs, "" where unknown.
         notes: sentences on what limits the numbers.
+        records: that it was judged on.
     """
 
     rmse: PerOutput
@@ -57,6 +59,7 @@ class Validation:
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     notes: tuple[str, ...]
+    records: tuple[Record, ...] = ()
 
     def __str__(self) -> str:
         """A short table."""
@@ -71,6 +74,12 @@ class Validation:
             for key, rmse, nrmse, fit, unit in rows
         ]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
+
+    def plot(self) -> Any:
+        """Free run against the measurement, and its error: a matplotlib figure."""
+        from eoi_jax.report.figures import validation_figure
+
+        return validation_figure(self)
 
 
 def validate(
@@ -125,6 +134,7 @@ def validate(
         plant.outputs,
         tuple(plant.units.get(key, "") for key in plant.outputs),
         tuple(notes),
+        records,
     )
 
 

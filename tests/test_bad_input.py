@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eoi_jax import backend, cli
+from eoi_command.commands import app
+from eoi_jax import backend
 
 CONFIG = """
 name = "run"
@@ -62,7 +63,7 @@ def prepared(folder: Path, *changes: tuple[str, str], **replaced: np.ndarray) ->
 def refused(path: Path, status: int, *said: str) -> None:
     """`eoi identify` ends with `status`, says each of `said`, and leaves no file."""
     output = path.parent / "runs"
-    done = CliRunner().invoke(cli.app, ["identify", str(path), "--output", str(output)])
+    done = CliRunner().invoke(app, ["identify", str(path), "--output", str(output)])
     assert done.exit_code == status, done.output
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
@@ -119,7 +120,7 @@ def test_a_file_of_an_unknown_kind_is_refused(tmp_path: Path):
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
     path = prepared(tmp_path)
     (tmp_path / "file").write_text("")
-    done = CliRunner().invoke(cli.app, ["identify", str(path), "--output", str(tmp_path / "file")])
+    done = CliRunner().invoke(app, ["identify", str(path), "--output", str(tmp_path / "file")])
     assert done.exit_code == 2
     assert "`--output` must be a folder" in done.stderr
 
@@ -131,7 +132,7 @@ def test_constant_input_and_output_give_no_answer_and_say_why(tmp_path: Path):
 
 def test_with_json_a_refusal_is_one_object_too(tmp_path: Path):
     path = prepared(tmp_path, ("c3 = 5000.0", "c3 = 0.0"))
-    done = CliRunner().invoke(cli.app, ["identify", str(path), "--json"])
+    done = CliRunner().invoke(app, ["identify", str(path), "--json"])
     assert done.exit_code == 2
     assert "`observer.c3`" in json.loads(done.stdout)["error"]
 
@@ -140,13 +141,13 @@ def test_with_json_a_refusal_is_one_object_too(tmp_path: Path):
     "arguments", [["identify", "--passes", "0"], ["identify", "--pases", "3"], ["idenify"]]
 )
 def test_a_wrong_call_is_refused_with_status_2(arguments: list[str]):
-    assert CliRunner().invoke(cli.app, arguments).exit_code == 2
+    assert CliRunner().invoke(app, arguments).exit_code == 2
 
 
 def test_the_process_itself_ends_with_status_2_and_no_traceback(tmp_path: Path):
     path = prepared(tmp_path, ("c3 = 5000.0", "c33 = 5000.0"))
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_jax.cli import main; main()", "identify", path.name],
+        [sys.executable, "-c", "from eoi_command import main; main()", "identify", path.name],
         cwd=tmp_path,
         env={**os.environ, "EOI_CACHE": str(tmp_path / "cache")},
         capture_output=True,

@@ -119,7 +119,7 @@ def test_the_table_names_every_method_and_how_it_ended(result: eoi.Comparison):
 
 def test_the_figure_has_a_panel_for_each_score(result: eoi.Comparison):
     figure = result.plot()
-    titles = [axes.get_title() for axes in figure.axes]
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert len(titles) == 3
     assert titles[1].startswith("free-run rmse, held out")
     labels = [tick.get_text() for tick in figure.axes[0].get_yticklabels()]

@@ -8,7 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.refinement import Refinement, Start
-from eoi_jax.report.figures import refinement_figure
+from eoi_jax.report.estimate_figures import refinement_figure
 from eoi_jax.results import Status
 from eoi_jax.uncertainty import Uncertainty, student, uncertainty
 
@@ -286,7 +286,7 @@ def test_figure_shows_runs_residuals_and_a_panel_for_each_parameter(tmp_path):
     upper, lower, *panels = [axes for axes in figure.axes if axes.get_visible()]
     assert [one.get_label() for one in upper.get_lines()] == ["measured", "before", "refined"]
     assert len(lower.get_lines()) == 2
-    assert [one.get_title() for one in panels] == ["mass [kg]", "drag", "force"]
+    assert [one.get_title(loc="left") for one in panels] == ["mass\n[kg]", "drag", "force"]
     figure.savefig(tmp_path / "figure.png")
     assert figure.get_size_inches()[0] * figure.dpi == 1000
 

@@ -30,7 +30,8 @@ class StateVariableFilter(AbstractComparator):
     One least squares for a plant that is affine in its parameters, Gauss-Newton on ∂f/∂θ for any
     other. Samples near rest are left out for a plant with dry friction.
 
-    Source: module `filtered`.
+    Source: H. Garnier, P. Young (eds), *Identification of Continuous-time Models from Sampled
+    Data*, 2008, chapters 1 and 4; details in `filtered.py`.
     """
 
     name = "svf"

@@ -55,7 +55,7 @@ class VSSDirect(AbstractComparator):
     value ± its size (at least what gives the term the rms of y^(r)); d is their width, as in the
     paper; 1/τ is the cut-off that the paper's own filter would get, and h₁ = 0.4/τ.
 
-    Source: module `vss_direct`.
+    Source: J.-X. Xu, H. Hashimoto, Int. J. Control 57 (1993) 1413; section 6 of the paper.
     """
 
     name = "vss_direct"
