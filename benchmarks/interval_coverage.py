@@ -186,7 +186,7 @@ class Outcome:
         error: estimate less truth.
         deviation: standard error.
         covered: whether the interval held the truth.
-        freedom: degrees of freedom.
+        freedom: degrees of freedom of each.
     """
 
     error: np.ndarray
@@ -223,13 +223,13 @@ def _judged(case: Case, result: eoi.Identification | eoi.Refinement) -> tuple[np
     truth = np.asarray(case.plant.theta)
     if not result.status.ok:
         nothing = np.full(len(truth), np.nan)
-        return nothing, nothing, nothing, np.asarray(np.nan)
+        return nothing, nothing, nothing, nothing
     known = eoi.uncertainty(result)
     low, high = np.asarray(list(known.intervals(LEVEL).values())).T
     error = np.asarray(list(known.parameters.values())) - truth
     deviation = np.asarray(list(known.standard_errors.values()))
     covered = np.where(np.isfinite(deviation), (low <= truth) & (truth <= high), np.nan)
-    return error, deviation, covered, np.asarray(known.degrees_of_freedom)
+    return error, deviation, covered, known.degrees_of_freedom
 
 
 # -- the report -------------------------------------------------------------------------------
@@ -252,9 +252,13 @@ def row(name: str, kind: str, method: str, one: Outcome) -> list[str]:
         f"{percent(share[low])} {names[low]} … {percent(share[high])} {names[high]}",
         f"{bias[far]:+.2f} {names[far]}",
         f"{np.min(size):.2f} … {np.max(size):.2f}",
-        f"{np.nanmedian(one.freedom):.3g}",
+        " … ".join(f"{number:.3g}" for number in _ends(np.nanmedian(one.freedom, axis=0))),
         str(int(np.sum(np.isnan(one.error[:, 0])))),
     ]
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    return float(np.min(values)), float(np.max(values))
 
 
 HEADER = (

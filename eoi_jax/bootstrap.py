@@ -73,4 +73,6 @@ def bootstrap(
         "Blocks without excitation say nothing alone: use longer records.",
     )
     covariance = np.atleast_2d(np.cov(draws, rowvar=False))
-    return replace(base, covariance=covariance, draws=draws)
+    # What a resample draws are blocks, and one is taken by the estimate.
+    freedom = np.full(len(covariance), max(float(drawn["blocks"][0]) - 1.0, 1.0))
+    return replace(base, covariance=covariance, degrees_of_freedom=freedom, draws=draws)

@@ -18,10 +18,10 @@ from eoi_jax.checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
 from eoi_jax.instruments import Instrumented, cured
-from eoi_jax.iteration import Iterations, Pass, Tally, iterate, mean, sandwich
+from eoi_jax.iteration import Iterations, Pass, in_order, iterate, mean
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.passes import Steps, Sums
+from eoi_jax.passes import Steps, Sums, Trace
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import (
     TAPER,
@@ -33,6 +33,7 @@ from eoi_jax.prepare import (
     ready,
 )
 from eoi_jax.regression.least_squares import untraced
+from eoi_jax.regression.long_run import long_run
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer, default_transient
 
@@ -49,9 +50,9 @@ class Identification:
 
     Attributes:
         parameters: estimate by name.
-        standard_errors: by name; they know that filtered residuals are coloured (blocks of
-            several filter memories), and know nothing of bias: without instruments, that from noise
-            in the regressors.
+        standard_errors: by name; they know that filtered residuals are coloured
+            (`regression/long_run.py`), and know nothing of bias: without instruments, that from
+            noise in the regressors.
         index: P of each pass and output, eq. (14), shape (passes, ny).
         increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
         parameter_history: θ of each pass, shape (passes, np).
@@ -71,7 +72,7 @@ class Identification:
         notes: what was done to the records, and health warnings.
         records: as used (resampled, smoothed); sub-steps are not kept.
         information: Σ φᵀφ at the estimate over the outputs as they were weighed, shape (np, np).
-        degrees_of_freedom: of `covariance`: its blocks less one.
+        degrees_of_freedom: of the variance of each parameter, shape (np,).
     """
 
     parameters: dict[str, float]
@@ -96,7 +97,7 @@ class Identification:
     notes: tuple[str, ...]
     records: tuple[Record, ...]
     information: Float[np.ndarray, "np np"] | None = None
-    degrees_of_freedom: float = np.inf
+    degrees_of_freedom: Float[np.ndarray, " np"] | None = None
 
     def __str__(self) -> str:
         from eoi_jax.report.tables import identification_text
@@ -255,13 +256,11 @@ class _Driver:
             reasons += why
         if better is not None:
             theta, increment = better.theta, np.zeros_like(theta)
-        sums, trace = self._pass(theta, "signals", increment, one.weights[0])
-        tally = Tally().plus(self.steps)
+        sums, trace = self._pass(theta, "regressors" if better is None else "signals", increment)
         if better is None:
-            meat = np.asarray(sums.meat)[None]
-            covariance = sandwich(self.plant.free, one, meat, tally)[0]
+            covariance, freedom = self._covariance(one, trace)
         else:
-            covariance = better.covariance
+            covariance, freedom = better.covariance, better.degrees_of_freedom
         plant = self.plant.with_parameters(theta)
         power, observed = (mean(part, sums.weight) for part in (sums.square, sums.observed_square))
         sliding = mean(sums.sliding, sums.count)
@@ -289,8 +288,19 @@ class _Driver:
             notes=notes + _sliding_note(self.plant, sliding),
             records=records,
             information=np.einsum("j,jab->ab", one.weights[0], sums.information),
-            degrees_of_freedom=max(float(tally.complete - 1), 0.0),
+            degrees_of_freedom=freedom,
         )
+
+    def _covariance(self, one: Pass, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+        """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
+        inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
+        root = np.sqrt(one.weights[0] * in_order(np.asarray(self.steps.score), self.steps))
+        rows = root[..., None] * in_order(np.asarray(trace.Phi), self.steps)
+        error = root * in_order(np.asarray(trace.injection - trace.explained), self.steps)
+        scores = np.einsum("sj,sja->sa", error, rows)
+        if not (np.all(np.isfinite(scores)) and np.any(inverse)):
+            return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
+        return long_run(scores, rows, inverse)
 
     def _iterate(self) -> tuple[Iterations, Any]:
         first = None
@@ -310,12 +320,9 @@ class _Driver:
         start = np.asarray(self.plant.theta, dtype=float)[None]
         return iterate(run, self.plant, start, self.passes, watch), first
 
-    def _pass(
-        self, theta: np.ndarray, store: str, increment: Any = None, weights: Any = None
-    ) -> tuple[Sums, Any]:
+    def _pass(self, theta: np.ndarray, store: str, increment: Any = None) -> tuple[Sums, Any]:
         moved = np.zeros_like(theta) if increment is None else increment
-        weighed = np.ones(len(self.plant.outputs)) if weights is None else weights
-        sums, trace = self.one_pass(theta, moved, weighed, store)
+        sums, trace = self.one_pass(theta, moved, np.ones(len(self.plant.outputs)), store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:

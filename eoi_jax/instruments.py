@@ -28,13 +28,14 @@ from jaxtyping import Array, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
-from eoi_jax.iteration import Pass, Tally, clustered, mean
+from eoi_jax.iteration import Pass, in_order, mean
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.pairs import PairSums, run_pairs, together
+from eoi_jax.pairs import PairSums, Rows, run_pairs, together
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import Ready, prepare, step_inputs
 from eoi_jax.regression.instrumental import within_bounds
+from eoi_jax.regression.long_run import long_run
 from eoi_jax.trajectory import frictional
 from eoi_jax.types import Scalar
 from eoi_jax.validate import validate
@@ -66,12 +67,14 @@ class Instrumented:
     Attributes:
         theta: shape (np,).
         covariance: shape (np, np).
+        degrees_of_freedom: of each variance, shape (np,).
         passes: how many it took.
         windows: runs that the longest record was cut into.
     """
 
     theta: Float[np.ndarray, " np"]
     covariance: Float[np.ndarray, "np np"]
+    degrees_of_freedom: Float[np.ndarray, " np"]
     passes: int
     windows: int
 
@@ -99,24 +102,22 @@ def instrumented(
         if isinstance(runs, str):
             return runs
         pairs = _pairs(model, runs, prepared, observer)
-        one = _one_pass(pairs, observer, theta, weights, leak)
+        one, rows = _one_pass(pairs, observer, theta, weights, leak)
         needed = _leak(plant, one, runs)
         if needed > leak:  # only seen after a pass, which is then of no use
             leak = 1.2 * needed  # to spare, for the next passes
-            one = _one_pass(pairs, observer, theta, weights, leak)
+            one, rows = _one_pass(pairs, observer, theta, weights, leak)
         increment, inverse = _solved(model, one, weights)
-        tally = Tally().plus(pairs.steps)
-        covariance = clustered(plant.free, inverse[None], np.asarray(one.meat)[None], tally)[0]
         if not (np.all(np.isfinite(increment)) and np.all(np.isfinite(inverse))):
             return "its instruments do not determine the parameters"
         theta = np.clip(theta + increment, plant.lower, plant.upper)
+        covariance, freedom = _covariance(rows, pairs.steps, inverse)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        # Where the records are too short to tell the standard errors, rounding ends the passes.
-        small = _SETTLED * np.nan_to_num(errors) + 1e-9 * np.abs(theta)
+        small = _SETTLED * errors + 1e-9 * np.abs(theta)
         power = one.square / np.maximum(one.count, 1.0)
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
         if np.all(np.abs(increment) <= small) and number > 1:
-            return Instrumented(theta, covariance, number, runs.windows)
+            return Instrumented(theta, covariance, freedom, number, runs.windows)
     return f"its passes did not settle within {_PASSES}"
 
 
@@ -286,9 +287,19 @@ def _one_pass(
     theta: Float[np.ndarray, " np"],
     weights: Float[np.ndarray, " ny"],
     leak: float,
-) -> PairSums:
+) -> tuple[PairSums, Rows]:
+    """Sums over all runs, and the rows of each."""
     at, by, damping = (jnp.asarray(one) for one in (theta, weights, leak))
-    return together(run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.before))
+    sums, rows = run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.before)
+    return together(sums), rows
+
+
+def _covariance(
+    rows: Rows, steps: Steps, inverse: Float[np.ndarray, "np np"]
+) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
+    """Of the estimate, with its degrees of freedom."""
+    error, zeta = (in_order(np.asarray(one), steps) for one in (rows.error, rows.zeta))
+    return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse)
 
 
 def _leak(plant: Plant, one: PairSums, runs: _Runs) -> float:

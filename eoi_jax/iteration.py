@@ -219,6 +219,18 @@ class Tally:
         )
 
 
+def in_order(values: Float[np.ndarray, "records S ..."], steps: Steps) -> np.ndarray:
+    """What each step has, record after record, without the padding.
+
+    Args:
+        values: by record and step.
+        steps: the records, padded to one length.
+    """
+    used = np.any(np.asarray(steps.use) > 0, axis=-1)
+    ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
+    return np.concatenate([one[:end] for one, end in zip(values, ends, strict=True)])
+
+
 def sandwich(
     free: Float[np.ndarray, " np"], one: Pass, meat: Float[np.ndarray, "lanes np np"], tally: Tally
 ) -> Float[np.ndarray, "lanes np np"]:
@@ -232,30 +244,14 @@ def sandwich(
         meat: S, of a pass with the increment and the weights of that one.
         tally: of all records of the estimate.
     """
-    return clustered(free, np.asarray(one.solution.inverse), meat, tally)
-
-
-def clustered(
-    free: Float[np.ndarray, " np"],
-    inverse: Float[np.ndarray, "lanes np np"],
-    meat: Float[np.ndarray, "lanes np np"],
-    tally: Tally,
-) -> Float[np.ndarray, "lanes np np"]:
-    """`sandwich` around any inverse, that of instrumental variables is not symmetric.
-
-    Args:
-        free: 1 for an estimated parameter.
-        inverse: that turns scores into Δθ.
-        meat: sum of the squares of block sums of scores.
-        tally: of all records of the estimate.
-    """
+    inverse = np.asarray(one.solution.inverse)
     blocks = tally.complete
     if blocks < 3:
         unknown = np.where(np.outer(free, free) > 0, np.nan, 0.0)
         return np.broadcast_to(unknown, meat.shape)
     # One for the estimate, at which the scores of all samples sum to zero.
     scale = tally.scored / tally.inside * blocks / (blocks - 1)
-    return scale * inverse @ meat @ np.swapaxes(inverse, -1, -2)
+    return scale * inverse @ meat @ inverse
 
 
 def _shown(one: Pass) -> tuple[np.ndarray, ...]:

@@ -34,7 +34,6 @@ class PairSums(eqx.Module):
     Attributes:
         cross: Σ ζᵀψ, shape (ny, np, np). information: Σ ζᵀζ, likewise.
         rhs: Σ ζᵀe, shape (ny, np). square: Σ e², shape (ny,). count: steps.
-        meat: S of the sandwich, from block sums of the weighed ζᵀe, shape (np, np).
         slopes: Σ ∂ẋ/∂x of the model along the simulation, over all steps that are used, whose
             number is `steps`; x is the chain of derivatives, row by row, then z.
     """
@@ -44,17 +43,22 @@ class PairSums(eqx.Module):
     rhs: Float[Array, "*runs ny np"]
     square: Float[Array, "*runs ny"]
     count: Float[Array, "*runs ny"]
-    meat: Float[Array, "*runs np np"]
     slopes: Float[Array, "*runs nx nx"]
     steps: Float[Array, "*runs"]
 
 
+class Rows(eqx.Module):
+    """e and ζ of each step and output, times the root of their weight; zero where not scored."""
+
+    error: Float[Array, "*steps ny"]
+    zeta: Float[Array, "*steps ny np"]
+
+
 class _Carry(eqx.Module):
-    """Of the loop: both kernels (leading axis 2), the prefilter, a block of scores, sums."""
+    """Of the loop: both kernels (leading axis 2), the prefilter, sums."""
 
     kernels: Carry
     filtered: Float[Array, "nx columns"]
-    block: Float[Array, " np"]
     sums: PairSums
 
 
@@ -67,7 +71,7 @@ def run_pairs(
     weights: Output,
     leak: Scalar,
     before: Float[Array | np.ndarray, "runs S ny"] | None = None,
-) -> PairSums:
+) -> tuple[PairSums, Rows]:
     """One pass over pairs of records.
 
     Args:
@@ -81,7 +85,7 @@ def run_pairs(
         before: of a directed plant, the directions of the step before each.
 
     Returns:
-        Sums, runs on the leading axis.
+        Sums, and each step's rows; runs on the leading axis.
     """
     pair = _Pair(plant, observer, theta, weights, leak)
     return jax.vmap(pair.run)(steps, None if before is None else jnp.asarray(before))
@@ -96,7 +100,7 @@ class _Pair(eqx.Module):
     weights: Output
     leak: Scalar
 
-    def run(self, steps: Steps, before: Float[Array, "S ny"] | None) -> PairSums:
+    def run(self, steps: Steps, before: Float[Array, "S ny"] | None) -> tuple[PairSums, Rows]:
         # F passes all: L⁻¹ takes its place.
         through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
@@ -108,10 +112,11 @@ class _Pair(eqx.Module):
             jnp.asarray(steps.y)[:, 0], jnp.asarray(steps.y_next)[:, 0]
         )
 
-        def body(carry: _Carry, now: tuple[Step, Output | None]) -> tuple[_Carry, None]:
-            return self._step(kernel, carry, *now, h), None
+        def body(carry: _Carry, now: tuple[Step, Output | None]) -> tuple[_Carry, Rows]:
+            return self._step(kernel, carry, *now, h)
 
-        return jax.lax.scan(body, self._init(start), (rows, before))[0].sums
+        last, shown = jax.lax.scan(body, self._init(start), (rows, before))
+        return last.sums, shown
 
     def _init(self, kernels: Carry) -> _Carry:
         size, ny, dtype = len(self.theta), len(self.plant.outputs), self.theta.dtype
@@ -121,15 +126,13 @@ class _Pair(eqx.Module):
             return jnp.zeros(shape, dtype)
 
         square, matrix = zeros(ny), zeros(ny, size, size)
-        sums = PairSums(
-            matrix, matrix, zeros(ny, size), square, square, zeros(size, size), zeros(nx, nx),
-            zeros(),
-        )  # fmt: skip
-        return _Carry(kernels, zeros(nx, 2 * (1 + size)), zeros(size), sums)
+        rhs = zeros(ny, size)
+        sums = PairSums(matrix, matrix, rhs, square, square, zeros(nx, nx), zeros())
+        return _Carry(kernels, zeros(nx, 2 * (1 + size)), sums)
 
     def _step(
         self, kernel: Kernel, carry: _Carry, now: Step, before: Output | None, h: Scalar
-    ) -> _Carry:
+    ) -> tuple[_Carry, Rows]:
         measured = jax.tree.map(lambda leaf: leaf[0], now)
         slopes = self._slopes(carry.kernels, now)
         kernels, shown = jax.vmap(lambda old, row: kernel.step(old, row, h))(carry.kernels, now)
@@ -140,8 +143,8 @@ class _Pair(eqx.Module):
         if before is not None:
             filtered = self._turned(filtered, carry.kernels, now, before)
         filtered = self._prefilter(slopes, filtered, columns, h)
-        sums, block = self._add(carry, filtered[: len(self.plant.outputs)], slopes, measured)
-        return _Carry(kernels, filtered, block, sums)
+        sums, row = self._add(carry, filtered[: len(self.plant.outputs)], slopes, measured)
+        return _Carry(kernels, filtered, sums), row
 
     def _slopes(self, kernels: Carry, now: Step) -> Float[Array, "nx nx"]:
         """∂ẋ/∂x of the model where the simulation is."""
@@ -205,23 +208,22 @@ class _Pair(eqx.Module):
         filtered: Float[Array, "ny columns"],
         slopes: Float[Array, "nx nx"],
         now: Step,
-    ) -> tuple[PairSums, Array]:
+    ) -> tuple[PairSums, Rows]:
         half, old = filtered.shape[1] // 2, carry.sums
         error = filtered[:, 0] - filtered[:, half]
         psi, zeta = filtered[:, 1:half], filtered[:, half + 1 :]
         weighted = now.score[:, None] * zeta
-        block = carry.block + now.block_weight * (self.weights * error) @ weighted
         sums = PairSums(
             old.cross + weighted[:, :, None] * psi[:, None, :],
             old.information + weighted[:, :, None] * zeta[:, None, :],
             old.rhs + weighted * error[:, None],
             old.square + now.score * error**2,
             old.count + now.score,
-            old.meat + jnp.where(now.block_end, jnp.outer(block, block), 0.0),
             old.slopes + slopes,
             old.steps + jnp.any(now.use > 0),
         )
-        return sums, jnp.where(now.block_end, 0.0, block)
+        root = jnp.sqrt(self.weights * now.score)
+        return sums, Rows(root * error, root[:, None] * zeta)
 
 
 def together(sums: PairSums) -> Any:

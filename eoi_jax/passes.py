@@ -356,7 +356,7 @@ class Kernel(eqx.Module):
         old = carry.sums
         weighted = score[:, None] * phi
         block, meat = carry.block, old.meat
-        if self.store != "nothing":
+        if self.store == "scores":
             own = now.score[:, None] * phi
             block = block + now.block_weight * (self.weights * (injection - explained)) @ own
             # A block drawn k times counts k times, not as one of k times its size.

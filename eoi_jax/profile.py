@@ -121,7 +121,7 @@ def profile(
     error = known.standard_errors[name]
     good = bool(np.isfinite(error) and error > 0)
     check(good, "name", "must have a finite standard error", f"{name} ± {error:g}")
-    quantile = student(level, known.degrees_of_freedom)
+    quantile = float(student(level, known.degrees_of_freedom)[plant.names.index(name)])
     held = plant.declared_anew(fixed=(name,))
     count = refinement.substeps if substeps is None else substeps
 

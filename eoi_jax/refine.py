@@ -353,13 +353,13 @@ class _Certainty:
     Attributes:
         covariance: shape (np, np); NaN where there are no derivatives, or on a bound.
         information: beside that of the initial states, which are estimated too; (np, np).
-        freedom: degrees of freedom of the covariance.
+        freedom: degrees of freedom of each variance, shape (np,).
         lost: combinations of parameters without a trace.
     """
 
     covariance: Float[np.ndarray, "np np"]
     information: Float[np.ndarray, "np np"]
-    freedom: float
+    freedom: Float[np.ndarray, " np"]
     lost: list[str]
 
 
@@ -367,19 +367,25 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
     """Sandwich of the information and the long-run covariance of the scores."""
     size, free = len(plant.names), list(fit.problem.free)
     covariance, information = np.zeros((size, size)), np.zeros((size, size))
+    freedom = np.full(size, np.inf)
     if not fit.differentiable:
         covariance[np.ix_(free, free)] = np.nan
-        return _Certainty(covariance, information, np.inf, [])
+        return _Certainty(covariance, information, freedom, [])
     names = [plant.names[i] for i in free]
     loose = np.asarray([float(name not in bound) for name in names])
     own = fit.shown.shape[-1] - 1 - len(free)
-    square, scores = np.zeros((len(free), len(free))), []
-    for one, span in zip(fit.shown, spans, strict=True):
-        part, score = _run_scores(one[: span.count + 1], own, float(fit.problem.threshold))
-        square += part * np.outer(loose, loose)
-        scores.append(score * loose)
+    rows, scores = zip(
+        *(
+            _run_scores(one[: span.count + 1], own, float(fit.problem.threshold))
+            for one, span in zip(fit.shown, spans, strict=True)
+        ),
+        strict=True,
+    )
+    rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
+    square = np.einsum("tja,tjb->ab", rows, rows)
     solution = least_squares(jnp.asarray(square), jnp.zeros(len(names)), jnp.asarray(loose))
-    small, freedom = long_run(np.concatenate(scores), np.asarray(solution.inverse))
+    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse))
+    freedom[free] = small_freedom
     small[loose == 0] = small[:, loose == 0] = np.nan
     covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square
     return _Certainty(covariance, information, freedom, untraced(solution, names, loose))
@@ -387,8 +393,8 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
 
 def _run_scores(
     shown: Float[np.ndarray, "time ny size"], own: int, threshold: float
-) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "time free"]]:
-    """Information and scores of one run, in what its initial state leaves of the columns of θ."""
+) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"]]:
+    """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
     rows = shown.reshape(-1, shown.shape[-1])
     starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
     size = np.linalg.norm(starts, axis=0)
@@ -396,7 +402,8 @@ def _run_scores(
     beside = theta - starts @ np.linalg.lstsq(starts, theta, rcond=1e-10)[0]
     near = beside * (np.abs(error) <= threshold)[:, None]
     score = beside * np.clip(error, -threshold, threshold)[:, None]
-    return near.T @ near, np.sum(score.reshape(*shown.shape[:2], -1), axis=1)
+    shape = *shown.shape[:2], beside.shape[1]
+    return near.reshape(shape), np.sum(score.reshape(shape), axis=1)
 
 
 def _status(fit: _Fit, lost: Sequence[str]) -> Status:

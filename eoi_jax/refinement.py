@@ -50,7 +50,8 @@ class Refinement:
         information: Σ φᵀφ over the scored samples, φ the derivative of the free runs with the
             parameters where their initial states follow them, each output over its rms residual,
             shape (np, np); None where it was not kept.
-        degrees_of_freedom: of `covariance`; infinite where they were not kept.
+        degrees_of_freedom: of the variance of each parameter, shape (np,); None where they were
+            not kept.
         residual_before: as `residual`, at the starting point; empty where it was not kept.
         records: as given; empty where they were not kept.
         substeps: steps of the simulation per sample.
@@ -72,7 +73,7 @@ class Refinement:
     status: Status
     notes: tuple[str, ...]
     information: Float[np.ndarray, "np np"] | None = None
-    degrees_of_freedom: float = np.inf
+    degrees_of_freedom: Float[np.ndarray, " np"] | None = None
     residual_before: tuple[np.ndarray, ...] = ()
     records: tuple[Record, ...] = ()
     substeps: int = 4

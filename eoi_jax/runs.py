@@ -201,7 +201,9 @@ def _sure(known: Uncertainty) -> dict[str, Any]:
     return {
         "intervals": known.intervals(),
         "correlation": known.correlation,
-        "degrees_of_freedom": known.degrees_of_freedom,
+        "degrees_of_freedom": dict(
+            zip(known.parameters, known.degrees_of_freedom.tolist(), strict=True)
+        ),
         "unclear": known.unclear,
     }
 

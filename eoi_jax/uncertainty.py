@@ -1,9 +1,10 @@
 r"""How sure an estimate is: errors, intervals, what cannot be told apart, physical parameters.
 
-The covariance C is that of the estimate, which knows that its residual is coloured. Its degrees of
-freedom ν are the number of independent sums it was estimated from: intervals are θ ± t_ν √C_ii.
-Other quantities q = g(θ) have the covariance J C Jᵀ, J = ∂g/∂θ (delta method). Directions of θ
-that left no trace are kept beside C: what changes along one of them has no finite error.
+The covariance C is that of the estimate, which knows that its residual is coloured. The degrees of
+freedom ν of each variance say how sure that one is: intervals are θ ± t_ν √C_ii. Other quantities
+q = g(θ) have the covariance J C Jᵀ, J = ∂g/∂θ (delta method), and the fewest degrees of freedom of
+what they depend on. Directions of θ that left no trace are kept beside C: what changes along one of
+them has no finite error.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,7 +36,7 @@ class Uncertainty:
     Attributes:
         parameters: estimates by name.
         covariance: of them, shape (np, np); 0 for what is fixed, NaN where it is not known.
-        degrees_of_freedom: of the covariance; infinite where they are not known.
+        degrees_of_freedom: of each variance, shape (np,); infinite where they are not known.
         untraced: directions that left no trace, one a column, shape (np, k).
         unclear: sentences on what cannot, or can hardly, be told apart.
         units: by name, as far as they are known.
@@ -44,7 +45,7 @@ class Uncertainty:
 
     parameters: dict[str, float]
     covariance: Float[np.ndarray, "np np"]
-    degrees_of_freedom: float
+    degrees_of_freedom: Float[np.ndarray, " np"]
     untraced: Float[np.ndarray, "np k"]
     unclear: tuple[str, ...]
     units: dict[str, str]
@@ -87,25 +88,24 @@ class Uncertainty:
         """
         check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)
         quantile = student(level, self.degrees_of_freedom)
-        if self.draws is not None:
-            return self._percentiles(quantile)
-        return {
-            name: (value - quantile * error, value + quantile * error)
-            for (name, value), error in zip(
-                self.parameters.items(), self.standard_errors.values(), strict=True
-            )
-        }
-
-    def _percentiles(self, quantile: float) -> dict[str, tuple[float, float]]:
-        from scipy.special import ndtr
-
-        freedom = self.degrees_of_freedom
-        tail = float(ndtr(-quantile * (1.0 if np.isinf(freedom) else np.sqrt(1.0 + 1.0 / freedom))))
-        ends = np.quantile(self.draws, (tail, 1.0 - tail), axis=0)  # type: ignore[arg-type]
+        value = np.asarray(list(self.parameters.values()))
+        half = quantile * np.asarray(list(self.standard_errors.values()))
+        ends = (value - half, value + half) if self.draws is None else self._percentiles(quantile)
         return {
             name: (float(low), float(high))
             for name, low, high in zip(self.parameters, *ends, strict=True)
         }
+
+    def _percentiles(self, quantile: Float[np.ndarray, " np"]) -> tuple[np.ndarray, np.ndarray]:
+        from scipy.special import ndtr
+
+        tails = ndtr(-quantile * np.sqrt(1.0 + 1.0 / self.degrees_of_freedom))
+        draws = np.asarray(self.draws).T
+        low, high = (
+            [np.quantile(one, tail) for one, tail in zip(draws, each, strict=True)]
+            for each in (tails, 1.0 - tails)
+        )
+        return np.asarray(low), np.asarray(high)
 
     def physical(
         self, function: Callable[[Any], Mapping[str, Any]], units: Mapping[str, str] | None = None
@@ -154,7 +154,7 @@ class Uncertainty:
         return Uncertainty(
             {name: float(one) for name, one in zip(names, value, strict=True)},
             _propagated(slope, self.covariance),
-            self.degrees_of_freedom,
+            np.min(np.where(slope != 0, self.degrees_of_freedom, np.inf), axis=1),
             _moved(slope, self.untraced),
             (),
             dict(units or {}),
@@ -185,7 +185,8 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     check(answered, "estimate", "must be one with an answer", str(status))
     plant, covariance = estimate.plant, np.asarray(estimate.covariance)
     theta = np.asarray(plant.theta, dtype=float)
-    freedom = float(getattr(estimate, "degrees_of_freedom", np.inf))
+    freedom = estimate.degrees_of_freedom
+    freedom = np.full(len(theta), np.inf if freedom is None else freedom)
     information = getattr(estimate, "information", None)
     untraced = np.zeros((len(theta), 0))
     if information is not None:
@@ -198,12 +199,12 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     return replace(known, unclear=tuple(unclear))
 
 
-def student(level: float, freedom: float) -> float:
-    """Half width of a symmetric interval in standard errors: quantile of Student's t."""
+def student(level: float, freedom: Float[np.ndarray, " np"]) -> Float[np.ndarray, " np"]:
+    """Half widths of symmetric intervals in standard errors: quantiles of Student's t."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 * (1.0 + level)
-    return float(ndtri(upper) if np.isinf(freedom) else stdtrit(freedom, upper))
+    return np.where(np.isinf(freedom), ndtri(upper), stdtrit(freedom, upper))
 
 
 # -- what cannot be told apart ----------------------------------------------------------------
@@ -281,10 +282,12 @@ def _weak(
     return sentences
 
 
-def _precision(covariance: Float[np.ndarray, "np np"], freedom: float) -> np.ndarray:
-    """Inverse of a covariance; zero where it is not known, or from too few sums to be inverted."""
+def _precision(
+    covariance: Float[np.ndarray, "np np"], freedom: Float[np.ndarray, " np"]
+) -> Float[np.ndarray, "np np"]:
+    """Inverse of a covariance; zero where it is not known, or too unsure to be inverted."""
     errors = np.sqrt(np.maximum(np.nan_to_num(np.diagonal(covariance)), 0.0))
-    if freedom <= 2 * np.sum(errors > 0):
+    if np.min(freedom[errors > 0], initial=np.inf) <= 2 * np.sum(errors > 0):
         return np.zeros_like(covariance)
     scale = np.outer(errors, errors)
     correlation = np.where(scale > 0, covariance, 0.0) / np.where(scale > 0, scale, 1.0)

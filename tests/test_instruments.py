@@ -22,6 +22,7 @@ from eoi_jax.plants.plant import State
 from eoi_jax.prepare import prepare, ready, step_inputs
 from eoi_jax.regression.instrumental import instrumental_variables, within_bounds
 from eoi_jax.simulate import simulate
+from eoi_jax.uncertainty import uncertainty
 
 H = 2e-3
 TRUTH = mass_spring_damper(true=True)
@@ -154,7 +155,7 @@ def test_sensitivities_of_the_velocity_change_by_the_ratio_of_accelerations():
 
 
 def paired(plant, record, simulated, observer, substeps=4):
-    """Sums of a pass over two records, at the plant's parameters."""
+    """Sums of a pass over two records, at the plant's parameters; its rows add up to them."""
     prepared = ready(plant, (record,), LowPass(60.0, 3), False, substeps)
     fine = simulated.resample(substeps)
     inputs = [step_inputs(one, False) for one in prepared.fine]
@@ -162,7 +163,11 @@ def paired(plant, record, simulated, observer, substeps=4):
     other = Steps(**{**vars(steps), "y": fine.outputs[None, :-1], "y_next": fine.outputs[None, 1:]})
     both = jax.tree.map(lambda a, b: np.stack([a, b], axis=1), steps, other)
     one = jnp.asarray
-    return together(run_pairs(plant, observer, both, one(plant.theta), one([1.0]), one(0.0)))
+    weight = one([3.0])
+    sums, rows = run_pairs(plant, observer, both, one(plant.theta), weight, one(0.0))
+    scores = np.einsum("rsj,rsja->ra", rows.error, rows.zeta)
+    np.testing.assert_allclose(scores, 3.0 * np.asarray(sums.rhs)[:, 0], rtol=1e-9)
+    return together(sums)
 
 
 def test_the_error_of_a_pair_is_that_of_the_output_and_instruments_are_its_sensitivities(clean):
@@ -216,12 +221,12 @@ def bound(plant, record, share, sides=1e-5):
 
 
 def scattered(plant, truth, record, share, seeds, **options):
-    """Errors and standard errors over seeds, both shape (seeds, np)."""
+    """Errors and half widths of 95 % intervals over seeds, both shape (seeds, np)."""
     errors, claimed = [], []
     for seed in range(seeds):
         got = identify(plant, noisy(record, share, seed), **options)
         errors.append(np.asarray(got.plant.theta) - truth.theta)
-        claimed.append(list(got.standard_errors.values()))
+        claimed.append([0.5 * np.ptp(one) for one in uncertainty(got).intervals().values()])
     return np.array(errors), np.array(claimed)
 
 
@@ -245,7 +250,7 @@ def test_instruments_reach_the_cramer_rao_bound_and_know_it(clean):
     rms = np.sqrt(np.mean(errors**2, axis=0))
     assert np.all(rms < 1.5 * best)  # the spread of an rms over 20 is 16 %
     assert np.all(rms > 0.6 * best)
-    covered = np.mean(np.abs(errors) < 1.96 * claimed, axis=0)
+    covered = np.mean(np.abs(errors) < claimed, axis=0)
     assert np.all(covered >= 0.8)  # 95 % of 20, less three standard deviations
 
 

@@ -25,13 +25,18 @@ def resonant(count: int, rng: np.random.Generator, damping: float = 0.02) -> np.
 
 def covered(phi: np.ndarray, error: np.ndarray) -> tuple[bool, bool]:
     """Whether the interval of a least-squares slope holds the truth: by `long_run`, and naively."""
-    inverse = 1.0 / np.sum(phi**2)
-    slope = inverse * np.sum(phi * error)
-    residual = error - slope * phi
-    covariance, freedom = long_run((phi * residual)[:, None], np.asarray([[inverse]]))
-    naive = np.sqrt(inverse * np.mean(residual**2))
-    half = student(0.95, freedom) * np.sqrt(covariance[0, 0])
+    (slope,), (half,), residual = fitted(phi[:, None], error)
+    naive = np.sqrt(np.mean(residual**2) / np.sum(phi**2))
     return bool(abs(slope) < half), bool(abs(slope) < 1.96 * naive)
+
+
+def fitted(phi: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients of least squares, half widths of their 95 % intervals, the residual."""
+    inverse = np.linalg.inv(phi.T @ phi)
+    slopes = inverse @ phi.T @ error
+    residual = error - phi @ slopes
+    covariance, freedom = long_run(phi * residual[:, None], phi[:, None, :], inverse)
+    return slopes, student(0.95, freedom) * np.sqrt(np.diagonal(covariance)), residual
 
 
 @pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
@@ -55,6 +60,55 @@ def test_slope_is_covered_where_regressor_and_residual_share_a_resonance():
     assert naive < 0.7
 
 
+@pytest.mark.parametrize("a", [0.0, 0.9])
+def test_regressors_as_slow_as_the_cosines_are_covered(a: float):
+    """A transient, and steps through slow lags: the fit takes up to half of what S is made of."""
+    t, rng = np.arange(1500), np.random.default_rng(0)
+    levels = np.repeat(rng.choice([-1.0, 1.0], 15), 100)
+    cases = {
+        "transient": [np.exp(-t / 200), np.sin(t / 60) * np.exp(-t / 300), t * np.cos(t / 99)],
+        "steps": [lfilter([1], [1, -0.98], levels), lfilter([1], [1, -0.995], levels), 0 * t + 1],
+    }  # fmt: skip
+    trials = TRIALS // 2
+    sigma = np.sqrt(0.95 * 0.05 / trials)
+    for columns in cases.values():
+        phi = np.stack(columns, axis=1)
+        inside = []
+        for _ in range(trials):
+            slopes, half, _ = fitted(phi, ar1(a, 1500, rng))
+            inside.append(np.abs(slopes) < half)
+        share = np.mean(inside, axis=0)
+        # A transient that is over before the slowest cosine has turned leaves one or two degrees of
+        # freedom; the matching of two moments is then on the safe side.
+        assert np.all(share > 0.95 - 3.5 * sigma)
+        assert np.all(share < 1.0)
+
+
+def test_what_the_estimate_took_is_given_back():
+    """Against the definitions, with matrices over all samples: G, and both moments of ε'(…)ε."""
+    t, rng = np.arange(60), np.random.default_rng(0)
+    phi = np.stack([np.exp(-t / 20.0), t / 60.0], axis=1)
+    inverse = np.linalg.inv(phi.T @ phi)
+    half = np.linalg.cholesky(inverse)  # phi @ half is orthonormal
+    maker = np.eye(60) - phi @ inverse @ phi.T
+    residual = maker @ rng.standard_normal(60)
+    scores = phi * residual[:, None]
+    count = round(0.4 * (60 / (8 / 3 * correlation_time(scores))) ** (2 / 3))
+    cosines = np.cos(np.pi * np.outer(np.arange(1, count + 1), (t + 0.5) / 60))
+    own = cosines[:, :, None] * (phi @ half)  # D_j Φ
+    values, vectors = np.linalg.eigh(
+        2.0 / count * np.einsum("jta,ts,jsb->ab", own, maker, own, optimize=True)
+    )
+    moved = half @ vectors / np.sqrt(values) @ vectors.T
+    sums = np.einsum("jta,t->ja", own, residual)
+    covariance, freedom = long_run(scores, phi[:, None, :], inverse)
+    want = 2.0 / count * moved @ sums.T @ sums @ moved.T
+    np.testing.assert_allclose(covariance, want, rtol=1e-9)
+    for i, row in enumerate(moved):
+        form = sum(np.outer(one, one) for one in (maker @ each @ row for each in own))
+        assert freedom[i] == pytest.approx(np.trace(form) ** 2 / np.sum(form * form), rel=1e-9)
+
+
 def test_correlation_time_is_that_of_closed_form():
     rng = np.random.default_rng(0)
     for a in (0.0, 0.5, 0.9):
@@ -74,16 +128,29 @@ def test_white_scores_give_the_textbook_covariance():
     rng = np.random.default_rng(0)
     phi = rng.standard_normal((20_000, 2)) @ np.asarray([[1.0, 0.6], [0.0, 0.5]])
     inverse = np.linalg.inv(phi.T @ phi)
-    covariance, freedom = long_run(phi * rng.standard_normal((20_000, 1)), inverse)
+    scores = phi * rng.standard_normal((20_000, 1))
+    covariance, freedom = long_run(scores, phi[:, None, :], inverse)
     # Over a hundred cosines: 1/√(2·100) of each error, three sigma.
-    assert freedom > 100
+    assert np.all(freedom > 100)
     np.testing.assert_allclose(covariance, inverse, rtol=0.4)
     assert np.sqrt(np.diagonal(covariance)) == pytest.approx(np.sqrt(np.diagonal(inverse)), rel=0.2)
 
 
 def test_scores_of_zero_leave_no_doubt_and_too_few_leave_much():
-    covariance, freedom = long_run(np.zeros((100, 2)), np.eye(2))
+    covariance, freedom = long_run(np.zeros((100, 2)), np.ones((100, 1, 2)), np.eye(2))
     np.testing.assert_array_equal(covariance, 0.0)
-    assert freedom == np.inf
+    assert np.all(freedom == np.inf)
     slow = np.cos(np.pi * np.arange(100) / 99.0)[:, None]  # half a period is all there is
-    assert long_run(slow, np.eye(1))[1] == 2.0
+    assert np.all(long_run(slow, np.full((100, 1, 1), 0.1), np.eye(1))[1] == pytest.approx(2.0))
+
+
+def test_what_is_not_estimated_has_no_variance_and_takes_nothing():
+    rng = np.random.default_rng(0)
+    phi, error = rng.standard_normal((500, 3)), rng.standard_normal(500)
+    inverse = np.zeros((3, 3))
+    inverse[:2, :2] = np.linalg.inv(phi[:, :2].T @ phi[:, :2])
+    got, freedom = long_run(phi * error[:, None], phi[:, None, :], inverse)
+    alone = long_run(phi[:, :2] * error[:, None], phi[:, None, :2], inverse[:2, :2])
+    np.testing.assert_allclose(got[:2, :2], alone[0], rtol=1e-9)
+    np.testing.assert_array_equal(got[2], 0.0)
+    np.testing.assert_allclose(freedom, [*alone[1], np.inf], rtol=1e-9)

@@ -43,7 +43,7 @@ def run_chunk(part: Part, engine: AbstractEngine) -> Arrays:
     Returns:
         Arrays by name, leading axes (observer, start, resample): ``parameters`` and
         ``standard_error`` (np), ``index`` (passes, ny), ``common_index`` and ``sliding_fraction``
-        (ny), ``status`` (number in `CODES`), ``best_pass`` (from 0), ``passes``.
+        (ny), ``status`` (number in `CODES`), ``best_pass`` (from 0), ``passes``, ``blocks``.
     """
     groups = part.observers
     if groups is None:
@@ -108,6 +108,7 @@ class _Lanes:
             "common_index": np.where(known[:, None], self._common(one.theta), np.nan),
             "sliding_fraction": mean(one.sums.sliding, one.sums.count),
             "status": codes,
+            "blocks": np.full(len(codes), self.source.tally.complete, np.int32),
             "best_pass": done.best_pass.astype(np.int16),
             "passes": done.passes.astype(np.int16),
         }

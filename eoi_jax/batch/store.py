@@ -194,6 +194,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "common_index": ("f8", ("output",), "index of the estimate, one observer and filter for all"),
     "sliding_fraction": ("f8", ("output",), "share of scored steps in sliding, best pass"),
     "status": ("i1", (), "how the lane ended"),
+    "blocks": ("i4", (), "complete blocks of scores, of which errors and resamples are made"),
     "best_pass": ("i2", (), "pass of the estimate, from 0"),
     "passes": ("i2", (), "passes taken"),
 }

@@ -39,7 +39,7 @@ def alone(
 
     Returns:
         A function of θ, of Δθ and the weights of the outputs with which scores are formed, and of
-        `store`, ``"nothing"`` or ``"signals"``. It gives sums and traces as NumPy arrays, each with
+        `store`, all but ``"scores"``. It gives sums and traces as NumPy arrays, each with
         the records as leading axis, as `run_pass` does.
     """
     dtype = np.dtype(jnp.result_type(float))
@@ -76,7 +76,8 @@ def alone(
 
         together(work, min(cores(), len(jobs)))
         sums = [job.sums() for job, _ in jobs]
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *sums), _trace(signals)
+        shown = _trace(signals, len(plant.outputs))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *sums), shown
 
     return run
 
@@ -96,9 +97,10 @@ def _counted(steps: Steps, dtype: Any) -> np.ndarray:
     return rows_of(steps, dtype)[: last[0] if len(last) else 1]
 
 
-def _trace(signals: Float[np.ndarray, "records S signals"]) -> Trace | None:
+def _trace(signals: Float[np.ndarray, "records S signals"], ny: int) -> Trace | None:
     """What each step shows, part by part; zero behind the last one that counts."""
     if not signals.size:
         return None
-    injection, explained, weight = np.split(signals, 3, axis=2)
-    return Trace(injection, explained, weight, None)
+    injection, explained, weight, phi = np.split(signals, (ny, 2 * ny, 3 * ny), axis=2)
+    regressors = phi.reshape(*phi.shape[:2], ny, -1) if phi.size else None
+    return Trace(injection, explained, weight, regressors)

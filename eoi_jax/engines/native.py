@@ -277,7 +277,7 @@ class PassRun:
         """Where the next few steps hold a flag, the block of each step, the lanes' emphasis."""
         ends = np.asarray(steps.block_end)
         flags = np.asarray(steps.restart).copy()
-        if self._what.store != "nothing" or self._lanes.emphasis is not None:
+        if self._what.store == "scores" or self._lanes.emphasis is not None:
             flags |= ends
         rare = flags.copy()
         for ahead in range(1, self._code.where.together):
