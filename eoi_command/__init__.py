@@ -16,5 +16,5 @@ def main() -> None:
 
         app(prog_name="eoi")
     except KeyboardInterrupt:  # before a command has begun
-        sys.stderr.write("eoi: interrupted; nothing was written\n")
+        sys.stderr.write("eoi: interrupted; nothing half-written is left\n")
         sys.exit(_INTERRUPTED)

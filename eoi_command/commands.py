@@ -19,7 +19,7 @@ from eoi_command.options import (
     Source,
     complete_config,
 )
-from eoi_command.terminal import failures, progress, show
+from eoi_command.terminal import failures, heard, progress, show
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -156,7 +156,8 @@ def sweep(
     with failures(as_json):
         from eoi_jax import cli
 
-        ending = cli.sweep(config, data, output, part, not quiet and sys.stderr.isatty())
+        with heard():
+            ending = cli.sweep(config, data, output, part, not quiet and sys.stderr.isatty())
         show(ending, as_json, quiet)
 
 

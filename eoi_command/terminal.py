@@ -3,7 +3,9 @@
 Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data, 130 interrupted.
 """
 
+import contextlib
 import json
+import os
 import signal
 import sys
 import threading
@@ -15,7 +17,9 @@ import typer
 
 NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
 
+_INTERRUPTED = "interrupted; nothing half-written is left"
 _AGAIN = 0.5  # seconds; cleaning up takes less
+_BARS: list[Any] = []  # that are on the terminal now
 
 # A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
 Shown = Callable[[str, int, int | None, str], None]
@@ -29,7 +33,7 @@ def failures(as_json: bool) -> Iterator[None]:
         as_json: print the sentence as an object on stdout, too.
     """
     try:
-        with _insistent():
+        with _handled(lambda *_: _leave(as_json)):
             yield
     except (ValueError, OSError) as error:
         stop(WRONG, str(error), as_json)
@@ -42,20 +46,29 @@ def failures(as_json: bool) -> Iterator[None]:
             raise
         stop(WRONG, str(error), as_json)
     except KeyboardInterrupt:
-        stop(INTERRUPTED, "interrupted; nothing was written", as_json)
+        stop(INTERRUPTED, _INTERRUPTED, as_json)
+
+
+def _leave(as_json: bool) -> None:
+    """End the process here: nothing that is half written stays.
+
+    Not by an exception, which Python drops inside a callback of the garbage collector, of which JAX
+    has one, and which can meet JAX's library while that is being loaded.
+    """
+    for bar in _BARS:
+        bar.stop()
+    unfinished = sys.modules.get("eoi_jax.unfinished")
+    if unfinished is not None and hasattr(unfinished, "tidy"):
+        unfinished.tidy()
+    with contextlib.suppress(typer.Exit):
+        stop(INTERRUPTED, _INTERRUPTED, as_json)
+    sys.stdout.flush()
+    os._exit(INTERRUPTED)
 
 
 @contextmanager
-def _insistent() -> Iterator[None]:
-    """Ctrl-C again and again until it is heard.
-
-    Python drops an interrupt that arrives inside a callback of the garbage collector, of which JAX
-    has one; the run would go on as if nothing had been said.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
+def heard() -> Iterator[None]:
+    """Ctrl-C as an exception, for work that keeps what it has done; raised until it is heard."""
     again: list[threading.Timer] = []
 
     def interrupt(*_: Any) -> None:
@@ -68,15 +81,27 @@ def _insistent() -> Iterator[None]:
         if not isinstance(what.exc_value, KeyboardInterrupt):
             sys.__unraisablehook__(what)
 
-    before, hook = signal.signal(signal.SIGINT, interrupt), sys.unraisablehook
-    sys.unraisablehook = unheard
+    hook, sys.unraisablehook = sys.unraisablehook, unheard
     try:
-        yield
+        with _handled(interrupt):
+            yield
     finally:
         for one in again:
             one.cancel()
-        signal.signal(signal.SIGINT, before)
         sys.unraisablehook = hook
+
+
+@contextmanager
+def _handled(handler: Callable[..., None]) -> Iterator[None]:
+    """Ctrl-C goes to `handler`; only the main thread of a process may say so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None) -> NoReturn:
@@ -161,4 +186,8 @@ def progress(wanted: bool) -> Iterator[Shown | None]:
                 task = bar.add_task(name, total=total, remark=remark)
             bar.update(task, completed=done, total=total, remark=remark)
 
-        yield shown
+        _BARS.append(bar)
+        try:
+            yield shown
+        finally:
+            _BARS.remove(bar)

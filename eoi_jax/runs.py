@@ -1,9 +1,9 @@
 """A run of the command: what it takes from a config, what it says as JSON, what it writes."""
 
 import json
+import os
 import platform
 import shutil
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,6 +33,7 @@ from eoi_jax.report.sweep import gain_names, statuses, sweep_figure
 from eoi_jax.report.tables import identification_answer, refinement_answer
 from eoi_jax.store import save
 from eoi_jax.uncertainty import Uncertainty, uncertainty
+from eoi_jax.unfinished import tidied
 from eoi_jax.validate import Validation
 
 RESULT = "result.npz"  # the run's result, for `eoi_jax.load`
@@ -466,11 +467,9 @@ def replace_file(path: Path, text: str) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.draft")
-    try:
+    with tidied(lambda: draft.unlink(missing_ok=True)):
         draft.write_text(text, encoding="utf-8")
         draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:
@@ -486,15 +485,17 @@ def publish(folder: Path, fill: Callable[[Path], None]) -> None:
         fill: writes into the empty folder that it is given.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    draft = folder.with_name(f".{folder.name}-{os.getpid()}")
     new, old = draft / "new", draft / "old"
-    try:
-        new.mkdir()
+
+    def undo() -> None:
+        if old.exists() and not folder.exists():
+            old.rename(folder)
+        shutil.rmtree(draft, ignore_errors=True)
+
+    with tidied(undo):
+        new.mkdir(parents=True)
         fill(new)
         if folder.exists():
             folder.rename(old)
         new.rename(folder)
-    finally:
-        if old.exists() and not folder.exists():
-            old.rename(folder)
-        shutil.rmtree(draft, ignore_errors=True)

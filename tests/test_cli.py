@@ -185,7 +185,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
     monkeypatch.setattr(cli, "run_passes", interrupted)
     done = eoi("identify", config, "--output", tmp_path / "runs")
     assert done.exit_code == 130
-    assert "nothing was written" in done.stderr
+    assert "nothing half-written is left" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 

@@ -196,7 +196,7 @@ def test_ctrl_c_ends_with_130_and_leaves_no_half_written_run(tmp_path: Path, wai
     if wait > 1.0:  # before, Python itself may still be starting
         assert run.returncode == 130, err
         # Nothing to say where no command has begun.
-        assert err in ("", "eoi: interrupted; nothing was written\n")
+        assert err in ("", "eoi: interrupted; nothing half-written is left\n")
     assert out == ""
     assert left == []
 
