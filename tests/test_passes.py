@@ -238,7 +238,8 @@ def test_meat_is_the_sum_of_squared_block_scores(three):
     record, increment, weight = three[0], jnp.asarray([1.0, 0.2, 0.1]), 3.0
     steps = steps_of(NOMINAL, [record], OBSERVER, memory=0.3)
     kwargs = {"increment": increment, "weights": jnp.asarray([weight])}
-    sums, trace = passed(NOMINAL, [record], store="regressors", steps=steps, **kwargs)
+    _, trace = passed(NOMINAL, [record], store="regressors", steps=steps, **kwargs)
+    sums, _ = passed(NOMINAL, [record], store="scores", steps=steps, **kwargs)
     phi, r = np.asarray(trace.Phi)[0, :, 0], np.asarray(trace.injection - trace.explained)[0, :, 0]
     window = np.asarray(steps.block_weight)[0, :, None]
     scores = weight * np.asarray(steps.score)[0] * phi * r[:, None] * window
