@@ -75,7 +75,7 @@ Run = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of measured files; else $EOI_DATA, else the config's folder.",
+        help="Folder of measured files; else the config's folder, else $EOI_DATA.",
         autocompletion=complete_folder,
         show_default=False,
     ),

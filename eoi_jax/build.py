@@ -196,7 +196,7 @@ def records(config: Config, model: Plant, folder: Path, data: Path | None = None
         config: what was loaded.
         model: the plant with its nominal parameters.
         folder: of the config.
-        data: folder of measured files; None: $EOI_DATA, else `folder`.
+        data: folder of measured files; None: `folder`, else $EOI_DATA.
 
     Raises:
         ValueError: what `simulate` or `read_record` object to, or a name the plant does not have.
@@ -231,13 +231,9 @@ def _read(
             f"must name {len(own)} column(s), for the plant's {', '.join(own) or 'none'}",
             ", ".join(columns) or "none",
         )
-    root = data or Path(os.environ.get(DATA_VARIABLE) or folder)
-    for file in table.files:
-        check((root / file).is_file(), f"{name}.files", "must be files that exist", root / file,
-              f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip
     return [
         read_record(
-            root / file,
+            _found(file, name, folder, data),
             time=table.time,
             inputs=list(table.inputs),
             outputs=list(table.outputs),
@@ -250,6 +246,19 @@ def _read(
         )
         for file in table.files
     ]
+
+
+def _found(file: str, name: str, folder: Path, data: Path | None) -> Path:
+    """Where a file is: in the folder that was named, else beside the config, else in $EOI_DATA."""
+    variable = os.environ.get(DATA_VARIABLE)
+    roots = [data] if data else [folder, *([Path(variable)] if variable else [])]
+    for root in roots:
+        if (root / file).is_file():
+            return root / file
+    sought = " nor ".join(str(root / file) for root in roots)
+    check(False, f"{name}.files", "must be files that exist", sought,
+          f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip
+    raise FileNotFoundError(sought)  # not reached
 
 
 # -- simulated records ------------------------------------------------------------------------

@@ -271,7 +271,7 @@ class DataTable(msgspec.Struct, frozen=True):
     """[data] and [validation]: measured files, all read the same way.
 
     Attributes:
-        files: one record each; relative to ``--data``, else to $EOI_DATA, else to the config.
+        files: one record each; relative to ``--data``; else to the config, else to $EOI_DATA.
         inputs, outputs: columns, in the order of the plant's inputs and outputs.
         time: column of time [s]; absent where `sample_period` [s] is given.
         scale: factor by column, to convert units.

@@ -260,10 +260,13 @@ def _rest_lines() -> str:
 
 
 def _path_in(path: Path, target: Path) -> str:
-    """The file as the config names it: relative to the folder that is searched, if it is in it."""
-    root = Path(os.environ.get(DATA_VARIABLE) or target.parent).resolve()
+    """The file as the config names it: relative to a folder that is searched, if it is in one."""
     whole = path.resolve()
-    return whole.relative_to(root).as_posix() if whole.is_relative_to(root) else whole.as_posix()
+    variable = os.environ.get(DATA_VARIABLE)
+    for root in (target.parent.resolve(), *([Path(variable).resolve()] if variable else [])):
+        if whole.is_relative_to(root):
+            return whole.relative_to(root).as_posix()
+    return whole.as_posix()
 
 
 def _symbol(name: str, default: str, taken: set[str]) -> str:

@@ -73,7 +73,7 @@ def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
     Args:
         settings: what was loaded.
         folder: of the config.
-        data: folder of measured files; None: $EOI_DATA, else `folder`.
+        data: folder of measured files; None: `folder`, else $EOI_DATA.
 
     Raises:
         ValueError: what the config names does not exist or does not fit.

@@ -238,7 +238,7 @@ def test_validation_takes_what_it_leaves_out_from_data(tmp_path: Path):
     assert record.inputs.max() == 4.0  # scaled by two
 
 
-def test_data_lie_in_the_given_folder_else_the_variable_else_beside_the_config(
+def test_data_lie_in_the_given_folder_else_beside_the_config_else_in_that_of_the_variable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     folders = {name: tmp_path / name for name in ("given", "variable", "beside")}
@@ -246,11 +246,16 @@ def test_data_lie_in_the_given_folder_else_the_variable_else_beside_the_config(
         folder.mkdir()
         table_file(folder / "one.csv", length)
     path = written(folders["beside"], MEASURED)
-    monkeypatch.delenv("EOI_DATA", raising=False)
-    assert len(built(path)[1][0]) == 12
     monkeypatch.setenv("EOI_DATA", str(folders["variable"]))
-    assert len(built(path)[1][0]) == 11
     assert len(built(path, folders["given"])[1][0]) == 10
+    assert len(built(path)[1][0]) == 12
+    (folders["beside"] / "one.csv").unlink()
+    assert len(built(path)[1][0]) == 11
+    with pytest.raises(ValueError, match=r"must be files that exist.*given.*one\.csv\. Name"):
+        built(path, tmp_path / "given" / "nowhere")
+    (folders["variable"] / "one.csv").unlink()
+    with pytest.raises(ValueError, match=r"beside.*one\.csv nor .*variable.*one\.csv"):
+        built(path)
 
 
 PLANT_FILE = """
