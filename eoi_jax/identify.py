@@ -18,7 +18,7 @@ from eoi_jax.checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
 from eoi_jax.instruments import Instrumented, cured
-from eoi_jax.iteration import Iterations, Pass, in_order, iterate, mean
+from eoi_jax.iteration import Iterations, Pass, by_sample, iterate, mean
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, Trace
@@ -294,9 +294,10 @@ class _Driver:
     def _covariance(self, one: Pass, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
         """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
         inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
-        root = np.sqrt(one.weights[0] * in_order(np.asarray(self.steps.score), self.steps))
-        rows = root[..., None] * in_order(np.asarray(trace.Phi), self.steps)
-        error = root * in_order(np.asarray(trace.injection - trace.explained), self.steps)
+        root = np.sqrt(one.weights[0] * np.asarray(self.steps.score))
+        error = root * np.asarray(trace.injection - trace.explained)
+        rows = root[..., None] * np.asarray(trace.Phi)
+        error, rows = (by_sample(part, self.steps, self.substeps) for part in (error, rows))
         scores = np.einsum("sj,sja->sa", error, rows)
         if not (np.all(np.isfinite(scores)) and np.any(inverse)):
             return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))

@@ -28,7 +28,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
-from eoi_jax.iteration import Pass, in_order, mean
+from eoi_jax.iteration import Pass, by_sample, mean
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.pairs import PairSums, Rows, run_pairs, together
 from eoi_jax.passes import Steps
@@ -111,7 +111,7 @@ def instrumented(
         if not (np.all(np.isfinite(increment)) and np.all(np.isfinite(inverse))):
             return "its instruments do not determine the parameters"
         theta = np.clip(theta + increment, plant.lower, plant.upper)
-        covariance, freedom = _covariance(rows, pairs.steps, inverse)
+        covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, inverse)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         small = _SETTLED * errors + 1e-9 * np.abs(theta)
         power = one.square / np.maximum(one.count, 1.0)
@@ -295,10 +295,10 @@ def _one_pass(
 
 
 def _covariance(
-    rows: Rows, steps: Steps, inverse: Float[np.ndarray, "np np"]
+    rows: Rows, steps: Steps, substeps: int, inverse: Float[np.ndarray, "np np"]
 ) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
     """Of the estimate, with its degrees of freedom."""
-    error, zeta = (in_order(np.asarray(one), steps) for one in (rows.error, rows.zeta))
+    error, zeta = (by_sample(np.asarray(one), steps, substeps) for one in (rows.error, rows.zeta))
     return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse)
 
 

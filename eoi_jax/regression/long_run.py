@@ -50,7 +50,7 @@ def long_run(
         scores: s = Σ_j φ_jᵀ e_j of each sample over all outputs, in order of time, one record (or
             run) after the other; zero where not scored. At the estimate they sum to zero.
         rows: φ_j, or ζ_j of instrumental variables, times the root of the weights that are in the
-            scores.
+            scores; all those that a sample's score is the sum of.
         inverse: I⁻¹ = [Σ φᵀφ]⁻¹ with these weights; of instrumental variables [Σ ζᵀψ]⁻¹, which is
             not symmetric. Zero for what was not estimated.
 
