@@ -76,8 +76,8 @@ def alone(
 
         together(work, min(cores(), len(jobs)))
         sums = [job.sums() for job, _ in jobs]
-        shown = _trace(signals, len(plant.outputs))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *sums), shown
+        trace = _trace(signals, len(plant.outputs))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *sums), trace
 
     return run
 
