@@ -111,12 +111,13 @@ def instrumented(
         if not (np.all(np.isfinite(increment)) and np.all(np.isfinite(inverse))):
             return "its instruments do not determine the parameters"
         theta = np.clip(theta + increment, plant.lower, plant.upper)
-        covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, inverse)
-        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        small = _SETTLED * errors + 1e-9 * np.abs(theta)
         power = one.square / np.maximum(one.count, 1.0)
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
-        if np.all(np.abs(increment) <= small) and number > 1:
+        if number == 1:  # weighed by a guess
+            continue
+        covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, inverse)
+        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        if np.all(np.abs(increment) <= _SETTLED * errors + 1e-9 * np.abs(theta)):
             return Instrumented(theta, covariance, freedom, number, runs.windows)
     return f"its passes did not settle within {_PASSES}"
 
