@@ -114,6 +114,7 @@ def trajectory(
     return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
 
 
+@eqx.filter_jit  # traced and differentiated once, however many loops contain it
 def advanced(
     plant: Plant,
     theta: Theta,
@@ -296,6 +297,7 @@ def _kept(x: State, done: Scalar) -> tuple[State, Scalar]:
     return x, done
 
 
+@eqx.filter_jit  # as `advanced`
 def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
     direction = _direction(problem, x, done)
