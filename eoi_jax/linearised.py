@@ -1,19 +1,19 @@
 r"""What a small force does to the free runs of a refined model, beside its own unknowns.
 
 A small force $w$ added to $y^{(r)}$ moves the free run by $\hat y_w$, the solution of the equation
-linearised along it, $\delta^{(r)} = \partial_x f\,\delta + w$: one more column of the sensitivities
-of `sensitivity.py`, that of the gain of $w$ at zero. With $w$ the term of an effect along the
-simulated states, at unit gain, and all that the parameters and the initial states can do taken out
-of $\hat y_w$ and of the residual $r$, least squares of $r$ on $\hat y_w$ gives the gain and the
-share of the residual that it explains. With a share s, $-n \log(1 - s)$ is χ², n the number of
-independent samples: all of them over the correlation time Σ ρ² of what is left (M. S. Bartlett).
+linearised along it, $\delta^{(r)} = \partial_x f\,\delta + w$ (`response.py`). With $w$ the term
+of an effect along the simulated states, at unit gain, and all that the parameters and the initial
+states can do taken out of $\hat y_w$ and of the residual $r$, least squares of $r$ on $\hat y_w$
+gives the gain and the share of the residual that it explains. With a share s, $-n \log(1 - s)$ is
+χ², n the number of independent samples: all of them over the correlation time Σ ρ² of what is left
+(M. S. Bartlett).
 
 **Source.** C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test).
 """
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -25,22 +25,14 @@ from jaxtyping import Float
 from eoi_jax.augment import Placed
 from eoi_jax.data.record import Record
 from eoi_jax.effects.effect import AbstractActuator, AbstractInputEffect, AbstractTerm, At, Seen
-from eoi_jax.output_error import (
-    Problem,
-    Span,
-    Unknowns,
-    kernel_of,
-    problem_of,
-    signals,
-    weighed,
-)
-from eoi_jax.plants.plant import Plant, State, parameter_type
+from eoi_jax.output_error import Problem, Span, Unknowns, problem_of, signals, weighed
+from eoi_jax.plants.plant import Plant, State
 from eoi_jax.refinement import Refinement
 from eoi_jax.regression.long_run import correlation_time
+from eoi_jax.response import Response, response_of
 from eoi_jax.simulate import free_run
 from eoi_jax.trajectory import Drive
 
-_PUSH = "push"  # name of the input and of the parameter that carry a force
 _PEAKS = 5  # frequencies of the residual at which a sinusoid is tried
 _NOVEL = 1e-6  # share of a column's power that the parameters must leave, else it is one of them
 
@@ -70,76 +62,27 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class _Pushed:
-    """f of a plant with a force at one of its outputs."""
-
-    base: Any
-    names: tuple[str, ...]
-    output: int
-
-    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        own = parameter_type(self.names)(*(getattr(p, name) for name in self.names))
-        f = jnp.reshape(jnp.asarray(self.base(t, x, u[:-1], own)), (x.y.shape[1],))
-        return f.at[self.output].add(getattr(p, _PUSH) * u[-1])
-
-
-@dataclass(frozen=True)
-class _Inner:
-    """g of a plant, which does not see the force."""
-
-    base: Any
-    names: tuple[str, ...]
-
-    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        own = parameter_type(self.names)(*(getattr(p, name) for name in self.names))
-        return self.base(t, x, u[:-1], own)
-
-
-def _pushed(plant: Plant, output: int) -> Plant:
-    limits = zip(plant.names, plant.lower, plant.upper, strict=True)
-    start = plant.internal_initial
-    if callable(start):
-        inner, names = start, plant.names
-
-        def start(p: Any) -> Any:
-            return inner(parameter_type(names)(*(getattr(p, name) for name in names)))
-
-    return Plant(
-        _Pushed(plant.dynamics, plant.names, output),
-        {**plant.parameters, _PUSH: 0.0},
-        relative_degree=plant.degrees,
-        inputs=(*plant.inputs, _PUSH),
-        outputs=plant.outputs,
-        internal=None if plant.internal is None else _Inner(plant.internal, plant.names),
-        internal_initial=None if plant.internal is None else start,
-        bounds={key: (float(low), float(high)) for key, low, high in limits},
-        fixed=plant.fixed,
-        name=plant.name,
-    )
-
-
-@dataclass(frozen=True)
 class Along:
     """The free runs of the refined model, and what its own unknowns leave of their errors.
 
     Attributes:
         plant: the refined one.
-        problem: its runs. unknowns: there.
-        states: of each run, y (rows, 3, r, ny) and z (rows, 3, nz) at the start, the middle and
-            the end of each step; times and inputs likewise.
+        problem: its runs.
+        stages: times, inputs, y (runs, samples, 3, r, ny) and z (runs, samples, 3, nz) of each
+            run at the start, the middle and the end of each sample.
         basis: columns of the model's own unknowns, orthonormal.
         residual: r less these.
-        scored: rows of `basis` of each run.
+        records: of the runs.
+        response: of the runs, to small forces.
     """
 
     plant: Plant
     problem: Problem
-    unknowns: Unknowns
     stages: tuple[Any, ...]
     basis: Columns
     residual: Float[np.ndarray, " rows"]
     records: tuple[Record, ...]
-    pushed: tuple[Problem, ...]
+    response: Response
 
     @classmethod
     def of(
@@ -157,17 +100,16 @@ class Along:
         basis = _orthonormal(_wide(shown[..., :-1], unknowns.starts.shape[1]))
         residual = shown[..., -1].ravel()
         residual = residual - basis @ (basis.T @ residual)
-        pushed = tuple(
-            replace(problem, kernel=kernel_of(_pushed(plant, j), "signals"),
-                    theta=jnp.append(problem.theta, 0.0))
-            for j in range(len(plant.outputs))
-        )  # fmt: skip
-        stages = _stages(problem, unknowns)
-        return cls(plant, problem, unknowns, stages, basis, residual, tuple(records), pushed)
+        time, inputs, y, z = _steps(problem, unknowns)
+        response = response_of(
+            plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
+        )
+        stages = tuple(jnp.asarray(one) for one in _stages(problem, inputs, y, z))
+        return cls(plant, problem, stages, basis, residual, tuple(records), response)
 
     def seen(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
-        _, u, y, _ = self.stages
+        _, u, y, _ = (np.asarray(one) for one in self.stages)
         j = placed.output
         level, rate = y[..., 0, j].ravel(), y[..., min(1, y.shape[-2] - 1), j].ravel()
         own = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
@@ -189,55 +131,79 @@ class Along:
 
     def tries(self, placed: Placed) -> list["Try"]:
         """An effect at every shape of its grid, where it says something that is new."""
-        found = []
-        for shape in np.asarray(placed.effect.grid(self.seen(placed)), dtype=float):
-            forces = self._forces(placed, shape)
-            columns = np.stack([self._column(placed, force) for force in forces], axis=1)
-            power = np.sum(columns**2, axis=0)
-            columns = columns - self.basis @ (self.basis.T @ columns)
-            left = np.sum(columns**2, axis=0)
-            if np.all(np.isfinite(left)) and np.all(left > _NOVEL * power):
-                found.append(Try(placed, shape, columns))
-        return found
+        grid = np.asarray(placed.effect.grid(self.seen(placed)), dtype=float)
+        forces = [force for shape in grid for force in self._forces(placed, shape)]
+        if not forces:
+            return []
+        columns = self._columns(placed.output, forces)
+        power = np.sum(columns**2, axis=0)
+        columns = columns - self.basis @ (self.basis.T @ columns)
+        left = np.sum(columns**2, axis=0)
+        new = np.isfinite(left) & (left > _NOVEL * power)
+        count = len(forces) // len(grid)
+        parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
+        return [Try(placed, shape, columns[:, part])
+                for shape, part in zip(grid, parts, strict=True) if np.all(new[part])]  # fmt: skip
 
     def pair_shares(self, tries: Sequence["Try"]) -> Float[np.ndarray, "tries tries"]:
         """Share of the residual's power that each two of them explain; 0 below the diagonal."""
-        whole = (
-            np.concatenate([one.columns for one in tries], axis=1) if tries else np.zeros((0, 0))
-        )
-        edges = np.cumsum([0, *(one.columns.shape[1] for one in tries)])
-        square, along = whole.T @ whole, whole.T @ self.residual
         shares = np.zeros((len(tries), len(tries)))
-        for i, j in itertools.combinations(range(len(tries)), 2):
-            if tries[i].placed == tries[j].placed:
-                continue
-            own = np.r_[edges[i] : edges[i + 1], edges[j] : edges[j + 1]]
-            part = square[np.ix_(own, own)]
-            size = np.sqrt(np.diagonal(part))
-            inverse = np.linalg.pinv(part / np.outer(size, size), rcond=1e-6, hermitian=True)
-            shares[i, j] = (along[own] / size) @ inverse @ (along[own] / size)
+        if not tries:
+            return shares
+        whole = np.concatenate([one.columns for one in tries], axis=1)
+        square, along = whole.T @ whole, whole.T @ self.residual
+        size = np.sqrt(np.diagonal(square))
+        square, along = square / np.outer(size, size), along / size
+        counts = np.array([one.columns.shape[1] for one in tries])
+        first = np.cumsum(counts) - counts
+        i, j = np.triu_indices(len(tries), 1)
+        effects = [one.placed for one in tries]
+        number = np.array([effects.index(one) for one in effects])
+        for sizes in sorted(
+            set(itertools.product(counts, counts))
+        ):  # all pairs of one size at once
+            these = (number[i] != number[j]) & (counts[i] == sizes[0]) & (counts[j] == sizes[1])
+            own = np.concatenate(
+                [first[one[these], None] + np.arange(count)
+                 for one, count in zip((i, j), sizes, strict=True)], axis=1
+            )  # fmt: skip
+            part = square[own[:, :, None], own[:, None, :]]
+            inverse = np.linalg.pinv(part, rcond=1e-6, hermitian=True)
+            shares[i[these], j[these]] = np.einsum("pa,pab,pb->p", along[own], inverse, along[own])
         return shares / float(self.residual @ self.residual)
+
+    def share(self, several: Sequence["Try"]) -> float | None:
+        """Share of the residual's power that some effects explain; None where not physical then."""
+        values, after = self._fitted(several)
+        if values is None:
+            return None
+        return 1.0 - float(after @ after) / float(self.residual @ self.residual)
 
     def candidate(self, several: Sequence["Try"], tries: int) -> Candidate | None:
         """Least squares of the residual on some effects; None where they are not physical then."""
-        columns = np.concatenate([one.columns for one in several], axis=1)
-        inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
-        gains = inverse @ (columns.T @ self.residual)
-        after = self.residual - columns @ gains
-        share = 1.0 - float(after @ after) / float(self.residual @ self.residual)
+        share, (values, after) = self.share(several), self._fitted(several)
+        if share is None or values is None:
+            return None
         count = sum(len(one.placed.effect.parameters) for one in several)
         chance = _chance(share, after, len(self.plant.outputs), count)
-        values: dict[str, float] = {}
-        for one in several:
-            own, gains = gains[: one.columns.shape[1]], gains[one.columns.shape[1] :]
-            if not one.physical(own):
-                return None
-            values |= one.named(own)
         placed = tuple(one.placed for one in several)
         return Candidate(placed, values, share, min(tries * chance, 1.0))
 
+    def _fitted(self, several: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
+        """Parameters by least squares, and the residual that they leave."""
+        columns = np.concatenate([one.columns for one in several], axis=1)
+        inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
+        gains = inverse @ (columns.T @ self.residual)
+        after, values = self.residual - columns @ gains, {}
+        for one in several:
+            own, gains = gains[: one.columns.shape[1]], gains[one.columns.shape[1] :]
+            if not one.physical(own):
+                return None, after
+            values |= one.named(own)
+        return values, after
+
     def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
-        """What the effect adds to y^(r) along the runs, one for each gain, (runs, rows, 3)."""
+        """What the effect adds to y^(r) along the runs, one for each gain, (runs, samples, 3)."""
         t, u, y, _ = self.stages
         effect, j = placed.effect, placed.output
         if isinstance(effect, AbstractTerm):
@@ -257,9 +223,7 @@ class Along:
         if isinstance(effect, AbstractActuator):
             mean = (u[..., 0, i] + 4.0 * u[..., 1, i] + u[..., 2, i]) / 6.0
             for run in range(len(u)):
-                late = np.asarray(
-                    effect.along(jnp.asarray(t[run, :, 1]), jnp.asarray(mean[run]), shape)
-                )
+                late = np.asarray(_acted(effect, t[run, :, 1], mean[run], shape))
                 new[run, ..., i] += (late - mean[run])[:, None]
         else:
             assert isinstance(effect, AbstractInputEffect)
@@ -268,17 +232,11 @@ class Along:
         before, after = (_drift(self.plant, t, y, z, one) for one in (u, new))
         return np.asarray(after - before)[..., 0]
 
-    def _column(self, placed: Placed, force: np.ndarray) -> Float[np.ndarray, " rows"]:
-        """Weighed slope of all outputs with the gain of a force."""
-        problem = self.pushed[placed.output]
-        tables, nu = np.asarray(self.problem.tables), len(self.plant.inputs)
-        last = np.concatenate([force, force[:, -1:]], axis=1)  # the last row is scored, not run
-        inputs = tables[..., 1 : 1 + 3 * nu].reshape(*tables.shape[:2], 3, nu)
-        wide = np.concatenate([inputs, last[..., None]], axis=3).reshape(*tables.shape[:2], -1)
-        parts = [tables[..., :1], wide, tables[..., 1 + 3 * nu :]]
-        problem = replace(problem, tables=jnp.asarray(np.concatenate(parts, axis=2)))
-        unknowns = Unknowns(jnp.append(self.unknowns.theta, 0.0), self.unknowns.starts)
-        return -_flat(signals(unknowns, problem))[..., -2].ravel()
+    def _columns(self, output: int, forces: Sequence[np.ndarray]) -> Columns:
+        """Weighed slopes of all outputs with the gains of some forces."""
+        moved = self.response.to(np.stack(forces, axis=-1), output)
+        scale, use = np.asarray(self.problem.scale)[:, None], self.problem.use[..., None]
+        return np.where(use, scale * moved, 0.0).reshape(-1, len(forces))
 
 
 @dataclass(frozen=True)
@@ -303,20 +261,41 @@ class Try:
         return inside and (bool(effect.gains) or bool(0.5 < gains[0] < 2.0))
 
 
-def _stages(problem: Problem, unknowns: Unknowns) -> tuple[Any, ...]:
-    """Times, inputs and states of all runs at the start, the middle and the end of their steps."""
+def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
+    """Start, inputs, y and z of all steps of all runs; one more state, at their end."""
     plant, tables = problem.kernel.plant, np.asarray(problem.tables)
     nu, h = len(plant.inputs), np.asarray(problem.steps)
-    inputs = tables[:, :-1, 1 : 1 + 3 * nu].reshape(len(tables), -1, 3, nu)
-    time = tables[:, :-1, 0, None] + h[:, None, None] * np.array([0.0, 0.5, 1.0])
+    time, inputs = tables[:, :-1, 0], tables[:, :-1, 1 : 1 + 3 * nu]
+    inputs = inputs.reshape(*time.shape, 3, nu)
     theta, parts = jnp.asarray(problem.theta), []
     for i in range(len(tables)):
         start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
-        one = Drive(tables[i, :-1, 0], np.asarray(h[i]), inputs[i], 1)
+        one = Drive(time[i], np.asarray(h[i]), inputs[i], 1)
         parts.append(free_run(plant, theta, one, start, problem.kernel.friction))
     y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
-    y, z = (np.stack([x[:, :-1], 0.5 * (x[:, :-1] + x[:, 1:]), x[:, 1:]], 2) for x in (y, z))
     return time, inputs, y, z
+
+
+def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Times, inputs and states of all runs at the start, the middle and the end of each sample."""
+    n, h = problem.substeps, np.asarray(problem.steps)[:, None, None]
+    before, after = (n - 1) // 2, n // 2  # steps whose ends and starts are nearest to the middle
+    first = np.asarray(problem.tables)[:, :-1:n, 0, None]
+    time = first + n * h * np.array([0.0, 0.5, 1.0])
+    middle = inputs[:, after::n, 0 if after > before else 1]
+    u = np.stack([inputs[:, ::n, 0], middle, inputs[:, n - 1 :: n, 2]], axis=2)
+
+    def at(values: np.ndarray) -> np.ndarray:
+        ends = values[:, 1:]
+        middle = 0.5 * (ends[:, before::n] + values[:, after:-1:n])
+        return np.stack([values[:, :-1:n], middle, ends[:, n - 1 :: n]], axis=2)
+
+    return time, u, *(at(one) for one in states)
+
+
+@eqx.filter_jit
+def _acted(effect: AbstractActuator, *args: Any) -> Any:
+    return effect.along(*(jnp.asarray(one) for one in args))
 
 
 @eqx.filter_jit

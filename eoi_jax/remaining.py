@@ -7,7 +7,6 @@ other; held-out records judge what is most significant.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +24,6 @@ from eoi_jax.effects.effect import (
     AbstractInputEffect,
     AbstractTerm,
 )
-from eoi_jax.engines.compiled import cores
 from eoi_jax.linearised import Along, Candidate, Try
 from eoi_jax.output_error import spans_of
 from eoi_jax.plants.plant import Plant
@@ -191,11 +189,10 @@ def remaining(
     substeps = refinement.substeps if substeps is None else substeps
     along = Along.of(refinement, records, spans, substeps)
     several = [one for one in candidates(plant, chosen) if _tried(one.effect)]
-    with ThreadPoolExecutor(cores()) as pool:
-        tries = [one for found in pool.map(along.tries, several) for one in found]
-    ranking = [along.candidate((one,), len(tries)) for one in tries]
-    pairs = _pairs(along, tries, ranking)
-    found = Remaining(plant, _ranked(ranking), pairs, refinement.rmse, level)
+    tries = [one for placed in several for one in along.tries(placed)]
+    alone = [along.share((one,)) for one in tries]
+    ranking = [along.candidate((one,), len(tries)) for one in _best(tries, alone)]
+    found = Remaining(plant, _ranked(ranking), _pairs(along, tries, alone), refinement.rmse, level)
     if validation is None:
         return found
     held_out = validate(plant, validation)
@@ -214,6 +211,15 @@ def _trial(
     return Trial(one, again, validate(again.plant, validation))
 
 
+def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:
+    """Of the shapes of an effect at a channel the one with the largest share."""
+    best: dict[Any, tuple[float, Try]] = {}
+    for one, share in zip(tries, shares, strict=True):
+        if share is not None and share > best.get(one.placed, (-np.inf, None))[0]:
+            best[one.placed] = share, one
+    return [one for _, one in best.values()]
+
+
 def _ranked(found: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
     """By share; of sets with the same effects at the same channels the best one."""
     kept: dict[Any, Candidate] = {}
@@ -223,11 +229,11 @@ def _ranked(found: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
 
 
 def _pairs(
-    along: "Along", tries: Sequence["Try"], alone: Sequence[Candidate | None]
+    along: Along, tries: Sequence[Try], alone: Sequence[float | None]
 ) -> tuple[Candidate, ...]:
     """The pairs with the largest shares."""
-    linear = [one for one, found in zip(tries, alone, strict=True)
-              if one.placed.effect.gains or found is not None]  # fmt: skip
+    linear = [one for one, share in zip(tries, alone, strict=True)
+              if one.placed.effect.gains or share is not None]  # fmt: skip
     shares = along.pair_shares(linear)
     count = max(len(linear) * (len(linear) - 1) // 2, 1)
     found: dict[Any, Candidate | None] = {}

@@ -61,6 +61,7 @@ LAYERS = (
     ("refinement",),
     ("refine",),
     ("uncertainty",),
+    ("response",),
     ("linearised",),
     ("remaining",),
     ("bootstrap", "profile"),
