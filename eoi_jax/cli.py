@@ -394,6 +394,7 @@ def _discovered(given: runs.Job, shown: Shown | None) -> Discovery:
         alpha=table.alpha,
         most=table.most,
         window=table.window,
+        refine=table.refine,
         callback=None if shown is None else told,
     )
 

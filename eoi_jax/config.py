@@ -111,12 +111,14 @@ class DiscoverTable(msgspec.Struct, frozen=True):
         alpha: level of false alarms, over all candidates together.
         most: the most effects to add.
         window: length of the re-initialised free runs [s]; absent: chosen from the records.
+        refine: whether the answer is refined by output error, with what only free runs show.
     """
 
     effects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] | None = None
     alpha: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.01
     most: Count = 3
     window: Positive | None = None
+    refine: bool = False
 
 
 class RefineTable(msgspec.Struct, frozen=True):

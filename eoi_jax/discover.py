@@ -9,6 +9,7 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 5. The set is added (`augment`), and everything is fitted again by the estimator; then the search
    starts once more from there, until nothing is justified.
 6. Free runs on records that the fit did not see, before and after.
+7. Where it is asked for, output error, and what only the free runs show (`polish`).
 """
 
 from collections.abc import Callable, Sequence
@@ -30,14 +31,15 @@ from eoi_jax.fit import Base
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.plants.plant import Plant
+from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
 from eoi_jax.rounds import TOLD_APART, Round, Task, read_friction, values_of
-from eoi_jax.validate import Validation, validate
+from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 
 _BEYOND = 0.5  # of an effect: what another one that contains it would add to it
 _ROUNDS = 3
-_STAGES = _ROUNDS + 2
+_STAGES = _ROUNDS + 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
@@ -48,7 +50,6 @@ _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missin
 
 Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
 Told = Callable[[str, int, int], None]
-FreeRuns = tuple[Validation, Validation | None]  # whole, in windows
 
 
 def discover(
@@ -61,6 +62,7 @@ def discover(
     alpha: float = 0.01,
     most: int = 3,
     window: float | None = None,
+    refine: bool = False,
     callback: Told | None = None,
 ) -> Discovery:
     """Find what a model lacks, and add it.
@@ -76,6 +78,9 @@ def discover(
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
         window: length of re-initialised free runs [s]; by default a tenth of a record.
+        refine: whether the answer is then refined by output error (`refine`), and what only its
+            free run shows is added (`remaining`): what the injection hardly sees may be most of
+            that error. Kept where all free runs on held-out data get better; takes longer.
         callback: called at each stage with what is done now, how many stages are over, and how
             many there are at most.
 
@@ -105,7 +110,11 @@ def discover(
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
-    return _run(task, told)
+    found = _run(task, told)
+    if not refine or found.status.code not in ("explained", "nothing_missing"):
+        return found
+    told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
+    return _polished(task, found, None if effects is None else tried)
 
 
 def _untold(stage: str, done: int, stages: int) -> None:
@@ -140,6 +149,38 @@ def _searched(task: Task, told: Told) -> tuple[list[Step], list[Round]]:
     return steps, rounds
 
 
+def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | None) -> Discovery:
+    """Refined, with what only free runs show."""
+    records = task.held or task.records
+    assert found.after is not None
+    before = found.after, found.windows_after
+    better = polished(found.plant, task.records, records, before, _window(task, records), effects)
+    if isinstance(better, str):
+        return replace(found, notes=(*found.notes, better))
+    notes = [one for one in found.notes if one != _SEARCHED]
+    notes.append(f"refined: {better.refinement.status}")
+    if better.placed:
+        names = " and ".join(one.replace("_", " ") for one in _names(better.placed))
+        notes.append(f"found in the free run alone: {names}")
+    result = better.refinement
+    # One pass, for the injection that is left; parameters and errors are those of the refinement.
+    one = estimate(result.plant, task.prepared, passes=1)
+    fit = replace(
+        one, parameters=result.parameters, standard_errors=result.standard_errors,
+        covariance=result.covariance, information=result.information,
+        degrees_of_freedom=result.degrees_of_freedom, plant=result.plant, status=result.status,
+    )  # fmt: skip
+    kept = [replace(one, parameters={name: result.parameters[name] for name in one.parameters},
+                    standard_errors={name: result.standard_errors[name] for name in one.parameters})
+            for one in found.added]  # fmt: skip
+    added = [*kept, *(_added(task.plant, fit, one) for one in better.placed)]
+    return replace(
+        found, effects=tuple(dict.fromkeys(one.effect.name for one in added)), added=tuple(added),
+        after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
 def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     """Everything fitted again by the estimator, from where the search ended.
 
@@ -161,7 +202,7 @@ def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
         ours, theirs = searched.result(), error(found.plant)
     if not ours < theirs:
         return found
-    notes.append("parameters are those of the search: in free runs better than the refit's")
+    notes.append(_SEARCHED)
     return replace(found, plant=model, parameters=model.parameters)
 
 
@@ -175,11 +216,9 @@ def _window(task: Task, records: Sequence[Record]) -> float | None:
 
 
 def _free_runs(task: Task, plant: Plant) -> FreeRuns:
-    """On the held-out records, whole and in windows."""
+    """On the held-out records."""
     records = task.held or task.records
-    window = _window(task, records)
-    whole = validate(plant, records)
-    return whole, None if window is None else validate(plant, records, window=window)
+    return whole_and_windows(plant, records, _window(task, records))
 
 
 def _held_out(
@@ -353,6 +392,7 @@ def _rest(left: float) -> str:
     return share if left > 0.0 else "nothing beyond the noise"
 
 
+_SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 _NOTHING = "what is left is {}: nothing that the data can name"
 _UNKNOWN = (
     "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "

@@ -138,6 +138,21 @@ def validate(
     )
 
 
+FreeRuns = tuple[Validation, Validation | None]  # whole, in windows
+
+
+def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | None) -> FreeRuns:
+    """Both kinds of free runs: long ones of a lightly damped plant are ruled by drift of phase.
+
+    Args:
+        plant: to judge.
+        records: on these.
+        window: length of re-initialised runs [s]; None where the records are too short for any.
+    """
+    whole = validate(plant, records)
+    return whole, None if window is None else validate(plant, records, window=window)
+
+
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
     for key, have, want in (
         ("inputs", record.inputs.shape[1], plant.inputs),

@@ -169,10 +169,13 @@ def test_a_fit_that_fails_ends_with_1_and_writes_nothing(known, found, config, t
 
 
 def test_the_discover_table_reaches_discover(known, config, tmp_path):
-    text = HIDDEN.replace("[discover]", "[discover]\nalpha = 0.05\nmost = 2\nwindow = 1.5")
+    text = HIDDEN.replace(
+        "[discover]", "[discover]\nalpha = 0.05\nmost = 2\nwindow = 1.5\nrefine = true"
+    )
     config.write_text(text + "\n[lowpass]\ncutoff = 30.0\n")
     assert eoi_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
     assert (known["alpha"], known["most"], known["window"]) == (0.05, 2, 1.5)
+    assert known["refine"] is True
     names = [one.name for one in known["effects"]]
     assert names == ["coulomb_friction", "cubic_stiffness", "input_dead_zone"]
     assert known["lowpass"].cutoff == 30.0

@@ -68,7 +68,7 @@ LAYERS = (
     ("comparators",),
     ("compare",),
     ("discovery",),
-    ("rounds",),
+    ("rounds", "polish"),
     ("discover",),
     ("store",),
     ("report",),

@@ -1,0 +1,121 @@
+"""A discovered model refined: what only free runs show is found, held-out records judge."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
+from eoi_jax.polish import polished
+from eoi_jax.validate import whole_and_windows
+
+TIME = np.arange(6001) * 5e-3
+NOISE = 1e-2  # of the output's spread
+TRUTH = {"gain": 1.0, "damping": 0.4, "stiffness": 10.0}
+HIDDEN = {"cubic_stiffness": 8.0, "quadratic_drag": 0.05}
+
+
+def oscillating(t, x, u, p):
+    position, rate = x.y
+    return p.gain * u - p.damping * rate - p.stiffness * position
+
+
+PLANT = eoi.Plant(oscillating, {"gain": 1.2, "damping": 0.5, "stiffness": 9.0}, 2, ("u",), ("y",))
+EFFECTS = [effects.CubicStiffness(), effects.QuadraticDrag()]
+
+
+def record(hidden, seed):
+    draw = np.random.default_rng(seed)
+    force = np.repeat(draw.normal(size=150), 41)[: len(TIME)] + np.sin(2.0 * TIME)
+    placed = [place(PLANT, one, 0) for one in EFFECTS if one.name in hidden]
+    plant = augmented(PLANT.with_parameters(TRUTH), placed, hidden)
+    made = eoi.simulate(plant, TIME, force, hold="zero", substeps=2)
+    spread = float(np.std(made.outputs))
+    noise = NOISE * spread * draw.standard_normal(made.outputs.shape)
+    return eoi.Record(TIME, force, made.outputs + noise, f"run {seed}", hold="zero"), spread
+
+
+def error(validation):
+    assert validation is not None
+    return validation.rmse[0]
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return record(HIDDEN, 1)[0]
+
+
+@pytest.fixture(scope="module")
+def held():
+    return record(HIDDEN, 2)
+
+
+@pytest.fixture(scope="module")
+def refined(fit, held):
+    return eoi.discover(PLANT, fit, validation=held[0], refine=True)
+
+
+def test_a_drag_that_the_injection_does_not_show_is_found_in_the_free_run(fit, held, refined):
+    alone = eoi.discover(PLANT, fit, validation=held[0])
+    assert alone.effects == ("cubic_stiffness",)
+    assert refined.effects == ("cubic_stiffness", "quadratic_drag")
+    assert "found in the free run alone: quadratic drag" in refined.notes
+    noise = NOISE * held[1]
+    assert error(alone.after) > 1.5 * noise
+    assert error(refined.after) == pytest.approx(noise, rel=0.02)
+    assert error(refined.windows_after) < error(alone.windows_after)
+    assert error(refined.before) == error(alone.before)
+
+
+def test_parameters_and_errors_are_those_of_the_refinement(refined):
+    for name, value in (TRUTH | HIDDEN).items():
+        spread = refined.found.standard_errors[name]
+        assert abs(refined.found.parameters[name] - value) < 4.0 * spread
+        assert spread < 0.3 * abs(value)
+    assert refined.plant.parameters == refined.found.parameters
+    told = {name: value for one in refined.added for name, value in one.parameters.items()}
+    assert told == {name: refined.found.parameters[name] for name in HIDDEN}
+    assert "quadratic_drag" in refined.equation
+    assert "drag that grows with the square of the velocity" in str(refined)
+
+
+def test_what_is_refined_is_saved_and_read_back(refined, tmp_path):
+    refined.save(tmp_path / "found.npz")
+    again = eoi.load(tmp_path / "found.npz")
+    assert again.effects == refined.effects
+    assert again.found.parameters == refined.found.parameters
+
+
+def test_nothing_is_added_where_nothing_else_is_missing():
+    hidden = {"cubic_stiffness": 8.0}
+    fit, held = record(hidden, 3)[0], record(hidden, 4)
+    found = eoi.discover(PLANT, fit, validation=held[0], refine=True)
+    assert found.effects == ("cubic_stiffness",)
+    assert any(note.startswith("refined: converged") for note in found.notes)
+    assert error(found.after) == pytest.approx(NOISE * held[1], rel=0.02)
+
+
+def test_what_makes_free_runs_worse_is_refused_and_said(fit, held):
+    runs = whole_and_windows(PLANT, [held[0]], None)
+    perfect = replace(runs[0], rmse=1e-9 * runs[0].rmse), None
+    answer = polished(PLANT, [fit], [held[0]], perfect, None, [effects.QuadraticDrag()])
+    assert answer == "not refined: that makes free runs worse on the records that judge"
+
+
+def test_a_refinement_without_an_answer_is_said(held):
+    one = held[0]
+    masked = eoi.Record(one.time, one.inputs, one.outputs, burn_in=one.time[-1] + 1.0)
+    runs = whole_and_windows(PLANT, [held[0]], None)
+    answer = polished(PLANT, [masked], [held[0]], runs, None)
+    assert isinstance(answer, str)
+    assert answer.startswith("not refined: no_data")
+
+
+def test_an_unexplained_residual_is_left_as_it_is():
+    hidden = {"cubic_stiffness": 400.0}
+    fit, held = record(hidden, 1)[0], record(hidden, 2)
+    found = eoi.discover(PLANT, fit, validation=held[0], effects=["constant_offset"], refine=True)
+    assert found.status.code == "unexplained"
+    assert not any("refined" in note for note in found.notes)
