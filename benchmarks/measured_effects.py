@@ -70,7 +70,7 @@ class Result:
     seconds: float
 
 
-def discovered(case: Case) -> Result:
+def discovered(case: Case, refine: bool = False) -> Result:
     """Discover once, with windows of the case's length."""
     started = time.perf_counter()
     found = eoi.discover(
@@ -79,6 +79,7 @@ def discovered(case: Case) -> Result:
         validation=case.held_out,
         lowpass=case.lowpass,
         window=case.window,
+        refine=refine,
     )
     return Result(case, found, time.perf_counter() - started)
 

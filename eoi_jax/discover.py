@@ -157,7 +157,8 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     better = polished(found.plant, task.records, records, before, _window(task, records), effects)
     if isinstance(better, str):
         return replace(found, notes=(*found.notes, better))
-    notes = [one for one in found.notes if one != _SEARCHED]
+    # What was said of the estimate before does not hold any more.
+    notes = [one for one in found.notes if not one.startswith((_SEARCHED, _REFITTED))]
     notes.append(f"refined: {better.refinement.status}")
     if better.placed:
         names = " and ".join(one.replace("_", " ") for one in _names(better.placed))
@@ -288,7 +289,7 @@ def _answer(
         sure = _judged(placed, share, left, quiet).code == "explained"
         refit = _refitted(task, model, notes)
         if not refit.status.ok:
-            notes.append(f"the refit of the augmented model ended as {refit.status}")
+            notes.append(f"{_REFITTED} {refit.status}")
         runs = _free_runs(task, refit.plant)
         if not sure and not _confirmed(before, runs):
             break
@@ -392,6 +393,7 @@ def _rest(left: float) -> str:
     return share if left > 0.0 else "nothing beyond the noise"
 
 
+_REFITTED = "the refit of the augmented model ended as"
 _SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 _NOTHING = "what is left is {}: nothing that the data can name"
 _UNKNOWN = (
