@@ -9,7 +9,7 @@ that always pushes one way is next to nothing in the one, and most of the error 
 
 What is kept is the model with the lowest of these errors. The first refinement, which adds nothing,
 must only not be worse than what was discovered: at the noise both are equal, and it is the better
-estimate.
+estimate. What is added must be worth more than a hundredth of these errors.
 """
 
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ def polished(
         if not one.status.ok:
             return kept or f"not refined: {one.status}"
         runs = whole_and_windows(one.plant, held, window)
-        if _better(before if kept is None else kept.runs, runs, 0.0 if placed else _SAME):
+        if _better(before if kept is None else kept.runs, runs, -_SAME if placed else _SAME):
             kept = Polished(one, placed, runs)
         elif placed:  # held-out records refuse it
             break
@@ -84,10 +84,13 @@ def polished(
     return kept or "not refined: that makes free runs worse on the records that judge"
 
 
-def _better(before: FreeRuns, after: FreeRuns, same: float) -> bool:
-    """Whether all free runs, whole and in windows, lose error (geometric mean of the outputs)."""
+def _better(before: FreeRuns, after: FreeRuns, most: float) -> bool:
+    """Whether the errors of all free runs, whole and in windows, change by less than `most`.
+
+    In their logarithms, of several outputs the mean.
+    """
     pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
     return all(
-        float(np.mean(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300)))) < same
+        float(np.mean(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300)))) < most
         for old, new in pairs
     )
