@@ -148,7 +148,7 @@ def side_by_side(
     """What `refine` does from one row, from all of them: costs and parameters."""
     spans = spans_of([record], None)
     problem = problem_of(plant, [record], spans, substeps)
-    state = jnp.asarray(guessed_starts(plant, [record], spans, substeps))
+    state = jnp.asarray(guessed_starts(problem, [record], spans))
     starts = jnp.broadcast_to(state, (len(rows), *state.shape))
     free = np.asarray(problem.free)
     found = solve_many(problem, Unknowns(jnp.asarray(rows[:, free]), starts), STEPS)

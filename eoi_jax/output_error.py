@@ -8,7 +8,7 @@ all runs gives the normal equations of all unknowns. The least squares over them
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.plants.plant import Plant
 from eoi_jax.sensitivity import RunKernel, RunLane, RunRow
-from eoi_jax.simulate import acted, behind, drive
+from eoi_jax.simulate import behind, drive
 from eoi_jax.trajectory import Drive, frictional
 from eoi_jax.types import Scalar
 from eoi_jax.validate import Run, initial_states, owned
@@ -204,29 +204,30 @@ def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "
 
 
 def guessed_starts(
-    plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
+    problem: Problem, records: Sequence[Record], spans: Sequence[Span]
 ) -> Float[np.ndarray, "runs unknowns"]:
     """Initial states fitted to the first samples of each run, at the plant's own parameters."""
+    kernel, substeps = problem.kernel, problem.substeps
     count = min([_HEAD, *(span.count for span in spans)])
-    run = Run(plant, frictional(plant), count, substeps)
-    drives = [acted(plant, drive(one.time, one.inputs, one.hold, substeps)) for one in records]
-    heads = _heads(drives, spans, count - 1)
+    run = Run(kernel.plant, kernel.friction, count, substeps)
     seen = [slice(span.first, span.first + count) for span in spans]
     pairs = list(zip(spans, seen, strict=True))
     valid = np.stack([records[span.record].valid[part] for span, part in pairs])
     y = np.stack([records[span.record].outputs[part] for span, part in pairs])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return initial_states(run, jnp.asarray(plant.theta), heads, y, valid)
+        return initial_states(run, problem.theta, _heads(problem, count - 1), y, valid)
 
 
-def _heads(drives: Sequence[Drive], spans: Sequence[Span], count: int) -> Drive:
+def _heads(problem: Problem, count: int) -> Drive:
     """What drives the beginning of each run, runs first."""
-    n = drives[0].substeps
-    cut = [(drives[span.record], slice(n * span.first, n * (span.first + count))) for span in spans]
-    time = np.stack([np.asarray(one.time)[part] for one, part in cut])
-    inputs = np.stack([np.asarray(one.inputs)[part] for one, part in cut])
-    step = np.stack([np.asarray(one.step) for one, _ in cut])
-    return Drive(time, step, inputs, n)
+    plant, rows = problem.kernel.plant, slice(problem.substeps * count)
+    head = np.asarray(problem.tables)[:, rows]
+    nu = len(plant.inputs)
+    inputs = head[..., 1 : 1 + 3 * nu].reshape(*head.shape[:2], 3, nu)
+    if problem.places is not None:
+        parts = [np.asarray(behind(plant, problem.theta, one)) for one in problem.whole]
+        inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
+    return Drive(head[..., 0], np.asarray(problem.steps), inputs, problem.substeps)
 
 
 # -- sums and signals -------------------------------------------------------------------------
@@ -281,10 +282,7 @@ def _scanned(
     problem: Problem, theta: Array, starts: Array, store: str = "sums"
 ) -> tuple[Array, Any]:
     """All runs, each by a scan: sums, and what their rows show."""
-    kernel = eqx.tree_at(lambda one: one.plant, problem.kernel, problem.kernel.plant)
-    kernel = RunKernel(
-        kernel.plant, kernel.friction, kernel.free, kernel.rows, kernel.columns, store
-    )
+    kernel = replace(problem.kernel, store=store)
     plant, tables = kernel.plant, problem.tables
     ny, nu = len(plant.outputs), len(plant.inputs)
     time, inputs, y, use = jnp.split(tables, [1, 1 + 3 * nu, 1 + 3 * nu + ny], axis=2)
@@ -321,7 +319,7 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     if not problem.compiled:
         return np.asarray(_shown(problem, theta, unknowns.starts))[:, :: problem.substeps]
     counts, out = np.asarray(problem.counts), None
-    kernel = kernel_of(problem.kernel.plant, "signals")
+    kernel = replace(problem.kernel, store="signals")
     for i, count in enumerate(counts):
         lane = RunLane(
             theta, unknowns.starts[i], problem.declared[i], problem.scale, problem.threshold

@@ -108,7 +108,7 @@ def refine(
     problem = problem_of(nominal, several, spans, count)
     unknowns = Unknowns(
         jnp.asarray(nominal.theta)[np.asarray(problem.free)],
-        jnp.asarray(guessed_starts(nominal, several, spans, count)),
+        jnp.asarray(guessed_starts(problem, several, spans)),
     )
     before = first = _unweighed(problem, signals(unknowns, problem))
     if len(points):
@@ -398,8 +398,9 @@ def _run_scores(
     rows = shown.reshape(-1, shown.shape[-1])
     starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
     size = np.linalg.norm(starts, axis=0)
-    starts = starts / np.where(size > 0, size, 1.0)
-    beside = theta - starts @ np.linalg.lstsq(starts, theta, rcond=1e-10)[0]
+    left, values, _ = np.linalg.svd(starts / np.where(size > 0, size, 1.0), full_matrices=False)
+    own_space = left[:, values > 1e-10 * np.max(values, initial=0.0)]
+    beside = theta - own_space @ (own_space.T @ theta)
     near = beside * (np.abs(error) <= threshold)[:, None]
     score = beside * np.clip(error, -threshold, threshold)[:, None]
     shape = *shown.shape[:2], beside.shape[1]

@@ -80,7 +80,7 @@ def prepared(plant, records, window, substeps=4):
     spans = spans_of(records, window)
     problem = problem_of(plant, records, spans, substeps)
     theta = jnp.asarray(plant.theta)[np.asarray(problem.free)]
-    starts = guessed_starts(plant, records, spans, substeps)
+    starts = guessed_starts(problem, records, spans)
     return problem, Unknowns(theta, jnp.asarray(starts))
 
 
