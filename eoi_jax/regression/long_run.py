@@ -85,7 +85,7 @@ def _orthonormal(rows: Float[np.ndarray, "time ny np"]) -> Float[np.ndarray, "np
     return vectors[:, kept] / np.sqrt(values[kept]) / length[:, None]
 
 
-def _cosine_sums(signals: Float[np.ndarray, "time k"]) -> Float[np.ndarray, "time k"]:
+def _cosine_sums(signals: Float[np.ndarray, "time k"]) -> Float[np.ndarray, "cosines k"]:
     """c_j of each column, all j from 0."""
     from scipy.fft import dct
 
