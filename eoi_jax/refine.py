@@ -448,6 +448,6 @@ _UNTRACED = (
 _MORE = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
 _STALLED = (
     "no step lowers the cost, though least squares promises {:.2g} of it: the free run is not "
-    "smooth in its parameters there (moments of rest that come and go). Fit shorter runs with "
-    "`window` if the promise is large"
+    "smooth in its parameters there (moments of rest that come and go, limits just met or just "
+    "missed). Fit shorter runs with `window` if the promise is large"
 )
