@@ -323,7 +323,7 @@ class _Driver:
 
     def _pass(self, theta: np.ndarray, store: str, increment: Any = None) -> tuple[Sums, Any]:
         moved = np.zeros_like(theta) if increment is None else increment
-        sums, trace = self.one_pass(theta, moved, np.ones(len(self.plant.outputs)), store)
+        sums, trace = self.one_pass(theta, moved, store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:

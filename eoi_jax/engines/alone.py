@@ -23,7 +23,7 @@ from eoi_jax.plants.plant import Plant
 _CHUNK_BYTES = 500_000  # of what is shared of the record, at a time: it stays in the cache
 
 Theta = Float[np.ndarray, " np"]
-OnePass = Callable[[Theta, Theta, Float[np.ndarray, " ny"], str], tuple[Sums, Trace | None]]
+OnePass = Callable[[Theta, Theta, str], tuple[Sums, Trace | None]]
 
 
 def alone(
@@ -38,9 +38,8 @@ def alone(
         steps: the records (leading axis), padded to one length with `use` = `score` = 0.
 
     Returns:
-        A function of θ, of Δθ and the weights of the outputs with which scores are formed, and of
-        `store`, all but ``"scores"``. It gives sums and traces as NumPy arrays, each with
-        the records as leading axis, as `run_pass` does.
+        A function of θ, of Δθ and of `store`, all but ``"scores"``. It gives sums and traces as
+        NumPy arrays, each with the records as leading axis, as `run_pass` does.
     """
     dtype = np.dtype(jnp.result_type(float))
     records = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], (steps, lowpass))
@@ -49,19 +48,19 @@ def alone(
     # An observer of the user's own may hold other things than gains.
     numbers = all(np.asarray(leaf).dtype.kind in "fi" for leaf in jax.tree.leaves(observer))
 
-    def scanned(theta: Theta, increment: Theta, weights: np.ndarray, store: str) -> Any:
-        given = map(jnp.asarray, (theta, increment, weights))
+    def scanned(theta: Theta, increment: Theta, store: str) -> Any:
+        given = map(jnp.asarray, (theta, increment))
         return run_pass(plant, observer, lowpass, steps, *given, store=store)
 
-    def run(theta: Theta, increment: Theta, weights: np.ndarray, store: str) -> Any:
+    def run(theta: Theta, increment: Theta, store: str) -> Any:
         if not numbers:
-            return scanned(theta, increment, weights, store)
-        lane = _lane(observer, theta, increment, weights, dtype)
+            return scanned(theta, increment, store)
+        lane = _lane(observer, theta, increment, len(plant.outputs), dtype)
         try:
             what, columns = pass_of(plant, lane, records[0][1], records[0][0], store)
             code = translated(what, columns, 1)
         except Untranslatable:
-            return scanned(theta, increment, weights, store)
+            return scanned(theta, increment, store)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
         shown = len(code.program.shown[0])
@@ -83,9 +82,10 @@ def alone(
 
 
 def _lane(
-    observer: AbstractObserver, theta: Theta, increment: Theta, weights: np.ndarray, dtype: Any
+    observer: AbstractObserver, theta: Theta, increment: Theta, outputs: int, dtype: Any
 ) -> Lanes:
-    """The only one."""
+    """The only one; its outputs have no weights, which only scores ask for."""
+    weights = np.ones(outputs)
     gains = jax.tree.map(lambda leaf: np.asarray(leaf, dtype)[None], observer)
     return Lanes(gains, *(np.asarray(one, dtype)[None] for one in (theta, increment, weights)))
 

@@ -48,9 +48,9 @@ def batch(plant, observer, counts=(400, 250)) -> Any:
 
 def both(plant, observer, store, steps, filters) -> Any:
     """The pass by `alone`, and by the scan."""
-    theta, weights = 1.1 * plant.theta, np.linspace(1.0, 2.0, len(plant.outputs))
-    got = alone(plant, observer, filters, steps)(theta, 0.1 * theta, weights, store)
-    given = (jnp.asarray(one) for one in (theta, 0.1 * theta, weights))
+    theta = 1.1 * plant.theta
+    got = alone(plant, observer, filters, steps)(theta, 0.1 * theta, store)
+    given = (jnp.asarray(one) for one in (theta, 0.1 * theta))
     return got, run_pass(plant, observer, filters, steps, *given, store=store)
 
 
