@@ -175,8 +175,10 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
                     standard_errors={name: result.standard_errors[name] for name in one.parameters})
             for one in found.added]  # fmt: skip
     added = [*kept, *(_added(task.plant, fit, one) for one in better.placed)]
+    unseen = found.status.code == "nothing_missing" and better.placed
     return replace(
-        found, effects=tuple(dict.fromkeys(one.effect.name for one in added)), added=tuple(added),
+        found, status=Status("explained", _UNSEEN) if unseen else found.status,
+        effects=tuple(dict.fromkeys(one.effect.name for one in added)), added=tuple(added),
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
         notes=tuple(notes),
     )  # fmt: skip
@@ -393,6 +395,7 @@ def _rest(left: float) -> str:
     return share if left > 0.0 else "nothing beyond the noise"
 
 
+_UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _REFITTED = "the refit of the augmented model ended as"
 _SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 _NOTHING = "what is left is {}: nothing that the data can name"

@@ -97,6 +97,17 @@ def test_nothing_is_added_where_nothing_else_is_missing():
     assert error(found.after) == pytest.approx(NOISE * held[1], rel=0.02)
 
 
+def test_what_only_free_runs_show_is_an_answer_where_the_injection_shows_nothing():
+    hidden = {"quadratic_drag": 0.02}
+    fit, held = record(hidden, 5)[0], record(hidden, 6)
+    assert eoi.discover(PLANT, fit, validation=held[0]).status.code == "nothing_missing"
+    found = eoi.discover(PLANT, fit, validation=held[0], refine=True)
+    assert found.effects == ("quadratic_drag",)
+    assert found.status.code == "explained"
+    assert str(found).startswith("The model lacks drag that grows with the square of the velocity")
+    assert NOISE * held[1] < error(found.after) < 1.05 * NOISE * held[1]
+
+
 def test_what_makes_free_runs_worse_is_refused_and_said(fit, held):
     runs = whole_and_windows(PLANT, [held[0]], None)
     perfect = replace(runs[0], rmse=1e-9 * runs[0].rmse), None

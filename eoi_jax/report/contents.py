@@ -215,7 +215,7 @@ def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
             )
             note = f"before {old}" if result.added else ""
             tiles.append(Tile(f"Free-run error of {name}, {where}", new, note))
-    if result.added:
+    if result.explained > 0.0:
         share = f"{100 * result.explained:.3g} %"
         tiles.append(Tile("Explained", share, "of the residual's power above the noise"))
     found = ", ".join(one.sentence.partition(":")[0] for one in result.added)

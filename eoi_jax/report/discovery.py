@@ -165,7 +165,7 @@ def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 
 def _explained(discovery: Discovery) -> str:
     lines = []
-    if discovery.added:
+    if discovery.explained > 0.0:  # zero where only free runs show what was added
         share = f"{100 * discovery.explained:.3g} %"
         lines.append(f"Of the residual's power above the noise the effects explain {share}.")
     if discovery.ambiguous_with:
