@@ -42,13 +42,14 @@ class _Directed:
 
 
 @dataclass(frozen=True)
-class _Behind:
-    """g: it reads the inputs alone."""
+class OwnInputs:
+    """g of a plant that was given more inputs: it reads the first ones, its own, alone."""
 
     base: Dynamics
     count: int
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        """What g gives."""
         return self.base(t, x, u[: self.count], p)
 
 
@@ -80,7 +81,7 @@ def directed(plant: Plant, friction: tuple[bool, ...]) -> Plant:
         plant.degrees,
         (*plant.inputs, *(f"direction of {name}" for name in plant.outputs), "grip"),
         plant.outputs,
-        plant.internal and _Behind(plant.internal, count),
+        plant.internal and OwnInputs(plant.internal, count),
         start if plant.internal else None,
         {
             name: (low, high)

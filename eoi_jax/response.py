@@ -8,9 +8,9 @@ small force moves the state by
     $B_k = \partial\Phi_k/\partial w$, from $\delta_0 = 0$.
 
 $A_k$ and $B_k$ belong to the trajectory and not to the force: they are found once, by
-forward-mode differentiation through the stops of dry friction. Over a sample of n steps
-the force is a parabola, $w_k = L_k W$ with $W$ at its start, middle and end, so that (1) holds from
-sample to sample with
+forward-mode differentiation through the stops of dry friction. Over a sample of n steps the force
+is a parabola, $w_k = L_k W$ with $W$ at its start, middle and end, so that (1) holds from sample to
+sample with
 
 (2) $A = A_n \cdots A_1$, $B = \sum_k A_n \cdots A_{k+1} B_k L_k$,
 
@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.directed import OwnInputs
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.trajectory import advanced, frictional
 
@@ -44,29 +45,17 @@ class _Pushed:
         return jnp.reshape(f, (x.y.shape[1],)) + u[self.inputs :]
 
 
-@dataclass(frozen=True)
-class _Inner:
-    """g of a plant, which does not see the forces."""
-
-    base: Any
-    inputs: int
-
-    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        return self.base(t, x, u[: self.inputs], p)
-
-
 def _pushed(plant: Plant) -> Plant:
     count = len(plant.inputs)
     limits = zip(plant.names, plant.lower, plant.upper, strict=True)
-    inner = plant.internal is not None
     return Plant(
         _Pushed(plant.dynamics, count),
         plant.parameters,
         relative_degree=plant.degrees,
         inputs=(*plant.inputs, *(f"force on {key}" for key in plant.outputs)),
         outputs=plant.outputs,
-        internal=_Inner(plant.internal, count) if inner else None,
-        internal_initial=plant.internal_initial if inner else None,
+        internal=OwnInputs(plant.internal, count) if plant.internal else None,
+        internal_initial=plant.internal_initial if plant.internal else None,
         bounds={key: (float(low), float(high)) for key, low, high in limits},
         fixed=plant.fixed,
         name=plant.name,
