@@ -68,7 +68,7 @@ def polished(
     """
     kept: Polished | None = None
     placed: tuple[Placed, ...] = ()
-    for _ in range(1 + _MOST):
+    for turn in range(1 + _MOST):
         one = refine(plant, records)
         if not one.status.ok:
             return kept or f"not refined: {one.status}"
@@ -77,7 +77,9 @@ def polished(
             kept = Polished(one, placed, runs)
         elif placed:  # held-out records refuse it
             break
-        left = None if plant.actuator is not None else remaining(one, effects).best
+        if turn == _MOST or plant.actuator is not None:  # `remaining` knows no actuators
+            break
+        left = remaining(one, effects).best
         if left is None:
             break
         plant, placed = augmented(one.plant, left.placed, left.values), (*placed, *left.placed)
