@@ -29,11 +29,13 @@ from eoi_jax.output_error import Problem, Span, Unknowns, problem_of, signals, w
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.refinement import Refinement
 from eoi_jax.regression.long_run import correlation_time
+from eoi_jax.regression.orthonormal import orthonormal
 from eoi_jax.response import Response, response_of
 from eoi_jax.simulate import free_run
 from eoi_jax.trajectory import Drive
 
 _PEAKS = 5  # frequencies of the residual at which a sinusoid is tried
+_RANK = 1e-8  # singular value, over the largest, of columns of which one follows from the others
 _NOVEL = 1e-6  # share of a column's power that the parameters must leave, else it is one of them
 
 Columns = Float[np.ndarray, "rows columns"]
@@ -97,7 +99,7 @@ class Along:
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         shown = _flat(signals(unknowns, problem))
-        basis = _orthonormal(_wide(shown[..., :-1], unknowns.starts.shape[1]))
+        basis = orthonormal(_wide(shown[..., :-1], unknowns.starts.shape[1]), _RANK)
         residual = shown[..., -1].ravel()
         residual = residual - basis @ (basis.T @ residual)
         time, inputs, y, z = _steps(problem, unknowns)
@@ -175,19 +177,21 @@ class Along:
     def share(self, several: Sequence["Try"]) -> float | None:
         """Share of the residual's power that some effects explain; None where not physical then."""
         values, after = self._fitted(several)
-        if values is None:
-            return None
-        return 1.0 - float(after @ after) / float(self.residual @ self.residual)
+        return None if values is None else self._share(after)
 
     def candidate(self, several: Sequence["Try"], tries: int) -> Candidate | None:
         """Least squares of the residual on some effects; None where they are not physical then."""
-        share, (values, after) = self.share(several), self._fitted(several)
-        if share is None or values is None:
+        values, after = self._fitted(several)
+        if values is None:
             return None
+        share = self._share(after)
         count = sum(len(one.placed.effect.parameters) for one in several)
         chance = _chance(share, after, len(self.plant.outputs), count)
         placed = tuple(one.placed for one in several)
         return Candidate(placed, values, share, min(tries * chance, 1.0))
+
+    def _share(self, after: Float[np.ndarray, " rows"]) -> float:
+        return 1.0 - float(after @ after) / float(self.residual @ self.residual)
 
     def _fitted(self, several: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
         """Parameters by least squares, and the residual that they leave."""
@@ -323,12 +327,6 @@ def _wide(columns: np.ndarray, own: int) -> Columns:
         wide[part, i * own : (i + 1) * own] = one[:, :own]
         wide[part, runs * own :] = one[:, own:]
     return wide
-
-
-def _orthonormal(columns: Columns) -> Float[np.ndarray, "rows rank"]:
-    size = np.linalg.norm(columns, axis=0)
-    left, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
-    return left[:, values > 1e-8 * values[0]]
 
 
 def _chance(share: float, after: np.ndarray, ny: int, parameters: int) -> float:

@@ -37,6 +37,7 @@ from eoi_jax.prepare import check_records, starting_points
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.regression.least_squares import least_squares, untraced
 from eoi_jax.regression.long_run import long_run
+from eoi_jax.regression.orthonormal import orthonormal
 from eoi_jax.results import Status
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
@@ -397,9 +398,7 @@ def _run_scores(
     """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
     rows = shown.reshape(-1, shown.shape[-1])
     starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
-    size = np.linalg.norm(starts, axis=0)
-    left, values, _ = np.linalg.svd(starts / np.where(size > 0, size, 1.0), full_matrices=False)
-    own_space = left[:, values > 1e-10 * np.max(values, initial=0.0)]
+    own_space = orthonormal(starts, 1e-10)
     beside = theta - own_space @ (own_space.T @ theta)
     near = beside * (np.abs(error) <= threshold)[:, None]
     score = beside * np.clip(error, -threshold, threshold)[:, None]
