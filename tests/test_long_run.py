@@ -154,3 +154,16 @@ def test_what_is_not_estimated_has_no_variance_and_takes_nothing():
     np.testing.assert_allclose(got[:2, :2], alone[0], rtol=1e-9)
     np.testing.assert_array_equal(got[2], 0.0)
     np.testing.assert_allclose(freedom, [*alone[1], np.inf], rtol=1e-9)
+
+
+def test_a_parameter_without_trace_takes_nothing_though_rounding_makes_it_look_estimated():
+    rng = np.random.default_rng(0)
+    phi, error = rng.standard_normal((500, 3)), rng.standard_normal(500)
+    phi[:, 2] = 0.0
+    inverse = np.zeros((3, 3))
+    inverse[:2, :2] = np.linalg.inv(phi[:, :2].T @ phi[:, :2])
+    inverse[2, 2] = 1e-17
+    got, _ = long_run(phi * error[:, None], phi[:, None, :], inverse)
+    alone = long_run(phi[:, :2] * error[:, None], phi[:, None, :2], inverse[:2, :2])
+    np.testing.assert_allclose(got[:2, :2], alone[0], rtol=1e-9)
+    np.testing.assert_array_equal(got[2], 0.0)

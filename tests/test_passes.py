@@ -83,6 +83,17 @@ def close(one, other, rtol=1e-9):
         np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * np.max(np.abs(b), initial=1e-300))
 
 
+def test_a_parameter_without_trace_is_in_no_other_direction_either():
+    """Beside collinear columns rounding would give it a share in theirs, and a variance."""
+    rows = np.random.default_rng(0).standard_normal((50, 6))
+    rows[:, [2, 5]] = 0.0
+    rows[:, 4] = rows[:, 0] + rows[:, 1]
+    solution = least_squares(jnp.asarray(rows.T @ rows), jnp.ones(6), jnp.ones(6))
+    silent, heard = np.asarray(solution.inverse)[[2, 5]], np.asarray(solution.increment)
+    np.testing.assert_array_equal(silent, 0.0)
+    np.testing.assert_array_equal(heard == 0, [False, False, True, False, False, True])
+
+
 # -- against plain loops ----------------------------------------------------------------------
 
 

@@ -69,7 +69,8 @@ def least_squares(
     identified = eigenvalues > least * jnp.maximum(eigenvalues[-1], 0.0)
     identified &= eigenvalues > 0
     safe = jnp.where(identified, eigenvalues, 1.0)
-    unscale = jnp.outer(free, free) / jnp.outer(scale, scale)
+    # A parameter without any trace is in no direction that has one, but for rounding.
+    unscale = jnp.outer(active, active) / jnp.outer(scale, scale)
 
     def inverted(values: Float[Array, " np"]) -> Float[Array, "np np"]:
         return (directions * jnp.where(identified, 1.0 / values, 0.0)) @ directions.T * unscale

@@ -80,6 +80,7 @@ def _orthonormal(rows: Float[np.ndarray, "time ny np"]) -> Float[np.ndarray, "np
     """U such that the columns of `rows` @ U are orthonormal; those without information are gone."""
     information = np.einsum("tja,tjb->ab", rows, rows)
     length = np.sqrt(np.diagonal(information))
+    length = np.where(length > 0, length, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(length, length))
     kept = values > _ROUNDING * values[-1]
     return vectors[:, kept] / np.sqrt(values[kept]) / length[:, None]
