@@ -31,6 +31,7 @@ from eoi_jax.sweep import sweep as run_sweep
 from eoi_jax.validate import Validation, validate
 
 _NO_ANSWER, _INTERRUPTED = 1, 130
+_MORE_STARTS = "`starts = 200` under [refine] tries so many points around the nominal values"
 # Ends of a discovery that are worth a folder.
 _ANSWERS = ("explained", "nothing_missing", "unexplained")
 
@@ -141,9 +142,11 @@ def refine(config: Path | None, data: Path | None, output: Path, shown: Shown | 
     source, given = _given(config, "pendulum", data, output, shown)
     with runs.quiet_records():
         start, before = _identified(given, shown)
-        if not start.status.ok:
+        if not start.status.ok and given.settings.refine.starts is None:
             summary = runs.identification_summary(given, start, before)
             complaint = f"nothing to refine ({start.status})"
+            if start.status.code != "no_data":
+                complaint += f". {_MORE_STARTS}"
             return Ending(summary, code=_NO_ANSWER, complaint=complaint)
         if shown is not None:
             shown("step of the free runs' fit", 0, None, "compiling")
@@ -410,11 +413,12 @@ def _refined(
         shown("step of the free runs' fit", number, most, "at most")
 
     result = run_refinement(
-        start,
+        start.plant if start.status.ok else start.nominal,
         given.records,
         window=table.window,
         substeps=table.substeps,
         max_steps=table.max_steps,
+        starts=table.starts,
         callback=None if shown is None else stepped,
     )
     known = result.status.ok and given.held_out

@@ -128,11 +128,14 @@ class RefineTable(msgspec.Struct, frozen=True):
         window: length of each run [s]; absent: whole records.
         substeps: steps of the simulation per sample; absent: as many as their error asks for.
         max_steps: of the solver.
+        starts: so many further points to start from, drawn around the estimate of the passes, or
+            around the nominal values where the passes have none; absent: none.
     """
 
     window: Positive | None = None
     substeps: Count | None = None
     max_steps: Count = 50
+    starts: Count | None = None
 
 
 class RangeTable(msgspec.Struct, frozen=True):

@@ -44,6 +44,7 @@ _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one befor
 _SETTLED = 0.02  # relative change of these weights that is none
 _TOURNAMENT = (8, 16)  # steps of the solver for all points, and for those that are left
 _SHARE = 8  # one of so many is kept
+_REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
 
@@ -70,8 +71,10 @@ def refine(
             four, and twice as many as long as their error would show in the estimate and the fit
             does not suffer.
         max_steps: of the solver, each one simulation with its sensitivities.
-        starts: further points to start from, run side by side: dicts of parameters, or rows
-            (starts, np). All get a few steps, the better ones more, the best one the rest.
+        starts: further points to start from, run side by side: dicts of parameters, rows
+            (starts, np), or how many are drawn around the plant's values: each times a factor of
+            1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
+            ones more, the best one the rest.
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
@@ -101,7 +104,7 @@ def refine(
           max_steps)  # fmt: skip
     if huber is not None:
         check_positive("huber", huber)
-    points = _points(nominal, starts)
+    points = points_of(nominal, starts)
     spans = spans_of(several, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
@@ -141,16 +144,35 @@ def _watch(
     return lambda number, _: told(int(number), max_steps)
 
 
-def _points(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
+def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
     """Further points to start from, none of them outside the bounds."""
     if starts is None:
         return np.zeros((0, len(plant.names)))
+    if isinstance(starts, int | np.integer):
+        check(starts >= 1, "starts", "must be points, or how many are drawn: at least 1", starts)
+        return _drawn(plant, int(starts))
     points = starting_points(plant, starts)
     for i, name in enumerate(plant.names):
         outside = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
         rule = f"must keep {name} in its bounds [{plant.lower[i]:g}, {plant.upper[i]:g}]"
         check(not outside.any(), "starts", rule, points[outside, i][:1])
     return points
+
+
+def _drawn(plant: Plant, count: int) -> Float[np.ndarray, "points np"]:
+    """Points around a plant's values, by ratios: a parameter's size is often less known than that.
+
+    Its sign, too. What is zero stays zero, and what is fixed stays.
+    """
+    theta, draw = np.asarray(plant.theta, dtype=float), np.random.default_rng(_SEED)
+    ratio = np.exp(draw.uniform(-np.log(_REACH), np.log(_REACH), (count, len(theta))))
+    ratio *= draw.choice([-1.0, 1.0], ratio.shape)
+    points = theta * ratio
+    for inside in (-ratio, 1.0 / ratio, -1.0 / ratio):
+        outside = (points < plant.lower) | (points > plant.upper)
+        points = np.where(outside, theta * inside, points)
+    points = np.clip(points, plant.lower, plant.upper)
+    return np.where(np.asarray(plant.free), points, theta)
 
 
 def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> Unknowns:
@@ -433,8 +455,8 @@ def _unanswered(
 
 _NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
 _DIVERGED = (
-    "the free run from the starting parameters does not stay finite: start from other parameters, "
-    "or fit shorter runs with `window`"
+    "the free run from the starting parameters does not stay finite: start from other parameters "
+    "(`starts = 200` tries so many around them), or fit shorter runs with `window`"
 )
 _ROUGH = (
     "the free run has derivatives that are not finite where the fit ended: a function of the model "

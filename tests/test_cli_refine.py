@@ -134,6 +134,43 @@ def test_without_an_identification_there_is_nothing_to_refine(config: Path, tmp_
     assert not (tmp_path / "runs").exists()
 
 
+TANKS = """
+name = "short"
+plant = "cascaded_tanks"
+
+[parameters]
+nominal = { k4 = -0.05 }
+
+[simulate]
+sample_period = 4.0
+duration = 1600.0
+increments = { k4 = 0.1 }
+
+[simulate.input.pump]
+kind = "random_steps"
+low = 1.0
+high = 5.0
+holding_time = 40.0
+"""
+
+
+def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_path: Path):
+    config.write_text(TANKS)
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 1
+    error = json.loads(done.stdout)["error"]
+    assert error.startswith("nothing to refine (unidentifiable")
+    assert error.endswith("`starts = 200` under [refine] tries so many points around the nominal "
+                          "values")  # fmt: skip
+    config.write_text(TANKS + "\n[refine]\nstarts = 200\n")
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["status"]["code"] in ("converged", "stalled", "passes_exhausted")
+    assert result["parameters"]["k4"] == pytest.approx(0.05, rel=0.01)
+    assert {path.name for path in (tmp_path / "runs" / "short").iterdir()} == FILES
+
+
 def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, monkeypatch):
     whole = cli.run_refinement
 

@@ -11,7 +11,7 @@ from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
 from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
-from eoi_jax.refine import refine
+from eoi_jax.refine import points_of, refine
 
 PERIOD = 5e-3
 TIME = np.arange(1001) * PERIOD
@@ -275,6 +275,36 @@ def test_the_best_of_several_starts_is_found_where_one_alone_is_lost():
     assert alone.rmse[0] > 1e-2
     np.testing.assert_allclose(found.plant.theta, OSCILLATOR.theta, rtol=1e-6)
     assert found.before == alone.before  # of the plant as given
+
+
+def test_so_many_starts_are_drawn_around_a_plant_where_a_wrong_sign_leaves_no_trace():
+    """The upper tank runs dry, and its rates say nothing any more."""
+    true = eoi.plants.cascaded_tanks(reference=True)
+    time, draw = 4.0 * np.arange(601), np.random.default_rng(0)
+    pump = np.repeat(draw.uniform(1.0, 5.0, 76), 8)[:601, None]
+    record = eoi.simulate(true, time, pump, initial=[5.0])
+    lost = true.with_parameters({"k1": 0.03, "k3": 0.2, "k4": -0.1, "upper_initial": 4.0})
+    assert refine(lost, record, substeps=1).rmse[0] > 0.1 * np.std(record.outputs)
+    found = refine(lost, record, substeps=1, starts=100)
+    np.testing.assert_allclose(found.plant.theta, true.theta, rtol=1e-4)
+    np.testing.assert_array_equal(found.nominal.theta, lost.theta)  # the plant as given
+
+
+def test_drawn_starts_keep_to_bounds_and_leave_what_is_fixed_or_zero():
+    values = {"gain": 1.2, "damping": 0.5, "stiffness": -9.0, "cubic": 4.0, "offset": 0.0}
+    bounds = {"damping": (0.0, 2.0), "stiffness": (-40.0, np.inf)}
+    plant = eoi.Plant(hardening, values, 2, ("u",), ("y",), bounds=bounds, fixed=("cubic",))
+    points = points_of(plant, 500)
+    assert np.all((points >= plant.lower) & (points <= plant.upper))
+    np.testing.assert_array_equal(points[:, 3:], [[4.0, 0.0]] * 500)
+    ratio = points[:, 0] / 1.2
+    assert 1 / 8 <= np.min(np.abs(ratio)) < 1 / 6
+    assert 6 < np.max(np.abs(ratio)) <= 8
+    assert 0.4 < np.mean(ratio > 0) < 0.6
+    assert 0 < np.min(points[:, 1]) < np.max(points[:, 1]) < 2.0
+    np.testing.assert_array_equal(points_of(plant, 500), points)
+    with pytest.raises(ValueError, match=r"`starts` must be points, or how many .* got 0"):
+        points_of(plant, 0)
 
 
 def test_starts_are_named_or_rows_within_the_bounds():
