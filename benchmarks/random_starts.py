@@ -2,7 +2,8 @@
 
 Each parameter is drawn uniformly from [θ - 2|θ|, θ + 2|θ|], cut to the bounds of the plant. Passes
 of all starts run at once (`eoi.sweep`), then all are refined side by side, each from its own
-estimate; beside it output error straight from the starts.
+estimate; beside it output error straight from the starts. The tanks also with points that `refine`
+draws by itself.
 
     python benchmarks/random_starts.py [--quick] [--write]
 """
@@ -27,6 +28,7 @@ REACH = 2.0  # of the starts, in sizes of each parameter
 STEPS = 50  # of the solver, as `refine` allows by default
 SIDE = 100  # starts side by side
 ALONE = 300  # of 1000 starts, for output error alone
+DRAWN = 200  # points that `refine` draws by itself around one start
 CLOSE = 1e-2  # cost over the lowest one, less one, that counts as reached
 
 
@@ -78,6 +80,7 @@ OPTIMA = {
 }  # fmt: skip
 
 
+MANY = ("cascaded_tanks without overflow", "cascaded_tanks")  # most starts have no estimate
 TANKS = {"lowpass": eoi.LowPass(0.05, 2), "passes": 30}  # as in their config
 
 
@@ -169,6 +172,7 @@ class Found:
         passed: estimates of the passes.
         polished: refined from these.
         alone: output error from the same starts, the first of them.
+        drawn: refined from the passes with points drawn around them, of the tanks.
         best: lowest cost of all, of a refinement from `Case.centre` too.
     """
 
@@ -176,6 +180,7 @@ class Found:
     passed: Ends
     polished: Ends
     alone: Ends
+    drawn: Ends | None
     best: float
 
     def reached(self, ends: Ends, close: float = CLOSE) -> np.ndarray:
@@ -195,8 +200,9 @@ def found(case: Case, count: int, alone: int) -> Found:
     polished = refined(case, passed.theta, rows)
     straight = refined(case, rows[:alone], rows[:alone])
     best = refined(case, case.centre[None], case.centre[None])
-    lowest = min(float(np.min(one.cost)) for one in (polished, straight, best))
-    return Found(case.name, passed, polished, straight, lowest)
+    more = drawn(case, passed.theta, rows) if case.name in MANY else None
+    lowest = min(float(np.min(one.cost)) for one in (polished, straight, best, more or best))
+    return Found(case.name, passed, polished, straight, more, lowest)
 
 
 def row(one: Found) -> list[str]:
@@ -215,22 +221,50 @@ def row(one: Found) -> list[str]:
     return [*cells, ", ".join(f"{value:.3g}" for value in seconds)]
 
 
-def tanks_in_turn(seed: int) -> tuple[list[str], float]:
-    """Best of 100 starts without effects, `discover`, `refine`: part of a row, and the cost."""
+def drawn(case: Case, rows: np.ndarray, starts: np.ndarray) -> Ends:
+    """`refine` of each row on its own with `DRAWN` points that it draws around it by itself.
+
+    Args:
+        rows: estimates of the passes.
+        starts: where they began; drawn around where there is no estimate (NaN).
+    """
+    began, cost, theta = time.perf_counter(), [], []
+    for row, start in zip(rows, starts, strict=True):
+        plant = case.plant.with_parameters(row if np.all(np.isfinite(row)) else start)
+        one = eoi.refine(plant, case.record, substeps=case.substeps, starts=DRAWN)
+        cost.append(cost_of(one, case.record))
+        theta.append(np.asarray(one.plant.theta))
+    return Ends(np.asarray(cost), np.stack(theta), time.perf_counter() - began)
+
+
+def cost_of(one: eoi.Refinement, record: eoi.Record) -> float:
+    """In the unit of `side_by_side`: squares over the variance of the output."""
+    return float(len(record) * one.rmse[0] ** 2 / np.var(record.outputs))
+
+
+def tanks_in_turn(number: int) -> tuple[list[str], float]:
+    """A random start without effects refined with drawn points, `discover`, `refine`: a row."""
     folder = data_directory()
     case, (plant, record) = measured_cases.cascaded_tanks(folder), refine_cases.bare_tanks(folder)
     bare = Case("", plant, record, np.asarray(OPTIMA["cascaded_tanks without overflow"]), 4, TANKS)
-    passed = passes(bare, bare.rows(SIDE, seed))
-    answers = passed.theta[np.isfinite(passed.cost)]
-    ahead = plant.with_parameters(passed.theta[np.nanargmin(passed.cost)])
-    several = eoi.refine(ahead, record, starts=answers)
+    lost = plant.with_parameters(bare.rows(number + 1)[number])
+    first = eoi.refine(lost, record, starts=DRAWN)
     more = eoi.discover(
-        ahead, case.records, case.held_out, lowpass=case.lowpass, window=case.window
-    )  # fmt: skip
-    ends = eoi.refine(more.plant, record)
-    cost = len(record) * float(ends.rmse[0]) ** 2 / np.var(record.outputs)
-    volts = [f"{float(one.rmse[0]):.4f} V" for one in (several, ends)]
-    return [str(seed), str(len(answers)), volts[0], ", ".join(more.effects), volts[1]], float(cost)
+        first.plant, case.records, case.held_out, lowpass=case.lowpass, window=case.window
+    )
+    ends = [eoi.refine(more.plant, record, starts=count) for count in (None, DRAWN)]
+    volts = [f"{float(one.rmse[0]):.4f} V" for one in (first, *ends)]
+    cells = [str(number), volts[0], ", ".join(more.effects), *volts[1:]]
+    return cells, cost_of(ends[0], record)
+
+
+def drawn_row(one: Found) -> list[str]:
+    """Of the table of drawn points."""
+    assert one.drawn is not None
+    wide, missed = one.reached(one.drawn), one.median(one.drawn)
+    rest = "" if np.isnan(missed) else f"{missed:.3g}"
+    share = f"**{percent(float(np.mean(wide)))}** of {len(wide)}"
+    return [one.name, share, rest, f"{one.drawn.seconds / len(wide):.2g}"]
 
 
 HEADER = ("case", "passes answer", "pass + refine", "missed: rms / best", "output error alone",
@@ -252,22 +286,29 @@ def main() -> None:
         f"Output error alone: the first {ALONE} of 1000 starts. *No run*: the middle one "
         "of those that missed has no estimate to refine, or its free run diverges."
     )
-    rows, best = [], np.nan
+    rows, ends = [], []
     for case in simulated()[:2] if given.quick else [*simulated(), *measured()]:
         count = SIDE if given.quick or case.name in OPTIMA else 1000
         one = found(case, count, min(count, ALONE))
         rows.append(row(one))
         print(rows[-1], flush=True)
-        best = one.best
+        ends.append(one)
     report.add(table(HEADER, rows))
     if not given.quick:
-        turns = [tanks_in_turn(seed) for seed in range(3)]
-        best = min(best, *(cost for _, cost in turns))
+        several = [one for one in ends if one.drawn is not None]
         report.add(
-            f"The tanks in turn: passes of the model without overflow from {SIDE} random starts "
-            "(seed); all answers refined side by side (`starts`); `discover` from the one with the "
-            "smallest index; `refine` with what it adds, beside the lowest cost of all:",
-            table(("seed", "passes answer", "bare", "added", "with these", "above the best"),
+            f"Passes, then `refine(starts={DRAWN})`, each start on its own: points around the "
+            "estimate of the passes, or around the start where they have none.",
+            table(("case", "reached", "missed: rms / best", "seconds a start"),
+                  [drawn_row(one) for one in several]),
+        )  # fmt: skip
+        turns = [tanks_in_turn(number) for number in range(3)]
+        best = min(several[-1].best, *(cost for _, cost in turns))
+        report.add(
+            f"The tanks in turn, each from one random start: `refine(starts={DRAWN})` without "
+            "effects; `discover` from there; `refine` with what it adds, without and with drawn "
+            "points, and the cost of the former beside the lowest of all:",
+            table(("start", "bare", "added", "with these", f"starts={DRAWN}", "above the best"),
                   [[*cells, percent(cost / best - 1.0)] for cells, cost in turns]),
         )  # fmt: skip
     report.close("random_starts", given.write)
