@@ -163,3 +163,17 @@ def test_the_start_is_the_plants_own_where_it_declares_one():
     np.testing.assert_allclose(x.z, plant.internal_start(jnp.asarray(lane.theta)))
     # Its own unknown is then no unknown.
     np.testing.assert_array_equal(shown[:, 0, 1], 0.0)
+
+
+def test_what_has_died_away_is_zero_and_the_caller_s_arithmetic_stays_as_it_was():
+    """Derivatives with the initial state, after 800 time constants: below 1e-308 they are slow."""
+    damped = Plant(lambda t, x, u, p: u - p.d * x.y[0], {"d": 1000.0}, 1, ("u",), ("y",))
+    table = free_runs.table(TIME, np.zeros((len(TIME), 3)), np.ones(len(TIME)), np.ones(len(TIME)))
+    never, squares = np.asarray(0.0), np.asarray(np.inf)
+    lane = RunLane(np.array([1000.0]), np.array([1.0]), never, np.ones(1), squares)
+    smallest = np.finfo(float).smallest_normal
+    shown = free_runs.shown(kernel_of(damped, "signals"), lane, table, PERIOD, 1)[:, 0, 0]
+    assert np.all((shown == 0) | (np.abs(shown) >= smallest))
+    assert shown[0] == -1.0
+    assert shown[-1] == 0.0
+    assert np.multiply(smallest, 0.5 * np.ones(1))[0] > 0
