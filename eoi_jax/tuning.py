@@ -31,6 +31,7 @@ _NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
 _CHANCE = 8.0  # standard deviations of the mean power of noise that chance does not reach
 _NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
 _CUTOFFS = 200  # that are tried
+_BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
 _NOISY_RATE = 0.01  # noise of the velocity over the velocity, rms, that calls for smoothing
 _SMOOTH_BAND = 5.0  # of the smoothing over the cut-off of F
 _FINE = 0.012  # cut-off times step
@@ -209,13 +210,22 @@ class Spectrum:
     def quiet_cutoff(self, share: float, order: int) -> float:
         """Highest cut-off [rad/s] whose filter passes noise below `share` of the signal (rms)."""
         cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
+        omega, signal, noise = self._bands()
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
-        top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (self.omega, cutoffs))
+        top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (omega, cutoffs))
         for cutoff, power in zip(cutoffs[::-1], bottom[::-1], strict=True):
             gain = power / (power + top)
-            if gain @ self.noise <= share**2 * (gain @ self.signal):
+            if gain @ noise <= share**2 * (gain @ signal):
                 return float(cutoff)
         return 0.0
+
+    def _bands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean frequency, signal and noise of bands so narrow that a filter is flat in each."""
+        edges = np.geomspace(1.0, len(self.omega), round(np.log(len(self.omega)) / _BAND))
+        first = np.unique(np.append(0, edges[:-1].astype(int)))
+        sums = (np.add.reduceat(one, first) for one in (self.omega, self.signal, self.noise))
+        omega, signal, noise = sums
+        return omega / np.diff(np.append(first, len(self.omega))), signal, noise
 
 
 def spectrum(record: Record, output: int, degree: int) -> Spectrum:

@@ -10,7 +10,7 @@ from problems import SWAY, Motion, grid, moved_mass_spring
 from eoi_jax.data.record import Record
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.plants import Plant, level_tank, mass_spring_damper
-from eoi_jax.tuning import default_lowpass, default_observer, default_substeps
+from eoi_jax.tuning import Spectrum, default_lowpass, default_observer, default_substeps
 
 H = 2e-3
 TRUE = mass_spring_damper(true=True).parameters
@@ -182,3 +182,15 @@ def test_substeps_make_the_step_short_against_the_filter_and_say_so():
 def test_substeps_follow_the_slowest_record():
     fast, slow = made(samples=401, h=1e-3), made(samples=401, h=1e-2)
     assert default_substeps([fast, slow], 30.0)[0] == default_substeps([slow], 30.0)[0]
+
+
+def test_quiet_cutoff_is_that_of_every_frequency_by_itself():
+    draw = np.random.default_rng(0)
+    omega = np.linspace(0.0, 3000.0, 4000)
+    signal, noise = draw.exponential(1.0, 4000) / (1.0 + omega) ** 2, 1e-14 * omega**4
+    one, order, found = Spectrum(omega, signal, noise), 3, 0.0
+    for cutoff in np.geomspace(omega[1], omega[-1], 200):
+        gain = 1.0 / (1.0 + (omega / cutoff) ** (2 * order))
+        found = cutoff if gain @ noise <= 1e-6 * (gain @ signal) else found
+    assert omega[5] < found < omega[-5]
+    assert one.quiet_cutoff(1e-3, order) == pytest.approx(found, rel=1e-9)
