@@ -8,6 +8,7 @@ import hashlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import comb
 from typing import Any
 
@@ -358,8 +359,18 @@ class Record:
 
         Source: Rice, Ann. Statist. 12 (1984) 1215, with higher differences.
         """
-        if self._noise is not None:
-            return self._noise
+        return self._own_noise if self._noise is None else self._noise
+
+    @property
+    def quantum(self) -> Float[np.ndarray, " ny"]:
+        """Step of the values of each output; 0 if they are not multiples of one step.
+
+        Of a sub-stepped record it is that of its samples; smoothing removes it.
+        """
+        return self._own_quantum if self._quantum is None else self._quantum
+
+    @cached_property
+    def _own_noise(self) -> Float[np.ndarray, " ny"]:
         estimates = []
         for d in range(2, 9):
             pieces = [np.diff(self.outputs[a:b], n=d, axis=0) for a, b in self.segments()]
@@ -369,14 +380,8 @@ class Record:
         steps = self.quantum / np.sqrt(12.0)
         return np.maximum(np.min(estimates, axis=0), steps) if estimates else steps
 
-    @property
-    def quantum(self) -> Float[np.ndarray, " ny"]:
-        """Step of the values of each output; 0 if they are not multiples of one step.
-
-        Of a sub-stepped record it is that of its samples; smoothing removes it.
-        """
-        if self._quantum is not None:
-            return self._quantum
+    @cached_property
+    def _own_quantum(self) -> Float[np.ndarray, " ny"]:
         return _quanta(self.outputs[self.valid])
 
     @property
@@ -412,6 +417,8 @@ class Record:
         for array in arrays.values():
             array.setflags(write=False)  # kernels and results share them
         self._assign({**arrays, "sample_period": float(sample_period)})
+        for name in ("_own_noise", "_own_quantum"):  # of other samples, if this is a copy
+            self.__dict__.pop(name, None)
 
     def _assign(self, values: dict[str, Any]) -> None:
         """The one way around `frozen`, for records that are still being made."""

@@ -443,6 +443,15 @@ def test_the_quantum_of_a_quantised_signal_is_found():
     assert np.all(record.smooth(20).quantum == 0)
 
 
+def test_a_slice_has_its_own_noise_whether_or_not_that_of_the_whole_was_asked_for():
+    t = 1e-3 * np.arange(4000)
+    noise = np.where(t < 2.0, 1e-3, 1e-5) * np.random.default_rng(1).normal(size=t.size)
+    asked, fresh = Record(t, t, 0.1 * t + noise), Record(t, t, 0.1 * t + noise)
+    assert asked.noise[0] == pytest.approx(7e-4, rel=0.1)
+    assert asked.quantum[0] == 0.0
+    assert asked[2000:].noise[0] == fresh[2000:].noise[0] == pytest.approx(1e-5, rel=0.1)
+
+
 def test_quantised_noise_is_a_twelfth_of_the_step_squared_when_the_signal_moves():
     t = 0.001 * np.arange(20_000)
     y = np.round(np.sin(20 * t) / 1e-3) * 1e-3  # twenty steps a sample
