@@ -98,7 +98,8 @@ def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Pa
     assert result["identified"]["parameters"] != result["parameters"]
     errors = [result["validation"][name]["rmse"]["position"] for name in ("before", "refined")]
     assert errors == pytest.approx([1e-4, 1e-4], rel=0.1)
-    assert result["config"]["refine"] == {"window": None, "substeps": 1, "max_steps": 20}
+    table = {"window": None, "substeps": 1, "max_steps": 20, "starts": None}
+    assert result["config"]["refine"] == table
 
 
 def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):

@@ -24,6 +24,7 @@ import numpy as np
 
 from eoi_jax.engines.lane_program import BLOCK, BOTH, CARRY, LANE, ONCE, STEP, LaneProgram, Update
 from eoi_jax.engines.scalars import Node, Untranslatable, ordered
+from eoi_jax.engines.subnormals import flushing
 
 # Contraction (a b + c rounded once) is what makes C fast too. Nothing here assumes finite numbers.
 _FLAGS = "contract nsz"
@@ -289,31 +290,6 @@ _LANES = (
     "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, "
     "ptr noalias %shown, i64 %count) #0 {"
 )
-# How a core is told to take numbers below the smallest normal one for zero, and what it did before:
-# by the architecture's name. What dies away ends among these, and they are ten times slower.
-_FLUSHING = {
-    "x86_64": (
-        """
-  %mode = alloca i32
-  %flushing = alloca i32
-  call void @llvm.x86.sse.stmxcsr(ptr %mode)
-  %mode.was = load i32, ptr %mode
-  %mode.new = or i32 %mode.was, 32832
-  store i32 %mode.new, ptr %flushing
-  call void @llvm.x86.sse.ldmxcsr(ptr %flushing)""",
-        "  call void @llvm.x86.sse.ldmxcsr(ptr %mode)",
-        ("declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"),
-    ),
-    "aarch64": (
-        """
-  %mode = call i64 @llvm.aarch64.get.fpcr()
-  %mode.new = or i64 %mode, 16777216
-  call void @llvm.aarch64.set.fpcr(i64 %mode.new)""",
-        "  call void @llvm.aarch64.set.fpcr(i64 %mode)",
-        ("declare i64 @llvm.aarch64.get.fpcr()", "declare void @llvm.aarch64.set.fpcr(i64)"),
-    ),
-}
-_FLUSHING["arm64"] = _FLUSHING["aarch64"]
 # Threads take tiles from one counter, so that none waits for Python or for a slower one.
 _TILE = """  br label %tile
 tile:
@@ -331,16 +307,11 @@ tile.body:
 
 
 def _begin(text: _Text, definition: str) -> None:
-    text.add(definition, "entry:", _flushing()[0].strip("\n"))
+    text.add(definition, "entry:", flushing().begin)
 
 
 def _end(text: _Text) -> None:
-    text.add(_flushing()[1], "  ret void", "}")
-
-
-def _flushing() -> tuple[str, str, tuple[str, ...]]:
-    architecture = llvm.get_process_triple().split("-")[0]
-    return _FLUSHING.get(architecture, ("", "", ()))
+    text.add(flushing().end, "  ret void", "}")
 
 
 def _loop(text: _Text, name: str, before: str, count: str) -> None:
@@ -564,7 +535,7 @@ def source(program: LaneProgram, where: Layout, dtype: Any) -> str:
     text = _Text("float" if np.dtype(dtype) == np.float32 else "double")
     _write_steps(text, program, where)
     _write_lanes(text, program, where)
-    text.declared.update(_flushing()[2])
+    text.declared.update(flushing().declarations)
     bits = 8 * register_bytes()
     # The stack aligned to whole registers: what spills to it is read often.
     attributes = (

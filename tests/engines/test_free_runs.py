@@ -5,11 +5,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
 from eoi_jax import plants
 from eoi_jax.engines import free_runs
+from eoi_jax.engines.subnormals import ARCHITECTURES
 from eoi_jax.output_error import kernel_of
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.sensitivity import RunLane, RunRow
@@ -177,3 +179,16 @@ def test_what_has_died_away_is_zero_and_the_caller_s_arithmetic_stays_as_it_was(
     assert shown[0] == -1.0
     assert shown[-1] == 0.0
     assert np.multiply(smallest, 0.5 * np.ones(1))[0] > 0
+
+
+@pytest.mark.parametrize("name", ["x86_64", "aarch64"])
+def test_subnormal_numbers_are_flushed_in_words_that_llvm_knows(name):
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    words = ARCHITECTURES[name]
+    body = ["define void @f() {", words.begin, words.end, "  ret void", "}", *words.declarations]
+    module = llvm.parse_assembly("\n".join(body))
+    module.triple = f"{name}-unknown-linux-gnu"
+    machine = llvm.Target.from_triple(module.triple).create_target_machine()
+    written = machine.emit_assembly(module)
+    assert {"x86_64": "ldmxcsr", "aarch64": "msr\tFPCR"}[name].lower() in written.lower()
