@@ -74,7 +74,7 @@ def refine(
         starts: further points to start from, run side by side: dicts of parameters, rows
             (starts, np), or how many are drawn around the plant's values: each times a factor of
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
-            ones more, the best one the rest.
+            ones more, the best one the rest; the answer is never worse than without them.
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
@@ -114,14 +114,16 @@ def refine(
         jnp.asarray(nominal.theta)[np.asarray(problem.free)],
         jnp.asarray(guessed_starts(problem, several, spans)),
     )
-    before = first = _unweighed(problem, signals(unknowns, problem))
-    if len(points):
-        unknowns = _best(problem, unknowns, points)
-        first = _unweighed(problem, signals(unknowns, problem))
-    if not np.all(np.isfinite(first)):
-        return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
+    before = _unweighed(problem, signals(unknowns, problem))
+    own = [unknowns] if np.all(np.isfinite(before)) else []
     effort = _Effort(max_steps, _watch(callback, max_steps))
-    fit = _fitted(problem, unknowns, before, effort, huber)
+    fits = [
+        _fitted(problem, start, before, effort, huber)
+        for start in (*own, *_best(problem, unknowns, points))
+    ]
+    if not fits:
+        return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
+    fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     if substeps is None:
         fit = _finer(fit, several, spans, effort, huber)
     return _refinement(fit, several, spans, window)
@@ -175,11 +177,13 @@ def _drawn(plant: Plant, count: int) -> Float[np.ndarray, "points np"]:
     return np.where(np.asarray(plant.free), points, theta)
 
 
-def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> Unknowns:
-    """Where the best of several points leads: by halves, as in a tournament."""
+def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> list[Unknowns]:
+    """Where the best of several points leads, as in a tournament; none where all diverge."""
     from eoi_jax.levenberg_marquardt import solve_many
 
-    theta = np.vstack([np.asarray(problem.theta), points])[:, list(problem.free)]
+    if not len(points):
+        return []
+    theta = points[:, list(problem.free)]
     starts = jnp.broadcast_to(unknowns.starts, (len(theta), *unknowns.starts.shape))
     several = Unknowns(jnp.asarray(theta), starts)
     for steps in _TOURNAMENT:
@@ -187,7 +191,7 @@ def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> Unknowns:
         cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
         kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
         several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)
-    return jax.tree.map(lambda leaf: leaf[0], several)
+    return [jax.tree.map(lambda leaf: leaf[0], several)] if np.isfinite(np.min(cost)) else []
 
 
 def _fitted(
@@ -212,9 +216,8 @@ def _fitted(
             jax.effects_barrier()  # all of it told before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
         fit = _Fit(problem, signals(unknowns, problem), before, outcome, steps)
-        sigma = _rms(fit.error, fit.use) if huber is None else _typical(fit.error, fit.use)
         # An output without any error would weigh infinitely.
-        sigma = np.maximum(sigma, 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
+        sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
         ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
         # Squares know no scale: only the ratios of the outputs count.
         apart = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
@@ -280,6 +283,10 @@ class _Fit:
     def error(self) -> Float[np.ndarray, "runs time ny"]:
         """y - ŷ; zero where not scored."""
         return _unweighed(self.problem, self.shown)
+
+    def sigma(self, huber: float | None) -> Float[np.ndarray, " ny"]:
+        """Standard deviation of each output's errors, of which those few beyond `huber` are not."""
+        return (_rms if huber is None else _typical)(self.error, self.use)
 
     @property
     def differentiable(self) -> bool:

@@ -307,6 +307,15 @@ def test_drawn_starts_keep_to_bounds_and_leave_what_is_fixed_or_zero():
         points_of(plant, 0)
 
 
+def test_further_starts_never_make_the_answer_worse_and_may_all_be_lost():
+    record = run(OSCILLATOR, [0.02, -0.1], 1e-3)
+    far = [{"stiffness": 60.0, "gain": -3.0}, {"stiffness": 30.0, "damping": 5.0}]
+    alone, helped = refine(OSCILLATOR, record), refine(OSCILLATOR, record, starts=far)
+    assert helped.cost <= alone.cost
+    lost = refine(OSCILLATOR, record, starts=[{"damping": -1e4}] * 2)
+    np.testing.assert_array_equal(lost.plant.theta, alone.plant.theta)
+
+
 def test_starts_are_named_or_rows_within_the_bounds():
     bounded = eoi.Plant(hardening, VALUES, 2, ("u",), ("y",), bounds={"damping": (0.0, 2.0)})
     record = run(OSCILLATOR)
