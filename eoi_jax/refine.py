@@ -42,7 +42,7 @@ from eoi_jax.results import Status
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
 _SETTLED = 0.02  # relative change of these weights that is none
-_TOURNAMENT = (8, 16)  # steps of the solver for all points, and for those that are left
+_TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
 _SHARE = 8  # one of so many is kept
 _REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
