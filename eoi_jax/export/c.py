@@ -1,8 +1,8 @@
 """A model as a C function (C99, `math.h` and nothing else)."""
 
-from eoi_jax.equations.expression import Expression, Symbol
-from eoi_jax.export.code import Language, functions_of, symbols_of, written
-from eoi_jax.export.names import comment, header, identifiers
+from eoi_jax.equations.expression import Symbol
+from eoi_jax.export.code import Language
+from eoi_jax.export.listing import Listing
 from eoi_jax.export.program import Program
 
 _C = Language(
@@ -36,36 +36,24 @@ def c_text(model: Program, name: str, version: str) -> str:
         name: of the function, an identifier.
         version: of this package.
     """
-    names = identifiers(model)
-
-    def code(one: Expression) -> str:
-        return written(one, names, _C)
-
-    trees = [tree for _, tree in model.definitions] + list(model.rates)
-    called = set().union(*map(functions_of, trees))
-    used = set().union(*map(symbols_of, trees))
-    top = "\n".join(
-        f" * {line}".rstrip()
-        for line in header(model, names, ("[", "]", "0"), version).splitlines()
-    )
-    body = [f"    const double {names[one.symbol]} = {value!r};{_unit(one.unit)}"
-            for one, value in model.parameters if one.symbol in used]  # fmt: skip
-    for vector, variables in (("states", model.states), ("inputs", model.inputs)):
-        body += [f"    const double {names[one.symbol]} = {vector}[{k}];"
-                 for k, one in enumerate(variables) if one.symbol in used]  # fmt: skip
-        if not any(one.symbol in used for one in variables):
-            body.append(f"    (void){vector};")
-    if Symbol("t") not in used:
-        body.append("    (void)t;")
-    body += [
-        f"    const double {names[symbol]} = {code(tree)};" for symbol, tree in model.definitions
+    listing = Listing(model, _C, "const double {} = {};", " /* {} */")
+    top = "\n".join(listing.top(" *", ("[", "]", "0"), version))
+    body = [
+        *listing.parameters(),
+        *listing.elements(lambda vector, k: f"{vector}[{k}]"),
+        *(f"(void){name};" for name in _unread(listing)),
+        *listing.definitions(),
+        *(f"rates[{k}] = {listing.code(tree)};" for k, tree in enumerate(model.rates)),
     ]
-    body += [f"    rates[{k}] = {code(tree)};" for k, tree in enumerate(model.rates)]
-    helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
+    helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in listing.called)
     head = f"void {name}(double t, const double *states, const double *inputs, double *rates)"
-    lines = "\n".join(body)
+    lines = "\n".join(f"    {line}" for line in body)
     return f"/*\n{top}\n */\n#include <math.h>\n\n{helpers}{head};\n\n{head}\n{{\n{lines}\n}}\n"
 
 
-def _unit(unit: str) -> str:
-    return f" /* {comment(unit)} */" if unit else ""
+def _unread(listing: Listing) -> list[str]:
+    """Arguments of the function of which compilers would say that nothing reads them."""
+    model, used = listing.model, listing.used
+    several = {"states": model.states, "inputs": model.inputs}
+    names = [name for name, all_ in several.items() if not any(one.symbol in used for one in all_)]
+    return names if Symbol("t") in used else [*names, "t"]

@@ -1,8 +1,7 @@
 """A model as a function file of MATLAB and of GNU Octave."""
 
-from eoi_jax.equations.expression import Expression
-from eoi_jax.export.code import Language, functions_of, symbols_of, written
-from eoi_jax.export.names import comment, header, identifiers
+from eoi_jax.export.code import Language
+from eoi_jax.export.listing import Listing
 from eoi_jax.export.program import Program
 
 _MATLAB = Language(
@@ -48,28 +47,15 @@ def matlab_text(model: Program, name: str, version: str) -> str:
         name: of the function, an identifier; MATLAB finds it by the name of the file.
         version: of this package.
     """
-    names = identifiers(model)
-
-    def code(one: Expression) -> str:
-        return written(one, names, _MATLAB)
-
-    trees = [tree for _, tree in model.definitions] + list(model.rates)
-    called = set().union(*map(functions_of, trees))
-    used = set().union(*map(symbols_of, trees))
-    top = [
-        f"% {line}".rstrip() for line in header(model, names, ("(", ")", "1"), version).splitlines()
-    ]
+    listing = Listing(model, _MATLAB, "{} = {};", "  % {}")
     body = [
-        f"{names[one.symbol]} = {value!r};" + (f"  % {comment(one.unit)}" if one.unit else "")
-        for one, value in model.parameters
-        if one.symbol in used
+        *listing.top("%", ("(", ")", "1"), version),
+        *listing.parameters(),
+        *listing.elements(lambda vector, k: f"{vector}({k + 1})"),
+        *listing.definitions(),
+        f"rates = zeros({len(model.states)}, 1);",
+        *(f"rates({k}) = {listing.code(tree)};" for k, tree in enumerate(model.rates, 1)),
     ]
-    for vector, variables in (("states", model.states), ("inputs", model.inputs)):
-        body += [f"{names[one.symbol]} = {vector}({k});"
-                 for k, one in enumerate(variables, 1) if one.symbol in used]  # fmt: skip
-    body += [f"{names[symbol]} = {code(tree)};" for symbol, tree in model.definitions]
-    body.append(f"rates = zeros({len(model.states)}, 1);")
-    body += [f"rates({k}) = {code(tree)};" for k, tree in enumerate(model.rates, 1)]
-    helpers = "".join(text for key, text in _HELPERS.items() if key in called)
-    lines = "\n".join([f"function rates = {name}(t, states, inputs)", *top, *body, "end"])
+    helpers = "".join(text for key, text in _HELPERS.items() if key in listing.called)
+    lines = "\n".join([f"function rates = {name}(t, states, inputs)", *body, "end"])
     return f"{lines}\n{helpers}"

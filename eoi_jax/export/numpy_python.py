@@ -1,8 +1,7 @@
 """A model as a Python function that needs NumPy alone."""
 
-from eoi_jax.equations.expression import Expression
-from eoi_jax.export.code import Language, symbols_of, written
-from eoi_jax.export.names import comment, header, identifiers
+from eoi_jax.export.code import Language
+from eoi_jax.export.listing import Listing
 from eoi_jax.export.program import Program
 
 _OWN = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1", "log", "log1p", "cbrt", "abs")
@@ -38,28 +37,16 @@ def python_text(model: Program, name: str, version: str) -> str:
         name: of the function, an identifier.
         version: of this package.
     """
-    names = identifiers(model)
-
-    def code(one: Expression) -> str:
-        return written(one, names, _NUMPY)
-
-    trees = [tree for _, tree in model.definitions] + list(model.rates)
-    used = set().union(*map(symbols_of, trees))
-    top = [
-        f"# {line}".rstrip() for line in header(model, names, ("[", "]", "0"), version).splitlines()
+    listing = Listing(model, _NUMPY, "{} = {}", "  # {}")
+    body = [*listing.parameters(), *listing.elements(lambda vector, k: f"{vector}[{k}]")]
+    inner = [
+        *listing.definitions(),
+        "rates = [",
+        *(f"    {listing.code(tree)}," for tree in model.rates),
+        "]",
     ]
-    body = [
-        f"{names[one.symbol]} = {value!r}" + (f"  # {comment(one.unit)}" if one.unit else "")
-        for one, value in model.parameters
-        if one.symbol in used
-    ]
-    for vector, variables in (("states", model.states), ("inputs", model.inputs)):
-        body += [f"{names[one.symbol]} = {vector}[{k}]"
-                 for k, one in enumerate(variables) if one.symbol in used]  # fmt: skip
-    inner = [f"{names[symbol]} = {code(tree)}" for symbol, tree in model.definitions]
-    inner += ["rates = [", *(f"    {code(tree)}," for tree in model.rates), "]"]
     lines = [
-        *top,
+        *listing.top("#", ("[", "]", "0"), version),
         "import numpy as np",
         "",
         "",
