@@ -323,15 +323,16 @@ def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
 
 def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:
     """c of every sample: derivatives of the weighed errors, start first, and the errors."""
-    theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
+    theta = np.array(problem.theta)
+    theta[list(problem.free)] = np.asarray(unknowns.theta)
     if not problem.compiled:
-        return np.asarray(_shown(problem, theta, unknowns.starts))[:, :: problem.substeps]
+        shown = _shown(problem, jnp.asarray(theta), unknowns.starts)
+        return np.asarray(shown)[:, :: problem.substeps]
     counts, out = np.asarray(problem.counts), None
+    starts, declared = np.asarray(unknowns.starts), np.asarray(problem.declared)
     kernel = replace(problem.kernel, store="signals")
     for i, count in enumerate(counts):
-        lane = RunLane(
-            theta, unknowns.starts[i], problem.declared[i], problem.scale, problem.threshold
-        )
+        lane = RunLane(theta, starts[i], declared[i, ...], problem.scale, problem.threshold)
         rows = np.asarray(problem.tables)[i, :count]
         part = free_runs.shown(kernel, lane, rows, float(problem.steps[i]), problem.substeps)
         if out is None:

@@ -366,13 +366,18 @@ def _cost(rmse: np.ndarray) -> float:
 def _starts(
     fit: _Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
 ) -> tuple[Start, ...]:
-    theta, starts = jnp.asarray(plant.theta), []
-    for i, span in enumerate(spans):
-        values, declared = fit.outcome.unknowns.starts[i], fit.problem.declared[i]
-        x, record = fit.problem.kernel.start(values, theta, declared), records[span.record]
-        starts.append(
-            Start(record.name, float(record.time[span.first]), np.asarray(x.y), np.asarray(x.z))
-        )
+    # As `RunKernel.start`, which as JAX by itself would take milliseconds for each of many windows.
+    kernel, starts = fit.problem.kernel, []
+    count = len(kernel.rows)
+    own = np.asarray(plant.internal_start(jnp.asarray(plant.theta)))
+    declared = np.asarray(fit.problem.declared) > 0
+    for i, (span, values) in enumerate(
+        zip(spans, np.asarray(fit.outcome.unknowns.starts), strict=True)
+    ):
+        y, record = np.zeros((plant.relative_degree, len(plant.outputs))), records[span.record]
+        y[list(kernel.rows), list(kernel.columns)] = values[:count]
+        z = own if declared[i] else values[count:]
+        starts.append(Start(record.name, float(record.time[span.first]), y, z))
     return tuple(starts)
 
 
