@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
+from eoi_jax.multistart import best, points_of
 from eoi_jax.output_error import (
     PROMISE,
     Outcome,
@@ -33,7 +34,7 @@ from eoi_jax.output_error import (
     weighed,
 )
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records, starting_points
+from eoi_jax.prepare import check_records
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.regression.least_squares import least_squares, untraced
 from eoi_jax.regression.long_run import long_run
@@ -42,9 +43,6 @@ from eoi_jax.results import Status
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
 _SETTLED = 0.02  # relative change of these weights that is none
-_TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
-_SHARE = 8  # one of so many is kept
-_REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
 
@@ -119,7 +117,7 @@ def refine(
     effort = _Effort(max_steps, _watch(callback, max_steps))
     fits = [
         _fitted(problem, start, before, effort, huber)
-        for start in (*own, *_best(problem, unknowns, points))
+        for start in (*own, *best(problem, unknowns, points))
     ]
     if not fits:
         return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
@@ -144,54 +142,6 @@ def _watch(
         return None
     told = callback
     return lambda number, _: told(int(number), max_steps)
-
-
-def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
-    """Further points to start from, none of them outside the bounds."""
-    if starts is None:
-        return np.zeros((0, len(plant.names)))
-    if isinstance(starts, int | np.integer):
-        check(starts >= 1, "starts", "must be points, or how many are drawn: at least 1", starts)
-        return _drawn(plant, int(starts))
-    points = starting_points(plant, starts)
-    for i, name in enumerate(plant.names):
-        outside = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
-        rule = f"must keep {name} in its bounds [{plant.lower[i]:g}, {plant.upper[i]:g}]"
-        check(not outside.any(), "starts", rule, points[outside, i][:1])
-    return points
-
-
-def _drawn(plant: Plant, count: int) -> Float[np.ndarray, "points np"]:
-    """Points around a plant's values, by ratios: a parameter's size is often less known than that.
-
-    Its sign, too. What is zero stays zero, and what is fixed stays.
-    """
-    theta, draw = np.asarray(plant.theta, dtype=float), np.random.default_rng(_SEED)
-    ratio = np.exp(draw.uniform(-np.log(_REACH), np.log(_REACH), (count, len(theta))))
-    ratio *= draw.choice([-1.0, 1.0], ratio.shape)
-    points = theta * ratio
-    for inside in (-ratio, 1.0 / ratio, -1.0 / ratio):
-        outside = (points < plant.lower) | (points > plant.upper)
-        points = np.where(outside, theta * inside, points)
-    points = np.clip(points, plant.lower, plant.upper)
-    return np.where(np.asarray(plant.free), points, theta)
-
-
-def _best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> list[Unknowns]:
-    """Where the best of several points leads, as in a tournament; none where all diverge."""
-    from eoi_jax.levenberg_marquardt import solve_many
-
-    if not len(points):
-        return []
-    theta = points[:, list(problem.free)]
-    starts = jnp.broadcast_to(unknowns.starts, (len(theta), *unknowns.starts.shape))
-    several = Unknowns(jnp.asarray(theta), starts)
-    for steps in _TOURNAMENT:
-        found = solve_many(problem, several, steps)
-        cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
-        kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
-        several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)
-    return [jax.tree.map(lambda leaf: leaf[0], several)] if np.isfinite(np.min(cost)) else []
 
 
 def _fitted(

@@ -58,6 +58,7 @@ LAYERS = (
     ("sweep",),
     ("output_error",),
     ("levenberg_marquardt",),
+    ("multistart",),
     ("refinement",),
     ("refine",),
     ("uncertainty",),

@@ -10,8 +10,9 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
+from eoi_jax.multistart import points_of
 from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
-from eoi_jax.refine import points_of, refine
+from eoi_jax.refine import refine
 
 PERIOD = 5e-3
 TIME = np.arange(1001) * PERIOD
@@ -303,8 +304,9 @@ def test_drawn_starts_keep_to_bounds_and_leave_what_is_fixed_or_zero():
     assert 0.4 < np.mean(ratio > 0) < 0.6
     assert 0 < np.min(points[:, 1]) < np.max(points[:, 1]) < 2.0
     np.testing.assert_array_equal(points_of(plant, 500), points)
-    with pytest.raises(ValueError, match=r"`starts` must be points, or how many .* got 0"):
-        points_of(plant, 0)
+    for wrong in (0, 2.5, "many"):
+        with pytest.raises(ValueError, match=rf"`starts` must be points .* drawn: .*{wrong}"):
+            points_of(plant, wrong)
 
 
 def test_further_starts_never_make_the_answer_worse_and_may_all_be_lost():
