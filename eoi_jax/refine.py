@@ -316,19 +316,13 @@ def _cost(rmse: np.ndarray) -> float:
 def _starts(
     fit: _Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
 ) -> tuple[Start, ...]:
-    # As `RunKernel.start`, which as JAX by itself would take milliseconds for each of many windows.
-    kernel, starts = fit.problem.kernel, []
-    count = len(kernel.rows)
-    own = np.asarray(plant.internal_start(jnp.asarray(plant.theta)))
-    declared = np.asarray(fit.problem.declared) > 0
-    for i, (span, values) in enumerate(
-        zip(spans, np.asarray(fit.outcome.unknowns.starts), strict=True)
-    ):
-        y, record = np.zeros((plant.relative_degree, len(plant.outputs))), records[span.record]
-        y[list(kernel.rows), list(kernel.columns)] = values[:count]
-        z = own if declared[i] else values[count:]
-        starts.append(Start(record.name, float(record.time[span.first]), y, z))
-    return tuple(starts)
+    unknowns, theta = fit.outcome.unknowns, jnp.asarray(plant.theta)
+    start = jax.vmap(fit.problem.kernel.start, in_axes=(0, None, 0))  # all windows in one call
+    x = jax.tree.map(np.asarray, start(unknowns.starts, theta, fit.problem.declared))
+    return tuple(
+        Start(records[span.record].name, float(records[span.record].time[span.first]), y, z)
+        for span, y, z in zip(spans, x.y, x.z, strict=True)
+    )
 
 
 @dataclass(frozen=True)
