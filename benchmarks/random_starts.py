@@ -234,7 +234,8 @@ def drawn(case: Case, rows: np.ndarray, starts: np.ndarray) -> Ends:
         one = eoi.refine(plant, case.record, substeps=case.substeps, starts=DRAWN)
         cost.append(cost_of(one, case.record))
         theta.append(np.asarray(one.plant.theta))
-    return Ends(np.asarray(cost), np.stack(theta), time.perf_counter() - began)
+    ends = np.where(np.isfinite(cost), cost, np.inf)  # no answer
+    return Ends(ends, np.stack(theta), time.perf_counter() - began)
 
 
 def cost_of(one: eoi.Refinement, record: eoi.Record) -> float:
