@@ -67,6 +67,7 @@ def best(problem: Problem, unknowns: Unknowns, points: np.ndarray) -> list[Unkno
         unknowns: of which the initial states are where all points begin.
         points: parameters, shape (points, np).
     """
+    # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve_many
 
     if not len(points):
