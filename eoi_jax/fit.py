@@ -22,6 +22,7 @@ _POINTS = 3  # on each side, when neighbours on the grid are far apart
 Theta = Float[np.ndarray, " np"]
 Free = Float[np.ndarray, " free"]
 Rows = Float[np.ndarray, " rows"]
+Shapes = Float[np.ndarray, " shapes"]
 Make = Callable[[Placed, np.ndarray], list[Atom]]
 # Of each effect with shapes: atoms a little further on in each shape; none where there are none.
 Neighbours = dict[Placed, list[Atom]]
@@ -125,16 +126,29 @@ def system(base: Base, atoms: Sequence[Atom]) -> tuple[Rows, Float[np.ndarray, "
 
 @dataclass(frozen=True)
 class Span:
-    """What the grid of an effect says about its shapes, each of shape (shapes,).
+    """What the grid of an effect says about its shapes.
 
     Attributes:
-        step: distance between neighbours.
-        low, high: half a step beyond the ends of the grid; refinement stays inside.
+        step: distance between neighbours, as a rule, shape (shapes,).
+        low, high: half a step beyond the ends of the grid, shape (shapes,); refinement stays
+            inside.
+        levels: of each shape, in order.
     """
 
-    step: Float[np.ndarray, " shapes"]
-    low: Float[np.ndarray, " shapes"]
-    high: Float[np.ndarray, " shapes"]
+    step: Shapes
+    low: Shapes
+    high: Shapes
+    levels: tuple[Float[np.ndarray, " _"], ...]
+
+    def reach(self, shape: Shapes) -> tuple[Shapes, Shapes]:
+        """How far a shape may move at once, down and up: to its neighbours where these are far."""
+        down, up = self.step.copy(), self.step.copy()
+        for d, (levels, value) in enumerate(zip(self.levels, shape, strict=True)):
+            marks = np.concatenate([[self.low[d]], levels, [self.high[d]]])
+            below, above = marks[marks < value], marks[marks > value]
+            down[d] = max(down[d], value - below.max() if len(below) else 0.0)
+            up[d] = max(up[d], above.min() - value if len(above) else 0.0)
+        return down, up
 
 
 Spans = dict[Placed, Span]
@@ -175,7 +189,9 @@ def _best_of_grid(
     """Shape d of one effect moved between its neighbours on the grid; the others stay."""
     one, others = _parted(fit, placed)
     shapes = np.tile(np.asarray(one.shape), (2 * _POINTS + 1, 1))
-    shapes[:, d] += span.step[d] * np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    down, up = (way[d] for way in span.reach(np.asarray(one.shape)))
+    share = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    shapes[:, d] += share * np.where(share < 0.0, down, up)
     shapes = np.clip(shapes, span.low, span.high)
     trials = [fitted(base, [*others, atom], power) for atom in make(placed, shapes)]
     return min([fit, *trials], key=lambda trial: (not trial.physical, trial.cost))
@@ -208,16 +224,15 @@ def _gauss_newton(
     moved, beside, first = {one.placed: one for one in fit.atoms}, dict(near), 0
     for one in moving:
         span, last = spans[one.placed], first + len(one.shape)
-        move = np.clip(step[first:last], -span.step, span.step)
-        new = np.clip(np.asarray(one.shape) + move, span.low, span.high)
+        shape = np.asarray(one.shape)
+        down, up = span.reach(shape)
+        new = np.clip(shape + np.clip(step[first:last], -down, up), span.low, span.high)
         moved[one.placed], beside[one.placed] = _with_neighbours(one, new, span, make)
         first = last
     return fitted(base, list(moved.values()), power), beside
 
 
-def _with_neighbours(
-    one: Atom, shape: Float[np.ndarray, " shapes"], span: Span, make: Make
-) -> tuple[Atom, list[Atom]]:
+def _with_neighbours(one: Atom, shape: Shapes, span: Span, make: Make) -> tuple[Atom, list[Atom]]:
     """An effect at a new shape, and a little further on in each of its shapes: in one call.
 
     Where one of these cannot be evaluated it stays what and where it is, without neighbours.
@@ -226,9 +241,7 @@ def _with_neighbours(
     return (made[0], made[1:]) if len(made) == 1 + len(shape) else (one, [])
 
 
-def _slopes(
-    base: Base, fit: Fit, one: Atom, near: list[Atom], step: Float[np.ndarray, " shapes"]
-) -> list[Rows]:
+def _slopes(base: Base, fit: Fit, one: Atom, near: list[Atom], step: Shapes) -> list[Rows]:
     """∂f/∂s of the set, for each shape s of one effect, gains and declared parameters fixed."""
     if not near:
         return [np.zeros_like(base.target) for _ in step]

@@ -256,13 +256,14 @@ def _spacings(grid: Sequence[Atom]) -> Spans:
 
 
 def _span(placed: Placed, table: Float[np.ndarray, "grid shapes"]) -> Span:
-    steps, low, high = [], [], []
+    steps, low, high, grids = [], [], [], []
     for values, parameter in zip(table.T, placed.effect.shapes, strict=True):
         levels = np.unique(values)
+        grids.append(levels)
         gaps = np.diff(levels) if len(levels) > 1 else 0.5 * np.abs(levels)
         steps.append(float(np.median(gaps)))
         low.append(max(levels[0] - 0.5 * gaps[0], parameter.lower))
         high.append(min(levels[-1] + 0.5 * gaps[-1], parameter.upper))
         if parameter.lower == 0.0:  # a scale: never down to nothing
             low[-1] = max(low[-1], 0.2 * levels[0])
-    return Span(np.asarray(steps), np.asarray(low), np.asarray(high))
+    return Span(np.asarray(steps), np.asarray(low), np.asarray(high), tuple(grids))

@@ -132,7 +132,7 @@ def test_shape_is_refined_between_the_points_of_the_grid():
 
     known = base(0.5 * np.sin(1.2345 * time + 0.3), columns(0, 2))
     start = fitted(known, make(named(effect), np.array([[1.3]])), np.full(ROWS, NOISE**2))
-    span = Span(np.array([0.2]), np.array([0.5]), np.array([2.5]))
+    span = Span(np.array([0.2]), np.array([0.5]), np.array([2.5]), (np.arange(0.6, 2.5, 0.2),))
     found = refined(known, start, np.full(ROWS, NOISE**2), {named(effect): span}, make)
     # Cramér-Rao: σ√12/(A T √(N/2)), about 2e-3 rad/s here.
     assert found.atoms[0].shape[0] == pytest.approx(1.2345, abs=8e-3)
@@ -148,9 +148,23 @@ def test_refinement_stays_within_the_grid():
 
     known = base(-0.9 * np.exp(-3.0 * time), columns(0, 2))
     start = fitted(known, make(named(effect), np.array([[1.0]])), np.full(ROWS, NOISE**2))
-    span = Span(np.array([0.5]), np.array([0.5]), np.array([1.25]))
+    span = Span(np.array([0.5]), np.array([0.5]), np.array([1.25]), (np.array([0.5, 1.0]),))
     found = refined(known, start, np.full(ROWS, NOISE**2), {named(effect): span}, make)
     assert found.atoms[0].shape[0] == pytest.approx(1.25, abs=1e-9)
+
+
+def test_a_shape_reaches_its_neighbours_where_these_are_further_than_the_usual_step():
+    levels = (np.array([1.0, 1.1, 1.2, 4.0, 20.0]),)
+    span = Span(np.array([0.1]), np.array([0.5]), np.array([28.0]), levels)
+    for shape, (down, up) in {
+        1.1: (0.1, 0.1),
+        2.0: (0.8, 2.0),
+        4.0: (2.8, 16.0),
+        20.0: (16.0, 8.0),
+        28.0: (8.0, 0.1),
+    }.items():
+        got = span.reach(np.array([shape]))
+        assert np.concatenate(got) == pytest.approx([down, up])
 
 
 # -- the search -----------------------------------------------------------------------------------

@@ -80,7 +80,8 @@ class InputQuadratic(AbstractInputEffect):
         return "{u} → {u} + {0}·" + text, r"{u} \to {u} + {0}\," + latex
 
     def grid(self, seen: Seen) -> Grid:
-        size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0]) / (np.max(np.abs(seen.u)) or 1.0)
+        size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])
+        size /= np.max(np.abs(seen.u)) or 1.0
         return np.concatenate([-size[4::-1], size])[:, None]
 
     def changed(self, at: At, shape: Any) -> Any:
