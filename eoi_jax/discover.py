@@ -20,12 +20,12 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.augment import Placed
-from eoi_jax.candidates import Atom
+from eoi_jax.candidates import Atom, candidates
 from eoi_jax.checks import check, check_choice
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Evidence
-from eoi_jax.effects import standard
+from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base
 from eoi_jax.identify import Identification, estimate
@@ -45,6 +45,7 @@ _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answ
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
 # all free runs on held-out data lose a third of their error.
 _MAINLY, _RIVAL, _CONFIRMED = 0.5, 0.2, 2.0 / 3.0
+_END = 1e-3  # of a range of shapes: as near as this to its end
 _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
 
@@ -73,7 +74,8 @@ def discover(
         validation: records that the fit does not see, for the errors before and after; or the
             share of each record that is held out at its end. Without them the errors are those on
             `records`, and the answer says so.
-        effects: to try, as names or objects; all of `eoi_jax.effects.standard()` by default.
+        effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()`, and
+            where these leave the residual unexplained `eoi_jax.effects.rare()` beside them.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
@@ -112,6 +114,11 @@ def discover(
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
     found = _run(task, told)
+    unexplained = found.status.code == "unexplained"
+    if unexplained and effects is None and candidates(plant, rare()):
+        # What is so rare that it would only cast doubt on an answer may be one where there is none.
+        more = _run(replace(task, effects=(*tried, *rare())), told)
+        found = more if more.status.code == "explained" else found
     if not refine or found.status.code not in ("explained", "nothing_missing"):
         return found
     told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
@@ -303,6 +310,7 @@ def _answer(
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
+    notes += _at_ends(found, kept, rounds)
     others = _ambiguous(rounds[0], _names(kept)) if kept else ()
     return Discovery(
         effects=_names(kept),
@@ -414,6 +422,7 @@ _PARTLY = (
     "{}: not the whole story, so nothing was added"
 )
 _WORSE = "the effects that fit the records make the free run on other data worse"
+_AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
 
 
@@ -461,6 +470,24 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
         {name: found.standard_errors[name] for name in one.names},
         one.effect.sentence,
     )
+
+
+def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Round]) -> list[str]:
+    """A note for each shape parameter that ended where its search did."""
+    spans = {placed: span for one in rounds for placed, span in one.found.spans.items()}
+    notes = []
+    for one in kept:
+        if one not in spans:
+            continue
+        names = one.names[len(one.effect.gains) :]
+        ends = zip(names, spans[one].low, spans[one].high, strict=True)
+        for name, low, high in ends:
+            value, close = found.parameters[name], _END * (high - low)
+            if not low + close < value < high - close:
+                notes.append(
+                    _AT_END.format(name, value, "smaller" if value <= low + close else "larger")
+                )
+    return notes
 
 
 def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> tuple[Evidence, ...]:

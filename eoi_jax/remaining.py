@@ -17,7 +17,7 @@ from eoi_jax.augment import augmented
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
-from eoi_jax.effects import AsymmetricViscousFriction, standard
+from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import (
     AbstractActuator,
     AbstractEffect,
@@ -160,9 +160,8 @@ def remaining(
 
     Args:
         refinement: result of `refine`, with an answer.
-        effects: to try; those of `effects.standard()` and viscous friction that differs between
-            the directions, if left out. Effects with states of their own, and those of internal
-            states, are passed over.
+        effects: to try; those of `effects.standard()` and `effects.rare()`, if left out. Effects
+            with states of their own, and those of internal states, are passed over.
         validation: records that were not used: the model is then refined with each of the most
             significant answers, and that answer is best which lowers the free-run error on these.
         level: of significance, for all tries together.
@@ -184,7 +183,7 @@ def remaining(
     check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
-    chosen = (*standard(), AsymmetricViscousFriction()) if effects is None else tuple(effects)
+    chosen = (*standard(), *rare()) if effects is None else tuple(effects)
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
     along = Along.of(refinement, records, spans, substeps)

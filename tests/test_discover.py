@@ -41,6 +41,12 @@ def position_gain(t, x, u, p):
     return spring(t, x, u, p) + p.hidden * (u[0] * x.y[0] + 6.0)
 
 
+def damper(t, x, u, p):
+    """A damper that is harder one way: its slope differs between the directions."""
+    rate = x.y[1]
+    return spring(t, x, u, p) - p.hidden * jnp.abs(rate)
+
+
 def driven(t, x, u, p):
     rate = x.y[1]
     return spring(t, x, u, p) + p.hidden * rate * jnp.abs(rate)
@@ -203,6 +209,45 @@ def test_what_is_nearly_an_effect_is_not_given_its_name(law, nearly):
     assert evidence.remark == "a product of signals takes most of the rest"
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
+
+
+def test_what_is_rare_is_tried_where_the_rest_explains_nothing():
+    plant = eoi.Plant(damper, {**TRUE, "hidden": 0.3}, **KNOWN, units=UNITS)
+    fit, held = measured(plant, 1), measured(plant, 2)
+    got = eoi.discover(MASS, fit, held)
+    assert got.effects == ("asymmetric_friction",)
+    assert values(got) == pytest.approx({"asymmetric_friction_slope": 0.3}, rel=5e-3)
+    assert got.after is not None
+    assert got.after.nrmse[0] < 3.0 * RELATIVE
+
+
+def heated(t, x, u, p):
+    """A heater: its power grows with the square of the voltage, the room is warm."""
+    return p.gain * u[0] ** 2 - p.loss * (x.y[0] - p.room)
+
+
+def proportional(t, x, u, p):
+    return p.gain * u[0] - p.loss * x.y[0]
+
+
+def test_an_actuator_that_is_purely_quadratic_is_at_the_end_of_what_was_searched():
+    time = 0.5 * np.arange(6000)
+    known = {"relative_degree": 1, "inputs": ("voltage",), "outputs": ("heat",)}
+    truth = eoi.Plant(heated, {"gain": 0.02, "loss": 0.01, "room": 20.0}, **known)
+    declared = eoi.Plant(proportional, {"gain": 0.03, "loss": 0.012}, **known)
+
+    def record(seed: int) -> eoi.Record:
+        voltage = np.repeat(np.random.default_rng(seed).uniform(0.0, 5.0, 60), 100)
+        return eoi.simulate(truth, time, voltage, 20.0, hold="zero", name=f"heating {seed}")
+
+    got = eoi.discover(declared, record(1), record(2), ["input_quadratic", "constant_offset"])
+    assert got.effects == ("input_quadratic", "constant_offset")
+    assert got.found.parameters["gain"] * values(got)["input_quadratic"] == pytest.approx(
+        0.02, rel=0.01
+    )
+    (note,) = (one for one in got.notes if "input_quadratic" in one)
+    assert "end of what was searched" in note
+    assert "larger ones" in note
 
 
 def test_unexplained_residual_comes_with_its_diagnosis(tmp_path):

@@ -181,10 +181,12 @@ def test_the_reference_names_every_verb_in_its_overview():
 
 def test_the_table_of_effects_is_that_of_the_library():
     text = (DOCS / "reference" / "effects.md").read_text().replace("\\|", "|")
-    for one in eoi.effects.standard():
+    rare = eoi.effects.rare()
+    for one in (*eoi.effects.standard(), *rare):
         names = [parameter.name or "c" for parameter in one.parameters]
         form = one.form[0].format(*names, y="y", v="y'", u="u")
-        assert f"| `{one.name}` | {one.sentence} | `{form}` |" in text
+        remark = " (rare)" if one in rare else ""
+        assert f"| `{one.name}`{remark} | {one.sentence} | `{form}` |" in text
 
 
 def test_the_page_on_comparing_has_every_method():

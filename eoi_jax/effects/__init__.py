@@ -24,6 +24,7 @@ from eoi_jax.effects.inputs import InputDeadZone as InputDeadZone
 from eoi_jax.effects.inputs import InputDelay as InputDelay
 from eoi_jax.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.effects.inputs import InputSaturation as InputSaturation
+from eoi_jax.effects.library import rare as rare
 from eoi_jax.effects.library import standard as standard
 from eoi_jax.effects.memory import Hysteresis as Hysteresis
 from eoi_jax.effects.outflow import InternalOverflow as InternalOverflow

@@ -4,6 +4,7 @@ from eoi_jax.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturb
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.effects.friction import (
     AsymmetricFriction,
+    AsymmetricViscousFriction,
     CoulombFriction,
     CubicDamping,
     QuadraticDrag,
@@ -35,8 +36,6 @@ def standard() -> tuple[AbstractEffect, ...]:
 
     Three names have several forms: `end_stop` (above, below), `input_quadratic` (odd, even) and
     `overflow` (of an output; of an internal state, caught in part or not at all).
-    `AsymmetricViscousFriction` is not among them: |v| and a constant offset are hard to tell apart,
-    and the offset is far more common. Name it in `effects` to have it tried.
 
     Returns:
         One object of each form.
@@ -71,3 +70,15 @@ def standard() -> tuple[AbstractEffect, ...]:
         InternalOverflow(caught=True),
         InternalOverflow(caught=False),
     )
+
+
+def rare() -> tuple[AbstractEffect, ...]:
+    """Effects that `discover` tries only where the standard ones leave a residual unexplained.
+
+    Viscous friction that differs between the two directions: |v| and a constant offset are hard to
+    tell apart, and the offset is far more common.
+
+    Returns:
+        One object of each form.
+    """
+    return (AsymmetricViscousFriction(),)
