@@ -42,6 +42,7 @@ _ROUNDS = 3
 _STAGES = _ROUNDS + 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
+_WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
 # all free runs on held-out data lose a third of their error.
 _MAINLY, _RIVAL, _CONFIRMED = 0.5, 0.2, 2.0 / 3.0
@@ -116,9 +117,11 @@ def discover(
     found = _run(task, told)
     unexplained = found.status.code == "unexplained"
     if unexplained and effects is None and candidates(plant, rare()):
-        # What is so rare that it would only cast doubt on an answer may be one where there is none.
+        # What is so rare that it would only cast doubt on an answer may be one where there is none;
+        # not as one patch of several.
         more = _run(replace(task, effects=(*tried, *rare())), told)
-        found = more if more.status.code == "explained" else found
+        named = any(one.effect in rare() for one in more.added) and len(more.added) <= _RARE
+        found = more if named and more.explained >= _WHOLLY else found
     if not refine or found.status.code not in ("explained", "nothing_missing"):
         return found
     told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
