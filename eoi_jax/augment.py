@@ -24,7 +24,15 @@ from eoi_jax.effects.effect import (
     AbstractTerm,
     At,
 )
-from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State, parameter_type
+from eoi_jax.plants.plant import (
+    Actuator,
+    Dynamics,
+    Plant,
+    State,
+    derivative_unit,
+    parameter_type,
+    velocity_rows,
+)
 
 
 @dataclass(frozen=True)
@@ -35,11 +43,13 @@ class Placed:
         effect: what.
         channel: index of the output, the input or the internal state that it acts on.
         names: of its parameters, gains first, in the augmented plant.
+        row: of `State.y` that holds the velocity of the output.
     """
 
     effect: AbstractEffect
     channel: int
     names: tuple[str, ...]
+    row: int = 1
 
     @property
     def on_input(self) -> bool:
@@ -73,7 +83,9 @@ def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
         while name in plant.names:
             name, count = f"{base}_{count}", count + 1
         names.append(name)
-    return Placed(effect, channel, tuple(names))
+    on_output = isinstance(effect, AbstractTerm)
+    row = velocity_rows(plant.degrees)[channel] if on_output else 1
+    return Placed(effect, channel, tuple(names), row)
 
 
 def augmented(
@@ -170,9 +182,9 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     known = {"{y}": y, "{v}": y, "{f}": y, "{u}": u}
     if any(key in pattern and not value for key, value in known.items()):
         return ""
-    power = {1: "", 2: "²", 3: "³", 4: "⁴"}
+    v = derivative_unit(y, placed.row)
     r = 1 if placed.on_input or placed.on_state else plant.degrees[j]
-    return pattern.format(y=y, v=f"{y}/s", f=f"{y}/s{power.get(r, f'^{r}')}", u=u)
+    return pattern.format(y=y, v=v, f=derivative_unit(y, r), u=u)
 
 
 @dataclass(frozen=True)
@@ -292,7 +304,7 @@ def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
 
 def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
     y = x.y[:, one.output]
-    rate = y[1] if x.y.shape[0] > 1 else jnp.zeros_like(y[0])
+    rate = y[one.row] if one.row < x.y.shape[0] else jnp.zeros_like(y[0])
     # A plant may have no input at all.
     own = u[one.channel if one.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])
     return At(t, x.z[one.channel] if one.on_state else y[0], rate, own, z)

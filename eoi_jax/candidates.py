@@ -88,14 +88,15 @@ def seen_at(
     """What the records show at the channel of an effect."""
     y = placed.output
     u = placed.channel if placed.on_input else 0
-    rate = min(1, plant.relative_degree - 1)
+    row = min(placed.row, plant.relative_degree - 1)
     levels = [one.y[:, 0, y] for one in stretches]
     if placed.on_state:
         levels = [internal_along(plant, one)[:, placed.channel] for one in stretches]
     return Seen(
         np.concatenate(levels),
-        np.concatenate([one.y[:, rate, y] for one in stretches]),
+        np.concatenate([one.y[:, row, y] for one in stretches]),
         np.concatenate([one.u[:, u] if plant.inputs else 0.0 * one.time for one in stretches]),
+        placed.row == 0,
         max(one.state_noise[y] for one in stretches),
         max(one.duration for one in stretches),
         max(one.original_period for one in stretches),
@@ -153,7 +154,8 @@ def _term_rows(
     for one in stretches:
         h = np.asarray(one.sample_period)
         thin = (one.weight[j], one.kernel)
-        along = _term_along(effect, plant.degrees[j], *_signals(one, j, 0), shapes, thin, h)
+        signals = _signals(one, j, 0, placed.row)
+        along = _term_along(effect, plant.degrees[j], *signals, shapes, thin, h)
         own = one.rows(np.asarray(along))
         for k in range(len(plant.outputs)):
             parts.append(own if k == j else np.zeros_like(own))
@@ -165,7 +167,7 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
     assert isinstance(placed.effect, INPUT_EFFECTS)
     changed = _input_along(
         placed.effect,
-        *_signals(one, 0, placed.channel),
+        *_signals(one, 0, placed.channel, placed.row),
         shapes,
         np.asarray(one.sample_period),
     )
@@ -222,13 +224,13 @@ def _term_along(
     return jax.vmap(one)(jnp.asarray(shapes))
 
 
-def _signals(one: Stretch, output: int, channel: int) -> tuple[tuple, tuple]:
-    """Time, output, its rate and an input, in the middle of each step; and their change over it."""
-    rate = 1 if one.y.shape[1] > 1 else 0
+def _signals(one: Stretch, output: int, channel: int, row: int) -> tuple[tuple, tuple]:
+    """Time, output, velocity and an input, in the middle of each step; their change over it."""
+    known = row < one.y.shape[1]
     time, y, u = one.bend
 
     def chosen(t: Any, y: Any, u: Any) -> tuple:
-        v = y[:, rate, output] * float(rate)  # an output without a velocity has none
+        v = y[:, row, output] if known else 0.0 * t  # an output without a velocity has none
         own = u[:, channel] if u.shape[1] else 0.0 * t
         return t, y[:, 0, output], v, own
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State
+from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State, velocity_of, with_velocity
 from eoi_jax.types import Input, Output, Scalar, Theta
 
 _REST = 1e-9  # velocity on the side of rest where f is evaluated
@@ -25,16 +25,18 @@ class _Directed:
     """f, given the direction of each output behind the inputs; equal for equal plants."""
 
     base: Dynamics
+    degrees: tuple[int, ...]
     friction: tuple[bool, ...]
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         ny, flags = len(self.friction), np.asarray(self.friction)
         own, way, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
-        rate = x.y[1]
+        rate = velocity_of(x.y, self.degrees)
         held = jnp.where(flags, way * jnp.maximum(way * rate, _REST), rate)
 
         def f(rate: Any) -> Any:
-            value = self.base(t, State(x.y.at[1].set(rate), x.z), own, p)
+            moved = State(with_velocity(x.y, rate, self.degrees), x.z)
+            value = self.base(t, moved, own, p)
             return jnp.reshape(jnp.asarray(value), (ny,))
 
         value, beyond = jax.jvp(f, (held,), (rate - held,))
@@ -70,13 +72,13 @@ def directed(plant: Plant, friction: tuple[bool, ...]) -> Plant:
     The grip is the damping of an output at rest [1/s].
 
     Args:
-        plant: with relative degree 2 wherever `friction` is true.
+        plant: with relative degree 2, or 1, wherever `friction` is true.
         friction: which outputs have dry friction.
     """
     count = len(plant.inputs)
     start = plant.internal_initial
     return Plant(
-        _Directed(plant.dynamics, friction),
+        _Directed(plant.dynamics, plant.degrees, friction),
         plant.parameters,
         plant.degrees,
         (*plant.inputs, *(f"direction of {name}" for name in plant.outputs), "grip"),
@@ -119,7 +121,7 @@ def turn(
     """
     ny = before.shape[0]
     way = u[-ny - 1 : -1]
-    still = State(x.y.at[1].set(0.0), x.z)
+    still = State(with_velocity(x.y, jnp.zeros(ny), plant.degrees), x.z)
     old, new = (
         plant.derivative(t, still, u.at[-ny - 1 : -1].set(one), theta) for one in (before, way)
     )

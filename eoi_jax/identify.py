@@ -219,7 +219,7 @@ def estimate(
         len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient,
         lowpass.memory,
-        prepared.rate_noise,
+        prepared.velocity_noise,
         explicit,
         TAPER / lowpass.cutoff,
     )

@@ -241,8 +241,8 @@ def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserve
     paired, inputs = [], []
     for one, simulated in zip(runs.measured, runs.simulated, strict=True):
         u = step_inputs(one, prepared.explicit)
-        if any(friction):  # a run at rest repeats its output to the last digit
-            ways = np.sign(np.diff(simulated.outputs, axis=0))
+        if any(friction):
+            ways = _ways(plant.degrees, simulated.outputs)
             ways = np.repeat(ways, prepared.substeps, axis=0)
             u = np.column_stack([u, ways, np.full(len(u), _pace(simulated))])
         paired.append(_fine(simulated, prepared))
@@ -264,6 +264,14 @@ def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserve
         return _Pairs(followed, both, steps, None)
     ways = np.asarray(steps.u)[..., len(plant.inputs) : -1]
     return _Pairs(followed, both, steps, np.concatenate([ways[:, :1], ways[:, :-1]], axis=1))
+
+
+def _ways(
+    degrees: Sequence[int], outputs: Float[np.ndarray, "time ny"]
+) -> Float[np.ndarray, "steps ny"]:
+    """Direction of each output in each step: a run at rest repeats its output to the last digit."""
+    moved, speed = np.diff(outputs, axis=0), outputs[1:] + outputs[:-1]
+    return np.sign(np.where(np.asarray(degrees) == 1, speed, moved))
 
 
 def _pace(record: Record) -> float:

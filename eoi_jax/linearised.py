@@ -113,15 +113,15 @@ class Along:
         """What the grids of shapes start from."""
         _, u, y, _ = (np.asarray(one) for one in self.stages)
         j = placed.output
-        level, rate = y[..., 0, j].ravel(), y[..., min(1, y.shape[-2] - 1), j].ravel()
+        level, rate = y[..., 0, j].ravel(), y[..., min(placed.row, y.shape[-2] - 1), j].ravel()
         own = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
         period = max(one.sample_period for one in self.records)
         moving = np.std(level) or 1.0
         band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
         duration = max(float(one.time[-1] - one.time[0]) for one in self.records)
         return Seen(
-            level, rate, np.ravel(own), 0.0, duration, period, band or 1.0 / duration,
-            self._peaks(period),
+            level, rate, np.ravel(own), placed.row == 0, 0.0, duration, period,
+            band or 1.0 / duration, self._peaks(period),
         )  # fmt: skip
 
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:
@@ -133,7 +133,10 @@ class Along:
 
     def tries(self, placed: Placed) -> list["Try"]:
         """An effect at every shape of its grid, where it says something that is new."""
-        grid = np.asarray(placed.effect.grid(self.seen(placed)), dtype=float)
+        seen = self.seen(placed)
+        if not placed.effect.shows(seen):
+            return []
+        grid = np.asarray(placed.effect.grid(seen), dtype=float)
         forces = [force for shape in grid for force in self._forces(placed, shape)]
         if not forces:
             return []
@@ -211,7 +214,7 @@ class Along:
         t, u, y, _ = self.stages
         effect, j = placed.effect, placed.output
         if isinstance(effect, AbstractTerm):
-            rate = y[..., min(1, y.shape[-2] - 1), j] if y.shape[-2] > 1 else 0.0 * t
+            rate = y[..., placed.row, j] if placed.row < y.shape[-2] else 0.0 * t
             own = u[..., 0] if u.shape[-1] else 0.0 * t
             at = At(*(jnp.asarray(one) for one in (t, y[..., 0, j], rate, own)), z=None)
             units = np.eye(len(effect.gains))

@@ -32,7 +32,7 @@ from eoi_jax.data.resample import runs
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import moving, tapered
 from eoi_jax.thinning import averaged, averaging, thinned, thinning
-from eoi_jax.tuning import Spectrum, rate_noise, spectrum
+from eoi_jax.tuning import Spectrum, spectrum, velocity_noise
 
 _FINE = 0.7  # band times step
 _MOST_SUBSTEPS = 8
@@ -120,7 +120,7 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
     slopes = _slopes(plant, plant.theta, (time, y, u))
-    good = _usable(plant, raw, smooth, rate_noise(record, cutoff or False) * h, band)
+    good = _usable(plant, raw, smooth, velocity_noise(plant.degrees, record, cutoff or False), band)
     weight = _weights(plant, record, smooth, good, h, band)
     kernel = thinning(band * h)
     highest = tuple(
@@ -191,16 +191,16 @@ def quiet_band(plant: Plant, record: Record) -> float | None:
 def _usable(
     plant: Plant, raw: Record, smooth: Record, noise: Any, band: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps that count: measured, and not at rest where an output has a velocity.
+    """Steps that count: measured, and not at rest, where friction would be a mere reaction.
 
     Returns:
         Once with every moment of rest out, once with long ones only.
     """
     good = np.repeat((raw.valid[:-1] & raw.valid[1:])[:, None], len(plant.outputs), axis=1)
-    still = ~moving(np.diff(smooth.outputs, axis=0), noise)
+    still = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     shortest = int(_REST / (band * raw.sample_period))
     lasting = np.stack([_lasting(one, shortest) for one in still.T], axis=1)
-    friction = plant.jumps | np.diag(np.asarray(plant.degrees) >= 2)
+    friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool)
     return good & ~(still @ friction.T), good & ~(lasting @ friction.T)
 
 

@@ -19,7 +19,7 @@ from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant
-from eoi_jax.tuning import default_lowpass, default_smoothing, default_substeps, rate_noise
+from eoi_jax.tuning import default_lowpass, default_smoothing, default_substeps, velocity_noise
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
@@ -138,7 +138,7 @@ class Ready:
         records: smoothed, where noise asks for it.
         fine: the same with sub-steps.
         inputs: during each step of `fine`, one array (S, nu) per record.
-        rate_noise: standard deviation of the measured increment over one sample / h, per record.
+        velocity_noise: as `tuning.velocity_noise`, per record.
         lowpass: F.
         substeps: per sample.
         smoothing: its cut-off [rad/s], False for none.
@@ -149,7 +149,7 @@ class Ready:
     records: tuple[Record, ...]
     fine: tuple[Record, ...]
     inputs: tuple[Float[np.ndarray, "_ nu"], ...]
-    rate_noise: tuple[Float[np.ndarray, " ny"], ...]
+    velocity_noise: tuple[Float[np.ndarray, " ny"], ...]
     lowpass: LowPass
     substeps: int
     smoothing: float | bool
@@ -182,7 +182,7 @@ def ready(
     if smoothing is None:
         smoothing, reason = default_smoothing(plant, records, lowpass.cutoff)
         reasons += reason
-    noise = tuple(rate_noise(record, smoothing) for record in records)
+    noise = tuple(velocity_noise(plant.degrees, record, smoothing) for record in records)
     if smoothing:
         records = tuple(record.smooth(smoothing) for record in records)
     if substeps is None:
@@ -207,7 +207,7 @@ def prepare(
     taps: int,
     transient: float,
     memory: float,
-    rate_noise: Sequence[Float[np.ndarray, " ny"]],
+    velocity_noise: Sequence[Float[np.ndarray, " ny"]],
     explicit: bool,
     taper: float,
     duration: float | None = None,
@@ -221,20 +221,19 @@ def prepare(
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
         memory: of the filter [s]; scores further apart are independent.
-        rate_noise: standard deviation of the measured increment over one step / h, per record.
+        velocity_noise: as `tuning.velocity_noise`, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which a step's weight rises from zero beside one that does not count [s].
         duration: of all records of the estimate [s], if these are only some of them.
     """
     length = max(len(record) for record in records) - 1
-    friction = plant.jumps
     # Many blocks for a steady covariance, each longer than the filter remembers.
     total = duration or sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
     rows = []
-    for record, u, noise in zip(records, inputs, rate_noise, strict=True):
+    for record, u, noise in zip(records, inputs, velocity_noise, strict=True):
         h = record.sample_period
-        use, restart = _usable(record, taps, friction, noise * h)
+        use, restart = _usable(plant, record, taps, noise)
         score = (use > 0).astype(float)
         use = tapered(use, taper / h)
         score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
@@ -276,33 +275,44 @@ def _blocks(
 
 
 def moving(
-    increments: Float[np.ndarray, "steps ny"], noise: Float[np.ndarray, " ny"]
-) -> Bool[np.ndarray, "steps ny"]:
+    degrees: Sequence[int],
+    outputs: Float[np.ndarray, "time ny"],
+    h: float,
+    noise: Float[np.ndarray, " ny"],
+) -> Bool[np.ndarray, "time-1 ny"]:
     """Steps in which the direction of motion is certain.
 
     Dry friction has the value that the model gives it only there: at rest it is a reaction, and
     within a reversal it changes sign. One step on each side is left out as well, because rest can
     begin or end inside it.
+
+    Args:
+        degrees: of the outputs; of degree one they are speeds themselves.
+        outputs: on a uniform grid.
+        h: its step [s].
+        noise: of `tuning.velocity_noise`.
     """
-    certain = np.abs(increments) > _SIGNIFICANT * noise
-    direction = np.sign(increments) * certain
+    velocity = np.where(
+        np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
+    )
+    direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
     before = np.concatenate([direction[:1], direction[:-1]])
     after = np.concatenate([direction[1:], direction[-1:]])
     return (direction != 0) & (direction == before) & (direction == after)
 
 
 def _usable(
+    plant: Plant,
     record: Record,
     taps: int,
-    friction: Bool[np.ndarray, "ny ny"],
     noise: Float[np.ndarray, " ny"],
 ) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     valid = record.valid[:-1] & record.valid[1:]
     restart = valid & ~np.concatenate([[False], valid[:-1]])
     restart[0] = True
     good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
-    resting = ~moving(np.diff(record.outputs, axis=0), noise)
-    good &= ~(resting @ friction.T)  # its own friction, or another's that acts on it by inertia
+    resting = ~moving(plant.degrees, record.outputs, record.sample_period, noise)
+    good &= ~(resting @ plant.jumps.T)  # its own friction, or another's that acts on it by inertia
     good &= ~constant(record)
     use = good.copy()
     for lag in range(1, taps):  # every step of the moving average must be good

@@ -26,7 +26,7 @@ from eoi_jax.passes import run_pass
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import prepare, step_inputs
 from eoi_jax.regression.coloured import ORDER
-from eoi_jax.tuning import default_substeps, rate_noise
+from eoi_jax.tuning import default_substeps, velocity_noise
 
 PerOutput = Float[np.ndarray, " ny"]
 
@@ -119,7 +119,7 @@ def _regressors(
     for record in records:
         smoothing = _smoothing(record)
         share = 1.0 if smoothing is None else low_pass_noise(_share(record, smoothing))
-        noise.append(rate_noise(record, smoothing or False) / share)
+        noise.append(velocity_noise(plant.degrees, record, smoothing or False) / share)
     steps = prepare(
         plant,
         fine,

@@ -123,18 +123,18 @@ class Round:
         task, model = self.task, self.model
         present = {(one.effect, one.channel) for one in self.placed}
         spilling = {one.effect.name for one in self.placed if one.on_state}
-        self.candidates = [
-            one
+        peaks = self._peaks()
+        cutoff = task.declared.lowpass.cutoff
+        looked = {
+            one: seen_at(model, one, self.stretches, cutoff, peaks)
             for one in candidates(model, task.effects)
             if (one.effect, one.channel) not in present
             and not (one.on_state and one.effect.name in spilling)
-        ]
-        peaks = self._peaks()
-        cutoff = task.declared.lowpass.cutoff
+        }
+        self.candidates = [one for one, seen in looked.items() if one.effect.shows(seen)]
 
         def gridded(one: Placed) -> list[Atom]:
-            seen = seen_at(model, one, self.stretches, cutoff, peaks)
-            shapes = one.effect.grid(seen)
+            shapes = one.effect.grid(looked[one])
             known = self._known.get(one, [])
             same = [atom.shape for atom in known] == [tuple(row) for row in shapes.tolist()]
             return known if known and same else self._make(one, shapes)

@@ -29,7 +29,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from eoi_jax.checks import check
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.plants.plant import Plant, State, velocity_of, with_velocity
 from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 
 _GRAIN = 3  # a length is rounded up by an eighth at most
@@ -60,7 +60,7 @@ class Drive(eqx.Module):
 
 
 def frictional(plant: Plant) -> tuple[bool, ...]:
-    """For each output, whether it sticks: dry friction at relative degree 2.
+    """For each output, whether it sticks: dry friction at relative degree 2, or of a speed.
 
     Raises:
         ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
@@ -72,8 +72,8 @@ def frictional(plant: Plant) -> tuple[bool, ...]:
     for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
         if not flags[j]:
             continue
-        rule = "must have relative degree 2 wherever f jumps with the sign of the velocity"
-        check(degree == 2, "plant", rule, f"degree {degree} of output {key}")
+        rule = "must have relative degree 2 or 1 wherever f jumps with the sign of the velocity"
+        check(degree <= 2, "plant", rule, f"degree {degree} of output {key}")
         struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j]) if i != j]
         rule = "must have dry friction that acts on its own output alone"
         found = f"friction of {key} in the acceleration of {', '.join(struck)}"
@@ -219,15 +219,26 @@ class _Problem(eqx.Module):
         if direction is None:
             return rate_of(self.plant, self.theta, t, x, u)
         slope = rate_of(self.plant, self.theta, t, self._frozen(x, direction), u)
-        # The chain sees the true velocity: `_frozen` is for f and g alone.
-        y = slope.y.at[0].set(jnp.where(np.asarray(self.friction), x.y[1], slope.y[0]))
-        stuck = np.asarray(self.friction) & (direction == 0)
-        return State(y.at[1].set(jnp.where(stuck, 0.0, y[1])), slope.z)
+        y, friction = slope.y, np.asarray(self.friction)
+        chained = friction & (np.asarray(self.plant.degrees) > 1)
+        if np.any(chained):  # and it sees the true velocity: `_frozen` is for f and g alone
+            y = y.at[0].set(jnp.where(chained, x.y[1], y[0]))
+        stuck = friction & (direction == 0)
+        return State(self.moved(y, jnp.where(stuck, 0.0, self.velocity(y))), slope.z)
 
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
-        held = direction * jnp.maximum(direction * x.y[1], _REST)
-        return State(x.y.at[1].set(jnp.where(np.asarray(self.friction), held, x.y[1])), x.z)
+        velocity = self.velocity(x.y)
+        held = direction * jnp.maximum(direction * velocity, _REST)
+        return State(self.moved(x.y, jnp.where(np.asarray(self.friction), held, velocity)), x.z)
+
+    def velocity(self, y: Any) -> Output:
+        """Velocities, or rates of them, out of `State.y`."""
+        return velocity_of(y, self.plant.degrees)
+
+    def moved(self, y: Any, velocity: Output) -> Any:
+        """`State.y` with other velocities."""
+        return with_velocity(y, velocity, self.plant.degrees)
 
 
 def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
@@ -302,18 +313,19 @@ def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> t
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
     direction = _direction(problem, x, done)
     whole = _advance(problem, x, done, jnp.ones_like(done), direction)
-    stops = direction * whole.y[1] < 0
+    before, after = problem.velocity(x.y), problem.velocity(whole.y)
+    stops = direction * after < 0
 
     def cut() -> tuple[State, Scalar]:
         length = (1.0 - done) * problem.step
-        slope = _slope(problem, x, done, direction)
-        first = _first_zero(x.y[1], length * slope.y[1], whole.y[1], direction, stops)
+        slope = problem.velocity(_slope(problem, x, done, direction).y)
+        first = _first_zero(before, length * slope, after, direction, stops)
         to = done + (1.0 - done) * jnp.min(first)
         landed = _advance(problem, x, done, to, direction)
         return _land(problem, landed, to, direction, stops & (first == jnp.min(first)))
 
     def end() -> tuple[State, Scalar]:
-        return _at_rest(whole, stops), jnp.ones_like(done)
+        return _at_rest(problem, whole, stops), jnp.ones_like(done)
 
     return lax.cond(may_stop & jnp.any(stops), cut, end)
 
@@ -323,7 +335,8 @@ def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
     t = problem.time + done * problem.step
     above, below = problem.plant.at_rest(t, x, problem.input_at(done), problem.theta)
     leaving = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
-    moving = jnp.where(x.y[1] == 0, leaving, jnp.sign(x.y[1]))
+    velocity = problem.velocity(x.y)
+    moving = jnp.where(velocity == 0, leaving, jnp.sign(velocity))
     return jnp.where(np.asarray(problem.friction), moving, jnp.zeros_like(moving))
 
 
@@ -357,12 +370,12 @@ def _land(
     slope = _slope(problem, x, at, direction)
     before = np.tri(len(stopped), k=-1, dtype=bool)
     first = stopped & ~jnp.any(before & stopped, axis=1)
-    v, a = (jnp.sum(jnp.where(first, one, 0.0)) for one in (x.y[1], slope.y[1]))
+    v, a = (jnp.sum(jnp.where(first, problem.velocity(one.y), 0.0)) for one in (x, slope))
     shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
     # A grazing stop has next to no acceleration: never leave the step.
     shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)
-    return _at_rest(_add(x, shift * problem.step, slope), stopped), at + shift
+    return _at_rest(problem, _add(x, shift * problem.step, slope), stopped), at + shift
 
 
-def _at_rest(x: State, stopped: Flags) -> State:
-    return State(x.y.at[1].set(jnp.where(stopped, 0.0, x.y[1])), x.z)
+def _at_rest(problem: _Problem, x: State, stopped: Flags) -> State:
+    return State(problem.moved(x.y, jnp.where(stopped, 0.0, problem.velocity(x.y))), x.z)

@@ -141,6 +141,19 @@ def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " n
     return np.sqrt(2.0) * record.noise / h
 
 
+def velocity_noise(
+    degrees: Sequence[int], record: Record, smoothing: float | bool
+) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the noise in what tells how an output moves [unit of y / s].
+
+    The velocity of a position, over one step; of relative degree one the output itself [its unit].
+    """
+    speed = record.noise
+    if smoothing:
+        speed = speed * np.sqrt(record.sample_period * float(smoothing) / np.pi)
+    return np.where(np.asarray(degrees) == 1, speed, rate_noise(record, smoothing))
+
+
 def default_transient(records: Sequence[Record], lowpass: LowPass, explicit: bool) -> float:
     """Ten time constants of F, at most a fifth of the shortest record [s].
 

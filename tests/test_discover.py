@@ -250,6 +250,51 @@ def test_an_actuator_that_is_purely_quadratic_is_at_the_end_of_what_was_searched
     assert "larger ones" in note
 
 
+def turning(t, x, u, p):
+    return p.gain * u[0] - p.loss * x.y[0]
+
+
+def test_dry_friction_of_a_measured_speed_is_named():
+    """A motor with a tachometer: relative degree one, and it stands still now and then."""
+    known = {"relative_degree": 1, "inputs": ("voltage",), "outputs": ("speed",),
+             "units": {"voltage": "V", "speed": "rad/s"}}  # fmt: skip
+    motor = eoi.Plant(turning, {"gain": 40.0, "loss": 2.0}, **known)
+    rubbing = place(motor, effects.CoulombFriction(), 0)
+    truth = augmented(motor, [rubbing], {"coulomb_friction": 8.0})
+    time = 2e-3 * np.arange(6000)
+
+    def record(seed: int) -> eoi.Record:
+        voltage = eoi.excitation.multisine(time, 1.0, (0.1, 4.0), 12, seed=seed)
+        clean = eoi.simulate(truth, time, voltage, hold="zero", substeps=2)
+        noise = 1e-3 * np.std(clean.outputs) * np.random.default_rng(seed).standard_normal(6000)
+        return eoi.Record(time, voltage, clean.outputs[:, 0] + noise, f"run {seed}", hold="zero",
+                          input_names=["voltage"], output_names=["speed"])  # fmt: skip
+
+    declared = motor.with_parameters({"gain": 30.0, "loss": 2.6})
+    one = record(1)
+    assert np.mean(np.abs(one.outputs) < 1e-2 * np.std(one.outputs)) > 0.01
+    got = eoi.discover(declared, one, record(2))
+    assert got.effects == ("coulomb_friction",)
+    assert values(got) == pytest.approx({"coulomb_friction": 8.0}, rel=2e-3)
+    assert got.plant.units["coulomb_friction"] == "rad/s²"
+    assert "speed' = gain·voltage - loss·speed - coulomb_friction·sign(speed)" in str(got)
+    assert "leak" not in {one.effect for one in got.ranking}  # a speed is no level
+    assert got.after is not None
+    assert got.after.nrmse[0] < 3e-3
+    assert got.plot() is not None
+
+
+def test_no_friction_is_tried_on_a_level():
+    level = eoi.plants.level_tank(true=True)
+    time = 0.05 * np.arange(3000)
+    pump = 5.0 + 2.0 * np.sign(np.sin(0.1 * time))
+    one = eoi.simulate(level, time, pump, 0.1, hold="zero")
+    assert np.min(one.outputs) > 0.0
+    tried = {one.effect for one in eoi.discover(level, one, 0.3).ranking}
+    assert "leak" in tried
+    assert not tried & {"coulomb_friction", "viscous_friction", "quadratic_drag"}
+
+
 def test_unexplained_residual_comes_with_its_diagnosis(tmp_path):
     answer = found("outside")
     assert answer.diagnosis is not None

@@ -86,7 +86,7 @@ def plant_for(effect: AbstractEffect) -> eoi.Plant:
 def seen(seed: int = 0) -> Seen:
     random = np.random.default_rng(seed)
     y, v, u = random.standard_normal((3, 5000))
-    return Seen(y, v, 2.0 * u, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0, 3.0]))
+    return Seen(y, v, 2.0 * u, False, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0, 3.0]))
 
 
 def somewhere(effect: AbstractEffect, seed: int = 0) -> At:
@@ -113,7 +113,7 @@ def test_grid_is_finite_and_within_the_bounds(effect: AbstractEffect):
 @each(EFFECTS)
 def test_grid_survives_signals_that_do_not_move(effect: AbstractEffect):
     still, none = np.zeros(200), np.zeros(0)
-    grid = effect.grid(Seen(still, still, still, 0.0, 1.0, 5e-3, 10.0, none))
+    grid = effect.grid(Seen(still, still, still, False, 0.0, 1.0, 5e-3, 10.0, none))
     assert grid.ndim == 2
     assert grid.shape[1] == len(effect.shapes)
 

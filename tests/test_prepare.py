@@ -13,9 +13,9 @@ ROUGH, SMOOTH = pendulum(), mass_spring_damper()
 
 
 def made(plant, records, taps=2, transient=0.0, memory=1.0, noise=0.0, explicit=False, taper=0.0):
-    rate_noise = [np.full(len(plant.outputs), noise)] * len(records)
+    velocity_noise = [np.full(len(plant.outputs), noise)] * len(records)
     inputs = [step_inputs(record, explicit) for record in records]
-    return prepare(plant, records, inputs, taps, transient, memory, rate_noise, explicit, taper)
+    return prepare(plant, records, inputs, taps, transient, memory, velocity_noise, explicit, taper)
 
 
 def record_of(y, hold="linear", u=None, **kwargs):
@@ -86,10 +86,18 @@ def test_stuck_samples_and_reversals_are_out_for_dry_friction_only():
 
 
 def test_motion_below_the_noise_is_no_motion():
-    rising = np.full((20, 1), 1e-3)
-    assert np.all(moving(rising, np.array([0.0])))
-    assert np.all(moving(rising, np.array([1e-4])))
-    assert not np.any(moving(rising, np.array([1e-3])))
+    rising = 1e-3 * np.arange(21.0)[:, None]
+    assert np.all(moving((2,), rising, 1.0, np.array([0.0])))
+    assert np.all(moving((2,), rising, 1.0, np.array([1e-4])))
+    assert not np.any(moving((2,), rising, 1.0, np.array([1e-3])))
+
+
+def test_a_speed_moves_while_it_is_not_zero():
+    speed = np.concatenate([np.full(10, 2.0), np.zeros(10), np.full(10, -2.0)])[:, None]
+    got = moving((1,), speed, 1e-3, np.array([0.1]))[:, 0]
+    assert np.all(got[:9])  # steady, which a position would call rest
+    assert not np.any(got[9:20])
+    assert np.all(got[20:])
 
 
 def test_noise_does_not_move_a_plant_at_rest():
@@ -103,7 +111,8 @@ def test_noise_does_not_move_a_plant_at_rest():
 def test_direction_is_certain_only_with_both_neighbours():
     steps = np.array([1, 1, 1, 0, 1, 1, 1, -1, -1, -1], dtype=float)[:, None]
     want = [True, True, False, False, False, True, False, False, True, True]
-    np.testing.assert_array_equal(moving(steps, np.zeros(1))[:, 0], want)
+    y = np.concatenate([np.zeros((1, 1)), np.cumsum(steps, axis=0)])
+    np.testing.assert_array_equal(moving((2,), y, 1.0, np.zeros(1))[:, 0], want)
 
 
 def test_outputs_without_friction_are_not_masked_by_the_others():

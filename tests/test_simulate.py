@@ -217,6 +217,62 @@ def test_breakaway_under_a_ramp_is_late_by_less_than_a_step():
         assert np.max(np.abs(got - breakaway(time))) <= bound
 
 
+def braked(t, x, u, p):
+    """A speed with viscous and Coulomb friction."""
+    return u - p.b * x.y[0] - p.c * jnp.sign(x.y[0])
+
+
+SPEED = Plant(braked, {"b": 0.7, "c": 1.0}, 1, outputs=("speed",))
+
+
+def test_a_speed_with_dry_friction_comes_to_rest_and_breaks_away():
+    time = np.linspace(0.0, 4.0, 201)
+    got = simulate(SPEED, time, np.zeros(201), 1.3).outputs[:, 0]
+    want = np.maximum((1.3 + 1.0 / 0.7) * np.exp(-0.7 * time) - 1.0 / 0.7, 0.0)
+    np.testing.assert_allclose(got, want, atol=1e-9)
+    stop = np.log(1.0 + 0.7 * 1.3) / 0.7
+    assert np.all(got[time > stop] == 0.0)
+    pushed = simulate(SPEED, time, np.where(time < 2.0, 0.99, 1.01), hold="zero").outputs[:, 0]
+    assert np.all(pushed[time <= 2.0] == 0.0)
+    later = np.maximum(time - 2.0, 0.0)
+    np.testing.assert_allclose(pushed, 0.01 / 0.7 * (1.0 - np.exp(-0.7 * later)), atol=1e-9)
+
+
+def test_a_speed_and_a_position_stick_each_on_its_own():
+    """Side by side in one plant as each alone, though they stop at different times."""
+
+    def both(t, x, u, p):
+        block = u[0] - p.c * jnp.sign(x.y[1, 1])
+        return jnp.stack([u[0] - p.b * x.y[0, 0] - p.c * jnp.sign(x.y[0, 0]), block])
+
+    plant = Plant(both, {"b": 0.7, "c": 1.0}, (1, 2), outputs=("speed", "position"))
+    time = np.linspace(0.0, 6.0, 301)
+    push = 2.0 * np.sin(2.0 * time)
+    start = np.array([[1.3, 0.0], [0.0, 1.3]])
+    got = simulate(plant, time, push, start, hold="zero").outputs
+    alone = simulate(SPEED, time, push, 1.3, hold="zero").outputs[:, 0]
+    slid = simulate(block(), time, push, [0.0, 1.3], hold="zero").outputs[:, 0]
+    np.testing.assert_allclose(got, np.stack([alone, slid], axis=1), atol=1e-12)
+    assert np.sum(alone == 0.0) > 5
+
+
+def test_derivatives_of_a_speed_pass_through_a_stop():
+    time = np.linspace(0.0, 6.0, 301)
+    push = drive(time, 2.0 * np.sin(2.0 * time)[:, None], "zero")
+    friction, start = frictional(SPEED), State(jnp.zeros((1, 1)), jnp.zeros(0))
+
+    @jax.jit
+    def run(theta):
+        return trajectory(SPEED, theta, push, start, friction)[0][:, 0, 0]
+
+    theta = jnp.asarray(SPEED.theta)
+    got = np.asarray(jax.jit(jax.jacfwd(run))(theta))
+    for i in range(2):
+        move = 1e-6 * jnp.eye(2)[i]
+        want = np.asarray((run(theta + move) - run(theta - move)) / 2e-6)
+        np.testing.assert_allclose(got[:, i], want, atol=1e-5 * np.max(np.abs(want)))
+
+
 def test_a_stuck_block_stays_exactly_put():
     time = np.linspace(0.0, 10.0, 501)
     force = 0.95 * np.sin(40.0 * time)  # below the friction level of 1
@@ -429,7 +485,7 @@ def test_a_jump_that_cannot_stick_is_refused():
         return u - p.c * jnp.sign(x.y[1])
 
     plant = Plant(dynamics, {"c": 1.0}, relative_degree=3)
-    with pytest.raises(ValueError, match="`plant` must have relative degree 2 wherever f jumps"):
+    with pytest.raises(ValueError, match="must have relative degree 2 or 1 wherever f jumps"):
         simulate(plant, TIME, np.zeros(11))
 
 

@@ -145,7 +145,7 @@ class Source:
             self.taps,
             self.transient,
             one.lowpass.memory,
-            one.rate_noise[i : i + 1],
+            one.velocity_noise[i : i + 1],
             self.explicit,
             TAPER / one.lowpass.cutoff,
             duration,

@@ -29,7 +29,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resample import low_pass
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import TAPER, constant, moving, tapered
-from eoi_jax.tuning import default_lowpass, rate_noise
+from eoi_jax.tuning import default_lowpass, velocity_noise
 
 _WIDE = 5.0  # cut-off of W over that of L: there it is flat to 1e-5
 _MOST = 0.5  # of the Nyquist frequency, with sub-steps, for W
@@ -108,8 +108,8 @@ def motion(plant: Plant, record: Record, wide: float) -> Motion:
 def usable(plant: Plant, record: Record, now: Motion, filters: Filters) -> Samples:
     """m: 1 where the equation holds, 0 where not, with smooth edges."""
     h = record.sample_period
-    noise = rate_noise(record, filters.wide) * h
-    resting = ~moving(np.diff(now.y[:, 0], axis=0), noise)
+    noise = velocity_noise(plant.degrees, record, filters.wide)
+    resting = ~moving(plant.degrees, now.y[:, 0], h, noise)
     resting = np.concatenate([resting[:1], resting]) | np.concatenate([resting, resting[-1:]])
     good = np.repeat(record.valid[:, None], record.outputs.shape[1], axis=1)
     good &= ~(resting @ plant.jumps.T) & ~constant(record)

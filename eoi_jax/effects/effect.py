@@ -27,6 +27,8 @@ from jaxtyping import Float
 
 from eoi_jax.plants.plant import Plant
 
+_TURNS = 0.01  # share of the samples
+
 Grid = Float[np.ndarray, "grid shapes"]
 
 
@@ -51,9 +53,9 @@ class At(NamedTuple):
 
     Attributes:
         t: time [s].
-        y: the output, or the internal state that it acts on; `v` the first derivative of the
-            output (0 where the model has none).
-        v: rate of the output.
+        y: the output, or the internal state that it acts on.
+        v: velocity of the output: its first derivative; of relative degree one the output itself,
+            a speed as far as friction is concerned.
         u: the input (of the channel, or the first one).
         z: own states of the effect, shape (states,).
     """
@@ -71,6 +73,7 @@ class Seen:
 
     Attributes:
         y, v, u: samples of all records (those that count), of what the effect acts on.
+        measured: whether `v` is the output itself, of relative degree one.
         noise: standard deviation of the noise left in `y`.
         duration: of the longest record [s].
         sample_period: h [s].
@@ -81,6 +84,7 @@ class Seen:
     y: Float[np.ndarray, " samples"]
     v: Float[np.ndarray, " samples"]
     u: Float[np.ndarray, " samples"]
+    measured: bool
     noise: float
     duration: float
     sample_period: float
@@ -132,6 +136,11 @@ class AbstractEffect(ABC):
     def fits(self, plant: Plant, output: int) -> bool:
         """Whether it makes sense at this output of this plant."""
         del plant, output
+        return True
+
+    def shows(self, seen: Seen) -> bool:
+        """Whether it makes sense on these records."""
+        del seen
         return True
 
     def grid(self, seen: Seen) -> Grid:
@@ -241,6 +250,11 @@ def internal_names(plant: Plant) -> tuple[str, ...]:
 def mechanical(plant: Plant, output: int) -> bool:
     """Whether the output is a position: its velocity is a state."""
     return plant.degrees[output] >= 2
+
+
+def turns(values: Float[np.ndarray, " samples"]) -> bool:
+    """Whether a signal goes both ways, as a speed does and a level does not."""
+    return bool(min(np.mean(values > 0), np.mean(values < 0)) > _TURNS)
 
 
 def quantiles(values: Float[np.ndarray, " samples"], shares: Any) -> Grid:

@@ -14,6 +14,7 @@ from eoi_jax.effects.effect import (
     Parameter,
     Seen,
     quantiles,
+    turns,
 )
 from eoi_jax.plants.plant import Plant
 
@@ -32,6 +33,9 @@ class Leak(AbstractTerm):
 
     def fits(self, plant: Plant, output: int) -> bool:
         return plant.degrees[output] == 1
+
+    def shows(self, seen: Seen) -> bool:
+        return not turns(seen.y)  # no level goes below the bottom: that is a speed
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y

@@ -19,7 +19,7 @@ from eoi_jax.engines.jaxprs import translated
 from eoi_jax.engines.scalars import Graph, Node, Untranslatable, ordered
 from eoi_jax.equations.expression import Call, Expression, Number, Operation, Symbol
 from eoi_jax.equations.system import TextDynamics
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.plants.plant import Plant, State, velocity_rows
 
 _DEEPEST = 25  # levels of one formula; deeper ones are hard to read, and to parse
 
@@ -110,7 +110,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     trees, definitions = _trees(rates, taken)
     names = [Symbol(name) for name in internal_names(plant)]
     first = np.asarray(plant.internal_start(jnp.asarray(plant.theta)), dtype=float).tolist()
-    dry = zip(plant.outputs, plant.dry_friction, strict=True)
+    dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
         plant.name,
         tuple(states),
@@ -125,7 +125,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(definitions),
         delays,
         lags,
-        tuple(Symbol(name, 1) for name, rough in dry if rough),
+        tuple(Symbol(name, row) for name, row, rough in dry if rough),
     )
 
 

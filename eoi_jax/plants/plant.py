@@ -49,7 +49,8 @@ class Plant(eqx.Module):
     $\varphi = \partial f/\partial\theta$ of eq. (2) is taken by automatic differentiation, so
     parameters may be shared between outputs and may enter nonlinearly.
 
-    Dry friction is written ``p.c * jnp.sign(rate)``. The jump at rest is found by evaluating f
+    Dry friction is written ``p.c * jnp.sign(rate)`` (of a measured speed, r = 1: of the output
+    itself). The jump at rest is found by evaluating f
     just above and just below zero velocity: simulation sticks, estimation leaves stuck samples out.
 
     Args:
@@ -258,11 +259,7 @@ class Plant(eqx.Module):
         """f with each output's velocity just above and just below zero, each (ny,).
 
         A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
-        Only outputs of relative degree 2 or more have a velocity among their states.
         """
-        if self.relative_degree < 2:
-            f = self.derivative(t, x, u, theta)
-            return f, f
         above = jnp.diagonal(self._with_velocities(t, x, u, theta, _REST))
         return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -_REST))
 
@@ -270,7 +267,10 @@ class Plant(eqx.Module):
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
     ) -> Float[Array, "ny ny"]:
         """f of every output, row j with the velocity of output j set to `velocity`."""
-        moved = [State(x.y.at[1, j].set(velocity), x.z) for j in range(len(self.outputs))]
+        moved = [
+            State(x.y.at[row, j].set(velocity), x.z)
+            for j, row in enumerate(velocity_rows(self.degrees))
+        ]
         return jnp.stack([self.derivative(t, one, u, theta) for one in moved])
 
     # -- structure, found by probing ------------------------------------------------------
@@ -295,13 +295,12 @@ class Plant(eqx.Module):
 
         Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
         """
-        ny = len(self.outputs)
-        if self.relative_degree < 2:
-            return np.zeros((ny, ny), dtype=bool)
         near, far, size = _across_rest(self, *_probes(self))
         # A slope grows with the distance between the two velocities, a jump does not.
         jumps = (near > 1e2 * jnp.finfo(near.dtype).eps * size) & (near > 0.5 * far)
-        return np.any(np.asarray(jumps), axis=0) & (np.asarray(self.degrees) >= 2)
+        # What another output does where one of degree one changes sign is no friction.
+        own = np.eye(len(self.outputs), dtype=bool)
+        return np.any(np.asarray(jumps), axis=0) & (own | (np.asarray(self.degrees) >= 2))
 
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
@@ -341,6 +340,44 @@ class Plant(eqx.Module):
                 f"must return the shape of `internal_initial` {start.shape}",
                 f"shape {shape}",
             )
+
+
+def velocity_rows(degrees: Sequence[int]) -> tuple[int, ...]:
+    """Row of `State.y` that holds each output's velocity.
+
+    The first derivative of a position; an output of relative degree one is a speed itself, as far
+    as dry friction is concerned.
+    """
+    return tuple(min(degree - 1, 1) for degree in degrees)
+
+
+def derivative_unit(unit: str | None, order: int) -> str:
+    """The unit of a derivative with time: m/s² of a position, of a speed m/s too; "" of none."""
+    if not unit:
+        return ""
+    have = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
+    order += have
+    base = unit.removesuffix(f"/s{_RAISED[have]}") if have else unit
+    return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
+
+
+_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
+
+
+def velocity_of(y: Float[Array, "r ny"], degrees: Sequence[int]) -> Output:
+    """The velocity of each output, out of `State.y`."""
+    rows = np.asarray(velocity_rows(degrees))
+    return y[rows[0]] if np.all(rows == rows[0]) else jnp.where(rows == 1, y[1], y[0])
+
+
+def with_velocity(
+    y: Float[Array, "r ny"], velocity: Output, degrees: Sequence[int]
+) -> Float[Array, "r ny"]:
+    """`State.y` with other velocities."""
+    rows = np.asarray(velocity_rows(degrees))
+    if np.all(rows == rows[0]):
+        return y.at[rows[0]].set(velocity)
+    return jnp.where(np.arange(len(y))[:, None] == rows, velocity, y)
 
 
 _TYPES: dict[tuple[str, ...], Any] = {}

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.discovery import Added, Discovery
+from eoi_jax.plants.plant import derivative_unit, velocity_rows
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.figures import draw_free_runs, free_run_height
 from eoi_jax.report.style import (
@@ -152,7 +153,8 @@ def _maps(discovery: Discovery) -> list[tuple[str, str]]:
         for one in discovery.added
     ]
     if not maps:
-        maps = [(outputs[0], name) for name in ("y", "v", "t", *discovery.plant.inputs)]
+        known = ("y", "v", "t") if discovery.plant.degrees[0] > 1 else ("y", "t")
+        maps = [(outputs[0], name) for name in (*known, *discovery.plant.inputs)]
     return list(dict.fromkeys(maps))
 
 
@@ -215,7 +217,7 @@ def _values(result: Any, j: int, name: str) -> np.ndarray:
             values = record.inputs[:, result.plant.inputs.index(name)]
         else:
             values = record.outputs[:, j]
-        if name == "v":
+        if _derived(result, j, name):
             values = np.gradient(values, record.sample_period)
         parts.append(np.interp(record.time - late, record.time, values))
     return np.concatenate(parts)
@@ -226,8 +228,14 @@ def _variable_label(result: Any, j: int, name: str) -> str:
         return "time [s]"
     own = name if name in result.plant.inputs else result.plant.outputs[j]
     unit = result.plant.units.get(own, "")
-    label = f"rate of {own}" if name == "v" else own
-    return with_unit(label, f"{unit}/s" if unit and name == "v" else unit)
+    derived = _derived(result, j, name)
+    label = f"rate of {own}" if derived else own
+    return with_unit(label, derivative_unit(unit, 1) if derived else unit)
+
+
+def _derived(result: Any, j: int, name: str) -> bool:
+    """Whether a velocity is a derivative of the output, which is none itself."""
+    return name == "v" and velocity_rows(result.plant.degrees)[j] == 1
 
 
 # -- the free run -----------------------------------------------------------------------------

@@ -20,7 +20,7 @@ import numpy as np
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.effects.effect import internal_names
 from eoi_jax.equations.system import TextDynamics, TextInternal
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.plants.plant import Plant, State, velocity_rows
 from eoi_jax.report.expression import (
     Call,
     Expression,
@@ -103,6 +103,7 @@ def _effects(
 ) -> tuple[dict[str, list[str]], list[str]]:
     """Terms by output or internal state, and what happens to inputs."""
     write = latex if in_latex else text
+    velocity = dict(zip(plant.outputs, velocity_rows(plant.degrees), strict=True))
     terms: dict[str, list[str]] = {}
     changes: list[str] = []
     for one in added:
@@ -113,7 +114,7 @@ def _effects(
         shown = (one.effect.latex if in_latex else one.effect.text)(
             names,
             write(Symbol(output), {}),
-            write(Symbol(output, 1), {}),
+            write(Symbol(output, velocity.get(output, 1)), {}),
             write(Symbol(drive), {}),
         )
         if of_input:

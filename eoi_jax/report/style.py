@@ -11,15 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.plants.plant import Plant
+from eoi_jax.plants.plant import Plant, derivative_unit
 
 _LONGEST = 34  # characters of a name in a figure
 _DARK = 0.5  # mean of a page's red, green and blue below which it is a dark one
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
-WIDTH = (
-    5.4  # [inch] of a figure of the report: readable on a phone, two beside each other on a desk
-)
+WIDTH = 5.4  # [inch] of a figure of the report: fits a phone, and twice beside itself a desk
 WIDE = 10.0  # [inch] of a figure that stands alone
 
 BEFORE, AFTER = 0, 1  # numbers of the series: the declared model, and what was found
@@ -163,8 +161,7 @@ def shortened(name: str) -> str:
 
 def injection_unit(unit: str | None, degree: int) -> str:
     """The unit of y^(r), e.g. m/s² for a position; empty if the output has none."""
-    raised = {1: "", 2: "²", 3: "³"}.get(degree, f"^{degree}")
-    return f"{unit}/s{raised}" if unit else ""
+    return derivative_unit(unit, degree)
 
 
 def injected(what: str, plant: Plant, j: int) -> str:

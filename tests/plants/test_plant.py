@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eoi_jax.plants import Plant, State
+from eoi_jax.plants.plant import derivative_unit
 
 POINT = (jnp.asarray(0.4), State(jnp.array([[0.3], [-0.7]]), jnp.zeros(0)), jnp.array([1.2]))
 
@@ -171,13 +172,36 @@ def test_dry_friction_is_found_for_the_output_that_has_it():
     assert Plant(two, {"k": 1.0, "c": 0.0}, 2, outputs=("a", "b")).dry_friction == (False, True)
 
 
-def test_a_level_has_no_velocity_to_stick():
-    assert Plant(lambda t, x, u, p: p.a * jnp.sign(x.y[0]), {"a": 1.0}).dry_friction == (False,)
-    assert not any(
-        Plant(
-            lambda t, x, u, p: p.a * jnp.sign(x.y[0]), {"a": 1.0}, (1, 2), outputs=("a", "b")
-        ).dry_friction
-    )
+def test_an_output_of_degree_one_is_a_speed_itself():
+    def braked(t, x, u, p):
+        return -p.a * jnp.sign(x.y[0])
+
+    assert Plant(braked, {"a": 1.0}).dry_friction == (True,)
+    both = Plant(braked, {"a": 1.0}, (1, 2), outputs=("speed", "position"))
+    assert both.dry_friction == (True, False)  # a relay of the position is no friction
+
+
+def test_a_level_that_empties_is_no_dry_friction():
+    def tank(t, x, u, p):
+        return u - p.k * jnp.sqrt(jnp.maximum(x.y[0], 0.0))
+
+    assert Plant(tank, {"k": 1.0}).dry_friction == (False,)
+
+
+def test_what_switches_with_the_sign_of_another_speed_is_no_friction():
+    def relay(t, x, u, p):
+        return jnp.stack([u[0] - x.y[0, 0], jnp.sign(x.y[0, 0]) - p.k * x.y[0, 1]])
+
+    assert not np.any(Plant(relay, {"k": 1.0}, 1, outputs=("drive", "driven")).jumps)
+
+
+@pytest.mark.parametrize(
+    ("unit", "order", "derivative"),
+    [("m", 1, "m/s"), ("m", 2, "m/s²"), ("rad/s", 1, "rad/s²"), ("m/s²", 1, "m/s³"), ("", 2, ""),
+     (None, 1, ""), ("1/min", 1, "1/min/s"), ("m", 5, "m/s^5"), ("rad/s", 0, "rad/s")],
+)  # fmt: skip
+def test_units_of_derivatives(unit, order, derivative):
+    assert derivative_unit(unit, order) == derivative
 
 
 def test_dry_friction_of_a_stiff_plant_is_found():
@@ -207,11 +231,11 @@ def test_at_rest_moves_each_output_alone():
     np.testing.assert_allclose(below, [2.0 + 40.0, 2.0 + 3.0])
 
 
-def test_at_rest_of_a_level_is_f_itself():
-    plant = Plant(lambda t, x, u, p: -p.a * x.y[0] + u, {"a": 2.0})
+def test_at_rest_of_a_speed_is_f_at_zero():
+    plant = Plant(lambda t, x, u, p: -p.a * jnp.sign(x.y[0]) + u, {"a": 2.0})
     x = State(jnp.array([[0.5]]), jnp.zeros(0))
     above, below = plant.at_rest(jnp.asarray(0.0), x, jnp.array([3.0]), jnp.array([2.0]))
-    np.testing.assert_allclose([above, below], [[2.0], [2.0]])
+    np.testing.assert_allclose([above, below], [[1.0], [5.0]])
 
 
 # -- wrong calls ------------------------------------------------------------------------------
