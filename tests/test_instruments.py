@@ -271,6 +271,23 @@ def test_dry_friction_costs_nothing_though_the_plant_comes_to_rest():
     assert np.max(rms[False]) > 3.0 * np.max(rms[True])
 
 
+def braked(t, x, u, p):
+    """A motor whose speed is measured, with dry friction."""
+    return p.gain * u - p.loss * x.y[0] - p.dry * jnp.sign(x.y[0])
+
+
+def test_a_speed_with_dry_friction_reaches_the_bound_though_it_stands_still():
+    truth = Plant(braked, {"gain": 40.0, "loss": 2.0, "dry": 8.0}, 1)
+    t = grid(4001, 2e-3)
+    u = 0.4 * np.sin(2.0 * np.pi * t / 1.6) + 0.2 * np.sin(2.0 * np.pi * t / 0.37)
+    record = simulate(truth, t, u, hold="zero", substeps=4)
+    assert np.mean(record.outputs == 0.0) > 0.02
+    share, seeds = 1e-2, 6
+    start = truth.with_parameters({"gain": 30.0, "loss": 2.6, "dry": 5.0})
+    errors, _ = scattered(start, truth, record, share, seeds, instruments=True, substeps=2)
+    assert np.all(np.sqrt(np.mean(errors**2, axis=0)) < 2.5 * bound(truth, record, share))
+
+
 # -- plants of every kind -------------------------------------------------------------------
 
 
