@@ -12,10 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
@@ -33,13 +34,14 @@ from eoi_jax.output_error import (
     spans_of,
     weighed,
 )
-from eoi_jax.plants.plant import Plant
+from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.regression.least_squares import least_squares, untraced
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.regression.orthonormal import orthonormal
 from eoi_jax.results import Status
+from eoi_jax.sensitivity import RunKernel
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
 _SETTLED = 0.02  # relative change of these weights that is none
@@ -317,12 +319,18 @@ def _starts(
     fit: _Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
 ) -> tuple[Start, ...]:
     unknowns, theta = fit.outcome.unknowns, jnp.asarray(plant.theta)
-    start = jax.vmap(fit.problem.kernel.start, in_axes=(0, None, 0))  # all windows in one call
-    x = jax.tree.map(np.asarray, start(unknowns.starts, theta, fit.problem.declared))
+    x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
+    x = jax.tree.map(np.asarray, x)
     return tuple(
         Start(records[span.record].name, float(records[span.record].time[span.first]), y, z)
         for span, y, z in zip(spans, x.y, x.z, strict=True)
     )
+
+
+@eqx.filter_jit
+def _started(kernel: RunKernel, starts: Array, theta: Array, declared: Array) -> State:
+    """The states of all windows in one call."""
+    return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)
 
 
 @dataclass(frozen=True)

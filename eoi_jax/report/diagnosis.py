@@ -152,7 +152,7 @@ def residual(diagnosis: Diagnosis) -> Iterator[str]:
         rms, floor = diagnosis.residual_rms[j], diagnosis.noise_floor[j]
         unit = spaced(_unit(diagnosis, j))
         strongest = diagnosis.strongest[j]
-        where = "its maps show no dependence on what was measured"
+        where = "its maps prove no dependence on what was measured"
         if strongest is not None:
             where = (
                 f"it depends most on {strongest.variable}, whose bins explain "
