@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.augment import Placed
-from eoi_jax.candidates import Atom, candidates
+from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
@@ -34,10 +34,10 @@ from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
-from eoi_jax.rounds import TOLD_APART, Round, Task, read_friction, values_of
+from eoi_jax.rivals import advice, ambiguous, unrivalled
+from eoi_jax.rounds import Round, Task, read_friction, values_of
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 
-_BEYOND = 0.5  # of an effect: what another one that contains it would add to it
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
@@ -45,7 +45,7 @@ _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answ
 _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
 # all free runs on held-out data lose a third of their error.
-_MAINLY, _RIVAL, _CONFIRMED = 0.5, 0.2, 2.0 / 3.0
+_MAINLY, _CONFIRMED = 0.5, 2.0 / 3.0
 _END = 1e-3  # of a range of shapes: as near as this to its end
 _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
@@ -291,7 +291,7 @@ def _answer(
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
     share, left, quiet = _explained(rounds)
-    alone = bool(task.held) and _unrivalled(rounds[0])
+    alone = bool(task.held) and unrivalled(rounds[0])
     status = _judged(placed, share, left, quiet)
     found, after = task.declared, before
     for model, placed, done in reversed(steps):
@@ -314,13 +314,13 @@ def _answer(
         status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
     notes += _at_ends(found, kept, rounds)
-    others = _ambiguous(rounds[0], _names(kept)) if kept else ()
+    others = ambiguous(rounds[0], _names(kept)) if kept else ()
     return Discovery(
         effects=_names(kept),
         added=tuple(_added(task.plant, found, one) for one in kept),
         ranking=_ranking(task.plant, rounds, kept),
         ambiguous_with=others,
-        advice=_advice(rounds[0], others),
+        advice=advice(rounds[0], others),
         explained=share if kept else 0.0,
         before=before[0],
         after=after[0],
@@ -360,31 +360,6 @@ def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
     """How much of the predicted noise is there: a record's noise estimate is an upper bound."""
     ratio = residual**2 / np.maximum(base.noise, 1e-300)
     return float(min(1.0, np.median(ratio) / _MEDIAN))
-
-
-def _unrivalled(first: Round) -> bool:
-    """Whether the effect that matters most takes, alone, far more than any other one could."""
-    search, chosen = first.found, first.chosen
-    if not chosen.atoms:
-        return False
-
-    def without(one: Atom) -> float:
-        return search.value(search.fit([other for other in chosen.atoms if other is not one]))
-
-    main = max(chosen.atoms, key=without).placed.effect
-    empty, power = search.fit([]), search.base.signal_power
-    taken: dict[bool, float] = {True: 0.0, False: 0.0}
-    for fit in [*search.extended(empty), *first.sets]:
-        if len(fit.atoms) == 1 and fit.physical:
-            own = _akin(fit.atoms[0].placed.effect, main)
-            share = power(empty.residual) - power(fit.residual)
-            taken[own] = max(taken[own], share)
-    return taken[False] < _RIVAL * taken[True]
-
-
-def _akin(one: AbstractEffect, other: AbstractEffect) -> bool:
-    """Whether two effects are one law with more or fewer terms: Coulomb and Stribeck friction."""
-    return bool({one.name, *one.contains} & {other.name, *other.contains})
 
 
 def _judged(
@@ -526,52 +501,6 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
     order = sorted(rows, key=lambda one: (one not in chosen, rows[one].remark != "",
                                           -rows[one].score))  # fmt: skip
     return tuple(rows[one] for one in order)
-
-
-def _ambiguous(first: Round, kept: Sequence[str]) -> tuple[str, ...]:
-    """Names in sets no larger than the chosen one that the records support nearly as well.
-
-    And of an effect that contains a chosen one, where what it adds to that may well be large: it
-    cost more than it gained because the records hardly show it.
-    """
-    search, chosen, own = first.found, first.chosen, set(kept)
-    names: list[str] = []
-    for fit in first.sets:
-        theirs = {one.placed.effect.name for one in fit.atoms}
-        contained = {name for one in fit.atoms for name in one.placed.effect.contains}
-        if not fit.physical or own <= theirs or len(fit.atoms) > len(chosen.atoms):
-            continue
-        if own <= theirs | contained:
-            pairs = zip(fit.atoms, fit.gains, strict=True)
-            close = any(one.placed.effect.beyond(gains) > _BEYOND for one, gains in pairs)
-        else:
-            close = search.value(fit) - search.value(chosen) < TOLD_APART
-        if close:
-            names += [name for name in sorted(theirs - own) if name not in names]
-    level_and_offset = ["coulomb_friction", "constant_offset"]
-    if "asymmetric_friction" in own:
-        names += [name for name in level_and_offset if name not in own]
-    elif own.issuperset(level_and_offset):
-        names.append("asymmetric_friction")
-    return tuple(dict.fromkeys(name for name in names if name not in own))
-
-
-def _advice(first: Round, others: Sequence[str]) -> str:
-    """Which experiment tells the candidates apart, by what they depend on."""
-    if not others:
-        return ""
-    library = {one.placed.effect.name: one.placed.effect for one in first.found.grid}
-    kinds = {one.placed.effect.depends_on for one in first.chosen.atoms}
-    kinds |= {library[name].depends_on for name in others if name in library}
-    return " ".join(_EXPERIMENT[kind] for kind in sorted(kinds))
-
-
-_EXPERIMENT = {
-    "y": "Record the same input at two and at half the amplitude: then springs part.",
-    "v": "Record slow and fast motion of one amplitude: friction laws then part.",
-    "u": "Record the same motion with larger and smaller inputs, and both signs of them.",
-    "t": "Record steps and fast changes of the input, and the same input at another time.",
-}
 
 
 def _failed(

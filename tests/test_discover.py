@@ -11,9 +11,9 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.candidates import Atom
-from eoi_jax.discover import _akin, _ambiguous
 from eoi_jax.effects.effect import AbstractTerm, Parameter
 from eoi_jax.fit import Base, Fit
+from eoi_jax.rivals import akin, ambiguous
 from eoi_jax.rounds import Round
 from eoi_jax.search import Search
 
@@ -523,7 +523,7 @@ def undecided(rise: float) -> tuple[str, ...]:
     first = object.__new__(Round)
     first.found = Search(base, [], lambda placed, shapes: [], 0.01, 3, 20, 1.0)
     first.sets, first.chosen = fits, fits[0]
-    return _ambiguous(first, ("coulomb_friction",))
+    return ambiguous(first, ("coulomb_friction",))
 
 
 def test_stribeck_friction_that_cannot_be_excluded_is_said_beside_coulomb():
@@ -537,6 +537,6 @@ def test_stribeck_friction_of_no_rise_is_not_said_beside_coulomb():
 
 def test_laws_that_contain_each_other_are_no_rivals():
     coulomb, stribeck = effects.CoulombFriction(), effects.StribeckFriction()
-    assert _akin(coulomb, stribeck)
-    assert _akin(effects.AsymmetricFriction(), stribeck)
-    assert not _akin(coulomb, effects.QuadraticDrag())
+    assert akin(coulomb, stribeck)
+    assert akin(effects.AsymmetricFriction(), stribeck)
+    assert not akin(coulomb, effects.QuadraticDrag())

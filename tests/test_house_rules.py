@@ -70,6 +70,7 @@ LAYERS = (
     ("compare",),
     ("discovery",),
     ("rounds", "polish"),
+    ("rivals",),
     ("discover",),
     ("store",),
     ("report",),

@@ -9,7 +9,7 @@ import numpy as np
 from eoi_jax.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, turns
 
 
-class _AbstractFriction(AbstractTerm):
+class AbstractFriction(AbstractTerm):
     """A function of the velocity. An output of degree one is a speed only if it goes both ways."""
 
     depends_on = "v"
@@ -18,7 +18,7 @@ class _AbstractFriction(AbstractTerm):
         return turns(seen.v) or not seen.measured
 
 
-class ViscousFriction(_AbstractFriction):
+class ViscousFriction(AbstractFriction):
     """-c v: linear damping."""
 
     name = "viscous_friction"
@@ -30,7 +30,7 @@ class ViscousFriction(_AbstractFriction):
         return -gain[0] * at.v
 
 
-class CoulombFriction(_AbstractFriction):
+class CoulombFriction(AbstractFriction):
     """-c sign(v): dry friction of one level."""
 
     name = "coulomb_friction"
@@ -42,7 +42,7 @@ class CoulombFriction(_AbstractFriction):
         return -gain[0] * jnp.sign(at.v)
 
 
-class AsymmetricFriction(_AbstractFriction):
+class AsymmetricFriction(AbstractFriction):
     """-c₊ for v > 0, +c₋ for v < 0: dry friction of another level in each direction.
 
     While the plant moves it cannot be told from Coulomb friction of the mean level beside a
@@ -62,7 +62,7 @@ class AsymmetricFriction(_AbstractFriction):
         return jnp.where(at.v > 0, -gain[0], jnp.where(at.v < 0, gain[1], 0.0))
 
 
-class StribeckFriction(_AbstractFriction):
+class StribeckFriction(AbstractFriction):
     """-(F_c + F_d exp(-(v/v_s)²)) sign(v): dry friction that falls as motion sets in."""
 
     name = "stribeck_friction"
@@ -87,7 +87,7 @@ class StribeckFriction(_AbstractFriction):
         return -(gain[0] + gain[1] * rise) * jnp.sign(at.v)
 
 
-class QuadraticDrag(_AbstractFriction):
+class QuadraticDrag(AbstractFriction):
     """-c v|v|: turbulent drag."""
 
     name = "quadratic_drag"
@@ -99,7 +99,7 @@ class QuadraticDrag(_AbstractFriction):
         return -gain[0] * at.v * jnp.abs(at.v)
 
 
-class CubicDamping(_AbstractFriction):
+class CubicDamping(AbstractFriction):
     """-c v³."""
 
     name = "cubic_damping"
@@ -112,7 +112,7 @@ class CubicDamping(_AbstractFriction):
         return -gain[0] * at.v**3
 
 
-class AsymmetricViscousFriction(_AbstractFriction):
+class AsymmetricViscousFriction(AbstractFriction):
     """-c|v|: viscous friction that differs between the two directions.
 
     Beside a viscous friction b the slope is b + c forwards and b - c backwards.
