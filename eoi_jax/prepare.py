@@ -227,13 +227,14 @@ def prepare(
         duration: of all records of the estimate [s], if these are only some of them.
     """
     length = max(len(record) for record in records) - 1
+    jumps = plant.jumps  # probed once, however many records there are
     # Many blocks for a steady covariance, each longer than the filter remembers.
     total = duration or sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
     rows = []
     for record, u, noise in zip(records, inputs, velocity_noise, strict=True):
         h = record.sample_period
-        use, restart = _usable(plant, record, taps, noise)
+        use, restart = _usable(record, taps, plant.degrees, jumps, noise)
         score = (use > 0).astype(float)
         use = tapered(use, taper / h)
         score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
@@ -302,17 +303,18 @@ def moving(
 
 
 def _usable(
-    plant: Plant,
     record: Record,
     taps: int,
+    degrees: Sequence[int],
+    jumps: Bool[np.ndarray, "ny ny"],
     noise: Float[np.ndarray, " ny"],
 ) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     valid = record.valid[:-1] & record.valid[1:]
     restart = valid & ~np.concatenate([[False], valid[:-1]])
     restart[0] = True
     good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
-    resting = ~moving(plant.degrees, record.outputs, record.sample_period, noise)
-    good &= ~(resting @ plant.jumps.T)  # its own friction, or another's that acts on it by inertia
+    resting = ~moving(degrees, record.outputs, record.sample_period, noise)
+    good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
     good &= ~constant(record)
     use = good.copy()
     for lag in range(1, taps):  # every step of the moving average must be good
