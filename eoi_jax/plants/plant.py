@@ -50,8 +50,8 @@ class Plant(eqx.Module):
     parameters may be shared between outputs and may enter nonlinearly.
 
     Dry friction is written ``p.c * jnp.sign(rate)`` (of a measured speed, r = 1: of the output
-    itself). The jump at rest is found by evaluating f
-    just above and just below zero velocity: simulation sticks, estimation leaves stuck samples out.
+    itself). The jump at rest is found by evaluating f just above and just below zero velocity:
+    simulation sticks, estimation leaves stuck samples out.
 
     Args:
         dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,) (a scalar does for one output).
@@ -351,19 +351,6 @@ def velocity_rows(degrees: Sequence[int]) -> tuple[int, ...]:
     return tuple(min(degree - 1, 1) for degree in degrees)
 
 
-def derivative_unit(unit: str | None, order: int) -> str:
-    """The unit of a derivative with time: m/s² of a position, of a speed m/s too; "" of none."""
-    if not unit:
-        return ""
-    have = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
-    order += have
-    base = unit.removesuffix(f"/s{_RAISED[have]}") if have else unit
-    return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
-
-
-_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
-
-
 def velocity_of(y: Float[Array, "r ny"], degrees: Sequence[int]) -> Output:
     """The velocity of each output, out of `State.y`."""
     rows = np.asarray(velocity_rows(degrees))
@@ -378,6 +365,19 @@ def with_velocity(
     if np.all(rows == rows[0]):
         return y.at[rows[0]].set(velocity)
     return jnp.where(np.arange(len(y))[:, None] == rows, velocity, y)
+
+
+_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
+
+
+def derivative_unit(unit: str | None, order: int) -> str:
+    """The unit of a derivative with time: m/s² of a position, of a speed m/s too; "" of none."""
+    if not unit:
+        return ""
+    have = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
+    order += have
+    base = unit.removesuffix(f"/s{_RAISED[have]}") if have else unit
+    return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
 
 
 _TYPES: dict[tuple[str, ...], Any] = {}
