@@ -114,14 +114,7 @@ def discover(
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
-    found = _run(task, told)
-    unexplained = found.status.code == "unexplained"
-    if unexplained and effects is None and candidates(plant, rare()):
-        # What is so rare that it would only cast doubt on an answer may be one where there is none;
-        # not as one patch of several.
-        more = _run(replace(task, effects=(*tried, *rare())), told)
-        named = any(one.effect in rare() for one in more.added) and len(more.added) <= _RARE
-        found = more if named and more.explained >= _WHOLLY else found
+    found = _run(task, rare() if effects is None else (), told)
     if not refine or found.status.code not in ("explained", "nothing_missing"):
         return found
     told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
@@ -132,21 +125,37 @@ def _untold(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-def _run(task: Task, told: Told) -> Discovery:
-    """Rounds of search and refit, then the free runs."""
+def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
+    """Rounds of search and refit, then the free runs.
+
+    What is so rare that it would only cast doubt on an answer may be one where there is none: then
+    the spare effects are tried too. Not as one patch of several.
+    """
     with ThreadPoolExecutor(1) as aside:  # the search does not wait for the free runs before it
         before = aside.submit(_free_runs, task, task.declared.plant)
         steps, rounds = _searched(task, told)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
-        return _answer(task, steps, rounds, before.result())
+        found = _answer(task, steps, rounds, before.result())
+    if found.status.code != "unexplained" or not candidates(task.plant, spare):
+        return found
+    wider = replace(task, effects=(*task.effects, *spare))
+    steps, rounds = _searched(wider, told, rounds[0])
+    more = _answer(wider, steps, rounds, before.result())
+    named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
+    return more if named and more.explained >= _WHOLLY else found
 
 
-def _searched(task: Task, told: Told) -> tuple[list[Step], list[Round]]:
-    """Rounds of search and refit until nothing is justified; the steps are those that added."""
+def _searched(
+    task: Task, told: Told, earlier: Round | None = None
+) -> tuple[list[Step], list[Round]]:
+    """Rounds of search and refit until nothing is justified; the steps are those that added.
+
+    An earlier round of the declared model lends the first one what it has computed.
+    """
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for i in range(_ROUNDS):
         told(f"searching, round {i + 1}", 1 + i, _STAGES)
-        one = Round(task, model, placed, rounds[-1] if rounds else None)
+        one = Round(task, model, placed, rounds[-1] if rounds else earlier)
         one.search(rounds[0].found.lacking if rounds else one.lacking)
         rounds.append(one)
         if not one.chosen.atoms:
@@ -458,13 +467,12 @@ def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Rou
         if one not in spans:
             continue
         names = one.names[len(one.effect.gains) :]
-        ends = zip(names, spans[one].low, spans[one].high, strict=True)
-        for name, low, high in ends:
+        for name, low, high in zip(names, spans[one].low, spans[one].high, strict=True):
             value, close = found.parameters[name], _END * (high - low)
-            if not low + close < value < high - close:
-                notes.append(
-                    _AT_END.format(name, value, "smaller" if value <= low + close else "larger")
-                )
+            if value <= low + close:
+                notes.append(_AT_END.format(name, value, "smaller"))
+            if value >= high - close:
+                notes.append(_AT_END.format(name, value, "larger"))
     return notes
 
 
