@@ -256,23 +256,6 @@ def test_a_speed_and_a_position_stick_each_on_its_own():
     assert np.sum(alone == 0.0) > 5
 
 
-def test_derivatives_of_a_speed_pass_through_a_stop():
-    time = np.linspace(0.0, 6.0, 301)
-    push = drive(time, 2.0 * np.sin(2.0 * time)[:, None], "zero")
-    friction, start = frictional(SPEED), State(jnp.zeros((1, 1)), jnp.zeros(0))
-
-    @jax.jit
-    def run(theta):
-        return trajectory(SPEED, theta, push, start, friction)[0][:, 0, 0]
-
-    theta = jnp.asarray(SPEED.theta)
-    got = np.asarray(jax.jit(jax.jacfwd(run))(theta))
-    for i in range(2):
-        move = 1e-6 * jnp.eye(2)[i]
-        want = np.asarray((run(theta + move) - run(theta - move)) / 2e-6)
-        np.testing.assert_allclose(got[:, i], want, atol=1e-5 * np.max(np.abs(want)))
-
-
 def test_a_stuck_block_stays_exactly_put():
     time = np.linspace(0.0, 10.0, 501)
     force = 0.95 * np.sin(40.0 * time)  # below the friction level of 1
@@ -380,19 +363,27 @@ def test_forward_derivatives_pass_through_a_stop():
     np.testing.assert_allclose(got, [-(1.33**2) / 2, 1.33], rtol=1e-9)
 
 
-def test_sensitivities_equal_differences_for_the_pendulum():
-    plant, time = pendulum(true=True), np.arange(801) * 5e-3
-    push = drive(time, np.full((801, 1), 0.2), "zero")
-    friction, start = frictional(plant), State(jnp.zeros((2, 1)), jnp.zeros(0))
+@pytest.mark.parametrize(
+    ("plant", "time", "push"),
+    [
+        (pendulum(true=True), np.arange(801) * 5e-3, np.full(801, 0.2)),
+        (SPEED, np.linspace(0.0, 6.0, 301), 2.0 * np.sin(np.linspace(0.0, 12.0, 301))),
+    ],
+    ids=["pendulum", "speed that stops"],
+)
+def test_sensitivities_equal_differences(plant: Plant, time: np.ndarray, push: np.ndarray):
+    driven_by = drive(time, push[:, None], "zero")
+    friction = frictional(plant)
+    start = State(jnp.zeros((plant.relative_degree, 1)), jnp.zeros(0))
 
     @jax.jit
     def run(theta):
-        return trajectory(plant, theta, push, start, friction)[0][:, 0, 0]
+        return trajectory(plant, theta, driven_by, start, friction)[0][:, 0, 0]
 
     theta = jnp.asarray(plant.theta)
     got = np.asarray(jax.jit(jax.jacfwd(run))(theta))
     for i, size in enumerate(1e-6 * np.asarray(theta)):
-        move = jnp.asarray(np.eye(4)[i] * size)
+        move = jnp.asarray(np.eye(len(theta))[i] * size)
         want = np.asarray((run(theta + move) - run(theta - move)) / (2 * size))
         # The difference itself is good to 1e-6 of the sensitivity.
         np.testing.assert_allclose(got[:, i], want, atol=1e-5 * np.max(np.abs(want)))
