@@ -374,12 +374,13 @@ def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
 def _judged(
     placed: Sequence[Placed], share: float, left: float, noise_like: bool, alone: bool = False
 ) -> Status:
-    good, rest = noise_like or left <= _MATERIAL, _rest(left)
+    rest = _rest(left)
     if not placed:
-        if good:
+        if noise_like or left <= _MATERIAL:
             return Status("nothing_missing", _NOTHING.format(rest))
         return Status("unexplained", _UNKNOWN.format(rest))
-    if share >= _EXPLAINED or good:
+    # Of a weak effect a patchwork of others leaves little too: what is taken counts, not the rest.
+    if share >= _EXPLAINED or noise_like:
         return Status("explained", _FOUND.format(share, rest))
     if alone and share >= _MAINLY:
         return Status("explained", _FOUND.format(share, rest) + _REST)
