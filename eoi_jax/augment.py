@@ -44,12 +44,15 @@ class Placed:
         channel: index of the output, the input or the internal state that it acts on.
         names: of its parameters, gains first, in the augmented plant.
         row: of `State.y` that holds the velocity of the output.
+        against: index of the output from which its displacement is counted, of an effect between
+            two of them; None for the displacement of the output itself.
     """
 
     effect: AbstractEffect
     channel: int
     names: tuple[str, ...]
     row: int = 1
+    against: int | None = None
 
     @property
     def on_input(self) -> bool:
@@ -66,16 +69,27 @@ class Placed:
         """Index of the output that it shows in: of inputs and internal states the first one."""
         return 0 if self.on_input or self.on_state else self.channel
 
+    @property
+    def site(self) -> tuple[AbstractEffect, int, int | None]:
+        """What it is and where, whatever its parameters are called."""
+        return self.effect, self.channel, self.against
 
-def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
+    def coordinate(self, y: Any) -> Any:
+        """What it sees of the outputs (last axis), or of their derivatives."""
+        own = y[..., self.output]
+        return own if self.against is None else own - y[..., self.against]
+
+
+def place(plant: Plant, effect: AbstractEffect, channel: int, against: int | None = None) -> Placed:
     """An effect at a channel, with parameter names that are free in the plant.
 
     Named as the effect and its part; with several channels, and at internal states, also as the
-    channel.
+    channel, and as the output that its displacement is counted from.
     """
     channels = effect.channels(plant)
     several = len(channels) > 1 or isinstance(effect, AbstractInternalEffect)
     suffix = f"_{channels[channel]}" if several else ""
+    suffix += "" if against is None else f"_{channels[against]}"
     names = []
     for parameter in effect.parameters:
         name = "_".join(filter(None, (effect.name, parameter.name))) + suffix
@@ -85,7 +99,7 @@ def place(plant: Plant, effect: AbstractEffect, channel: int) -> Placed:
         names.append(name)
     on_output = isinstance(effect, AbstractTerm)
     row = velocity_rows(plant.degrees)[channel] if on_output else 1
-    return Placed(effect, channel, tuple(names), row)
+    return Placed(effect, channel, tuple(names), row, against)
 
 
 def augmented(
@@ -303,7 +317,7 @@ def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
 
 
 def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
-    y = x.y[:, one.output]
+    y = one.coordinate(x.y)
     rate = y[one.row] if one.row < x.y.shape[0] else jnp.zeros_like(y[0])
     # A plant may have no input at all.
     own = u[one.channel if one.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])

@@ -6,6 +6,7 @@ effect of an input or of an internal state replaces the declared part of the mod
 effect.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -60,9 +61,10 @@ class Atom:
     slopes: Float[np.ndarray, "rows np"] | None = None
 
     @property
-    def key(self) -> tuple[str, bool, int]:
+    def key(self) -> tuple[str, bool, int, int | None]:
         """Name and channel: two atoms of one key are never in one model, except opposite stops."""
-        return self.placed.effect.name, self.placed.on_state, self.placed.channel
+        one = self.placed
+        return one.effect.name, one.on_state, one.channel, one.against
 
 
 def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
@@ -75,7 +77,26 @@ def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
             inner = isinstance(effect, AbstractInternalEffect)
             count = own_states(plant) if inner else len(plant.outputs)
             placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
+            placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
     return placed
+
+
+def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
+    """Pairs of outputs of one kind between which an effect may act, each way round.
+
+    It pushes both apart; how hard depends on the mass of each, so each has a gain of its own.
+    """
+    if not (isinstance(effect, AbstractTerm) and effect.joins):
+        return []
+    kinds = [
+        (degree, plant.units.get(name))
+        for degree, name in zip(plant.degrees, plant.outputs, strict=True)
+    ]
+    return [
+        (i, j)
+        for i, j in itertools.permutations(range(len(kinds)), 2)
+        if kinds[i] == kinds[j] and effect.fits(plant, i)
+    ]
 
 
 def seen_at(
@@ -86,18 +107,18 @@ def seen_at(
     peaks: Float[np.ndarray, " peaks"],
 ) -> Seen:
     """What the records show at the channel of an effect."""
-    y = placed.output
     u = placed.channel if placed.on_input else 0
     row = min(placed.row, plant.relative_degree - 1)
-    levels = [one.y[:, 0, y] for one in stretches]
+    ends = [placed.output, *([] if placed.against is None else [placed.against])]
+    levels = [placed.coordinate(one.y[:, 0]) for one in stretches]
     if placed.on_state:
         levels = [internal_along(plant, one)[:, placed.channel] for one in stretches]
     return Seen(
         np.concatenate(levels),
-        np.concatenate([one.y[:, row, y] for one in stretches]),
+        np.concatenate([placed.coordinate(one.y[:, row]) for one in stretches]),
         np.concatenate([one.u[:, u] if plant.inputs else 0.0 * one.time for one in stretches]),
         placed.row == 0,
-        max(one.state_noise[y] for one in stretches),
+        max(float(np.linalg.norm(one.state_noise[ends])) for one in stretches),
         max(one.duration for one in stretches),
         max(one.original_period for one in stretches),
         band,
@@ -154,7 +175,7 @@ def _term_rows(
     for one in stretches:
         h = np.asarray(one.sample_period)
         thin = (one.weight[j], one.kernel)
-        signals = _signals(one, j, 0, placed.row)
+        signals = _signals(one, placed)
         along = _term_along(effect, plant.degrees[j], *signals, shapes, thin, h)
         own = one.rows(np.asarray(along))
         for k in range(len(plant.outputs)):
@@ -167,7 +188,7 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
     assert isinstance(placed.effect, INPUT_EFFECTS)
     changed = _input_along(
         placed.effect,
-        *_signals(one, 0, placed.channel, placed.row),
+        *_signals(one, placed),
         shapes,
         np.asarray(one.sample_period),
     )
@@ -224,15 +245,16 @@ def _term_along(
     return jax.vmap(one)(jnp.asarray(shapes))
 
 
-def _signals(one: Stretch, output: int, channel: int, row: int) -> tuple[tuple, tuple]:
+def _signals(one: Stretch, placed: Placed) -> tuple[tuple, tuple]:
     """Time, output, velocity and an input, in the middle of each step; their change over it."""
+    row, channel = placed.row, placed.channel if placed.on_input else 0
     known = row < one.y.shape[1]
     time, y, u = one.bend
 
     def chosen(t: Any, y: Any, u: Any) -> tuple:
-        v = y[:, row, output] if known else 0.0 * t  # an output without a velocity has none
+        v = placed.coordinate(y[:, row]) if known else 0.0 * t  # an output without one has none
         own = u[:, channel] if u.shape[1] else 0.0 * t
-        return t, y[:, 0, output], v, own
+        return t, placed.coordinate(y[:, 0]), v, own
 
     return chosen(one.time, one.y, one.u), chosen(time, y, u)
 

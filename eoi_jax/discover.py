@@ -457,7 +457,12 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
         {name: found.parameters[name] for name in one.names},
         {name: found.standard_errors[name] for name in one.names},
         one.effect.sentence,
+        _against(plant, one),
     )
+
+
+def _against(plant: Plant, one: Placed) -> str:
+    return "" if one.against is None else plant.outputs[one.against]
 
 
 def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Round]) -> list[str]:
@@ -505,7 +510,10 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
             remark = "" if fit.physical else "wrong sign"
             remark = first.refused.get(placed, remark)
         name, channel = placed.effect.name, channels[placed.channel]
-        rows[placed] = Evidence(name, channel, parameters, max(taken, 0.0), float(score), remark)
+        rows[placed] = Evidence(
+            name, channel, parameters, max(taken, 0.0), float(score), remark,
+            _against(plant, placed),
+        )  # fmt: skip
     chosen = set(kept) | set(worth)
     order = sorted(rows, key=lambda one: (one not in chosen, rows[one].remark != "",
                                           -rows[one].score))  # fmt: skip

@@ -25,6 +25,7 @@ class Evidence:
         score: twice the log-likelihood gained less the penalty; above zero it is evidence. Of an
             effect that was added: beside the others; of another one: alone.
         remark: why it is out, or "".
+        against: the output that its displacement is counted from, of an effect between two; or "".
     """
 
     effect: str
@@ -33,6 +34,7 @@ class Evidence:
     explained: float
     score: float
     remark: str
+    against: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Added:
         parameters: estimates by name in `Discovery.plant`.
         standard_errors: by name.
         sentence: completes "the model lacks …".
+        against: the output that its displacement is counted from, of an effect between two; or "".
     """
 
     effect: AbstractEffect
@@ -52,6 +55,7 @@ class Added:
     parameters: dict[str, float]
     standard_errors: dict[str, float]
     sentence: str
+    against: str = ""
 
 
 @dataclass(frozen=True)

@@ -112,8 +112,8 @@ class Along:
     def seen(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
         _, u, y, _ = (np.asarray(one) for one in self.stages)
-        j = placed.output
-        level, rate = y[..., 0, j].ravel(), y[..., min(placed.row, y.shape[-2] - 1), j].ravel()
+        rows = (0, min(placed.row, y.shape[-2] - 1))
+        level, rate = (placed.coordinate(y[..., row, :]).ravel() for row in rows)
         own = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
         period = max(one.sample_period for one in self.records)
         moving = np.std(level) or 1.0
@@ -212,11 +212,13 @@ class Along:
     def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
         """What the effect adds to y^(r) along the runs, one for each gain, (runs, samples, 3)."""
         t, u, y, _ = self.stages
-        effect, j = placed.effect, placed.output
+        effect = placed.effect
         if isinstance(effect, AbstractTerm):
-            rate = y[..., placed.row, j] if placed.row < y.shape[-2] else 0.0 * t
+            known = placed.row < y.shape[-2]
+            rate = placed.coordinate(y[..., placed.row, :]) if known else 0.0 * t
+            level = placed.coordinate(y[..., 0, :])
             own = u[..., 0] if u.shape[-1] else 0.0 * t
-            at = At(*(jnp.asarray(one) for one in (t, y[..., 0, j], rate, own)), z=None)
+            at = At(*(jnp.asarray(one) for one in (t, level, rate, own)), z=None)
             units = np.eye(len(effect.gains))
             return [np.broadcast_to(effect.term(at, list(gain), list(shape)), t.shape)
                     for gain in units]  # fmt: skip

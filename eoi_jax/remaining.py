@@ -223,7 +223,7 @@ def _ranked(found: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
     """By share; of sets with the same effects at the same channels the best one."""
     kept: dict[Any, Candidate] = {}
     for one in sorted((one for one in found if one is not None), key=lambda one: -one.share):
-        kept.setdefault(tuple((each.effect, each.channel) for each in one.placed), one)
+        kept.setdefault(tuple(each.site for each in one.placed), one)
     return tuple(kept.values())
 
 

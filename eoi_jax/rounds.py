@@ -104,11 +104,11 @@ class Round:
     @property
     def lacking(self) -> float:
         """Power of what the model leaves beside constants: an offset may dwarf all that varies."""
-        present = {(one.effect, one.channel) for one in self.placed}
+        present = {one.site for one in self.placed}
         constants = [
             atom
             for one in candidates(self.model, [ConstantOffset()])
-            if (one.effect, one.channel) not in present
+            if one.site not in present
             for atom in self._make(one, np.zeros((1, 0)))
         ]
         residual = fitted(self.base, constants, np.ones_like(self.base.target)).residual
@@ -121,15 +121,14 @@ class Round:
             lacking: power that the declared model left, the measure of what matters.
         """
         task, model = self.task, self.model
-        present = {(one.effect, one.channel) for one in self.placed}
+        present = {one.site for one in self.placed}
         spilling = {one.effect.name for one in self.placed if one.on_state}
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
         looked = {
             one: seen_at(model, one, self.stretches, cutoff, peaks)
             for one in candidates(model, task.effects)
-            if (one.effect, one.channel) not in present
-            and not (one.on_state and one.effect.name in spilling)
+            if one.site not in present and not (one.on_state and one.effect.name in spilling)
         }
         self.candidates = [one for one, seen in looked.items() if one.effect.shows(seen)]
 

@@ -98,6 +98,23 @@ def test_parameters_are_named_by_effect_part_and_channel():
     assert place(CARTS, effects.InputDelay(), 0).names == ("input_delay_left",)
 
 
+def test_spring_between_two_outputs_acts_on_one_by_their_difference():
+    placed = place(CARTS, effects.CubicStiffness(), 0, against=1)
+    assert placed.names == ("cubic_stiffness_first_second",)
+    new = augmented(CARTS, [placed], {"cubic_stiffness_first_second": 5.0})
+    state = [[0.3, 0.1], [0.0, 0.0]]
+    more = at(new, state, [0.0, 0.0])[0] - at(CARTS, state, [0.0, 0.0])[0]
+    np.testing.assert_allclose(more, [-5.0 * 0.2**3, 0.0], atol=1e-15)
+
+
+def test_damper_between_two_outputs_acts_by_the_difference_of_their_rates():
+    placed = place(CARTS, effects.ViscousFriction(), 1, against=0)
+    new = augmented(CARTS, [placed], {"viscous_friction_second_first": 2.0})
+    state = [[0.3, 0.1], [0.5, -0.2]]
+    more = at(new, state, [0.0, 0.0])[0] - at(CARTS, state, [0.0, 0.0])[0]
+    np.testing.assert_allclose(more, [0.0, -2.0 * (-0.2 - 0.5)], atol=1e-15)
+
+
 def test_name_that_is_taken_gets_a_number():
     new = with_effects(MASS, (effects.ConstantOffset(), 0, {"constant_offset": 1.0}))
     again = place(new, effects.ConstantOffset(), 0)

@@ -420,19 +420,43 @@ def test_every_effect_is_tried_at_every_channel_that_it_fits():
     ]
 
 
+def test_springs_are_tried_between_outputs_of_one_kind_each_way_round():
+    sites = [(one.channel, one.against) for one in candidates(TWO, [effects.CubicStiffness()])]
+    assert sites == [(0, None), (1, None), (0, 1), (1, 0)]
+    angle = eoi.Plant(
+        carts, {"k": 20.0, "c": 0.4}, relative_degree=2, inputs=("a", "b"),
+        outputs=("y1", "y2"), units={"y1": "m", "y2": "rad"},
+    )  # fmt: skip
+    assert len(candidates(angle, [effects.CubicStiffness()])) == 2
+    unlike = eoi.Plant(
+        carts, {"k": 20.0, "c": 0.4}, relative_degree=(2, 1), inputs=("a", "b"),
+        outputs=("y1", "y2"),
+    )  # fmt: skip
+    assert [one.against for one in candidates(unlike, [effects.CubicStiffness()])] == [None]
+
+
 def test_columns_of_a_term_are_those_of_its_own_output():
     time = 0.01 * np.arange(1500)
     drive = np.stack([np.sin(3.0 * time), np.cos(time)], axis=1)
     record = eoi.simulate(TWO, time, drive, [[0.1, 0.2], [0.0, 0.0]], hold="linear")
     several = [stretch(TWO, record, 15.0)]
-    first, second = candidates(TWO, [effects.CubicStiffness()])
+    tried = candidates(TWO, [effects.CubicStiffness()])
+    first, second, joint, _ = tried
     size = len(several[0].omega)
-    made = [atoms(TWO, one, np.zeros((1, 0)), several)[0].columns[:, 0] for one in (first, second)]
-    assert not np.any(made[0][size:])
-    assert not np.any(made[1][:size])
-    assert np.any(made[1][size:])
+    made = [atoms(TWO, one, np.zeros((1, 0)), several)[0].columns[:, 0] for one in tried]
+    for own, other in ((0, 1), (2, 3)):
+        assert not np.any(made[own][size:])
+        assert np.any(made[own][:size])
+        assert not np.any(made[other][:size])
+        assert np.any(made[other][size:])
+    assert not np.allclose(made[0], made[2])
     seen = seen_at(TWO, second, several, 10.0, np.ones(1))
-    np.testing.assert_array_equal(seen.y, several[0].y[:, 0, 1])
+    y = several[0].y[:, 0]
+    np.testing.assert_array_equal(seen.y, y[:, 1])
+    apart = seen_at(TWO, joint, several, 10.0, np.ones(1))
+    np.testing.assert_array_equal(apart.y, y[:, 0] - y[:, 1])
+    noise = several[0].state_noise
+    assert apart.noise == pytest.approx(np.hypot(noise[0], noise[1]))
     assert atoms(TWO, first, np.zeros((0, 0)), several) == []
 
 

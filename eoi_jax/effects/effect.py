@@ -168,7 +168,14 @@ class AbstractEffect(ABC):
 
 
 class AbstractTerm(AbstractEffect):
-    """An effect that adds a term to y^(r) of one output."""
+    """An effect that adds a term to y^(r) of one output.
+
+    Attributes:
+        joins: whether it may also act between two outputs of one kind, as a spring from one mass
+            to another does: `At.y` and `At.v` are then those of one output less the other's.
+    """
+
+    joins: ClassVar[bool] = False
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.outputs

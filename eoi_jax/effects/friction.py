@@ -23,6 +23,7 @@ class ViscousFriction(AbstractFriction):
 
     name = "viscous_friction"
     sentence = "viscous friction, proportional to the velocity"
+    joins = True
     gains = (Parameter("", "1/s", lower=0.0),)
     form = ("- {0}·{v}", r"- {0}\,{v}")
 
@@ -92,6 +93,7 @@ class QuadraticDrag(AbstractFriction):
 
     name = "quadratic_drag"
     sentence = "drag that grows with the square of the velocity"
+    joins = True
     gains = (Parameter("", "{f}/({v})²", lower=0.0),)
     form = ("- {0}·{v}·|{v}|", r"- {0}\,{v}\,|{v}|")
 
@@ -104,6 +106,7 @@ class CubicDamping(AbstractFriction):
 
     name = "cubic_damping"
     sentence = "damping that grows with the cube of the velocity"
+    joins = True
     rarity = 1.0
     gains = (Parameter("", "{f}/({v})³", lower=0.0),)
     form = ("- {0}·{v}³", r"- {0}\,{v}^3")

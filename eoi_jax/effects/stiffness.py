@@ -17,6 +17,7 @@ class LinearStiffness(AbstractTerm):
 
     name = "linear_stiffness"
     sentence = "a linear spring"
+    joins = True
     gains = (Parameter("", "{f}/{y}"),)
     depends_on = "y"
     form = ("- {0}·{y}", r"- {0}\,{y}")
@@ -33,6 +34,7 @@ class QuadraticStiffness(AbstractTerm):
 
     name = "quadratic_stiffness"
     sentence = "a spring force with the square of the displacement (pull and push differ)"
+    joins = True
     rarity = 1.0
     gains = (Parameter("", "{f}/({y})²"),)
     depends_on = "y"
@@ -50,6 +52,7 @@ class CubicStiffness(AbstractTerm):
 
     name = "cubic_stiffness"
     sentence = "cubic stiffness: a spring that hardens or softens with displacement"
+    joins = True
     rarity = 1.0
     gains = (Parameter("", "{f}/({y})³"),)
     depends_on = "y"
@@ -124,6 +127,7 @@ class EndStop(AbstractTerm):
 
     name = "end_stop"
     sentence = "an end stop: contact on one side"
+    joins = True
     gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
     shapes = (Parameter("position", "{y}"),)
     depends_on = "y"
@@ -158,6 +162,7 @@ class FreePlay(AbstractTerm):
 
     name = "free_play"
     sentence = "free play: a gap in which the spring does not act"
+    joins = True
     gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
     shapes = (Parameter("gap", "{y}", lower=0.0),)
     depends_on = "y"

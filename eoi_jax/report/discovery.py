@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.discovery import Added, Discovery
+from eoi_jax.discovery import Added, Discovery, Evidence
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
@@ -72,7 +72,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
     what, _, _ = added.effect.sentence.partition(":")
     inner = isinstance(added.effect, AbstractInternalEffect)
     channels = discovery.plant.inputs if _on_input(added) else discovery.plant.outputs
-    where = f" at {added.output}" if len(channels) > 1 or inner else ""
+    where = f" at {_place(added)}" if len(channels) > 1 or inner else ""
     shown = []
     for (name, value), own in zip(added.parameters.items(), added.effect.parameters, strict=True):
         error = added.standard_errors.get(name, np.nan)
@@ -85,6 +85,10 @@ def phrase(discovery: Discovery, added: Added) -> str:
     if len(shown) == 1:
         return f"{what}{where} of {shown[0][1]}"
     return f"{what}{where} ({', '.join(f'{name} {text}' for name, text in shown)})"
+
+
+def _place(one: Added | Evidence) -> str:
+    return f"{one.output}, against {one.against}" if one.against else one.output
 
 
 def change_table(discovery: Discovery) -> str:
@@ -153,13 +157,14 @@ def candidate_table(discovery: Discovery) -> str:
 
 def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of a table of all candidates that were not added, the header first; or none."""
-    added = {(one.effect.name, one.output) for one in discovery.added}
-    others = [one for one in discovery.ranking if (one.effect, one.output) not in added]
+    added = {(one.effect.name, one.output, one.against) for one in discovery.added}
+    others = [one for one in discovery.ranking
+              if (one.effect, one.output, one.against) not in added]  # fmt: skip
     rows = [("other candidate", "at", "explains alone", "score", "")] if others else []
     for one in others:
         share = f"{100 * one.explained:.3g} %"
         score = f"{one.score:.4g}" if np.isfinite(one.score) else "-"
-        rows.append((one.effect, one.output, share, score, one.remark))
+        rows.append((one.effect, _place(one), share, score, one.remark))
     return rows
 
 

@@ -145,16 +145,23 @@ def _draw_residuals(figure: Any, discovery: Discovery, record: int = 0) -> None:
 # -- the residual against variables -----------------------------------------------------------
 
 
-def _maps(discovery: Discovery) -> list[tuple[str, str]]:
-    """Output and variable of each panel; what an effect depends on, or all there is."""
+def _maps(discovery: Discovery) -> list[tuple[str, str, str]]:
+    """Output, variable, and what it is counted from, of each panel.
+
+    What an effect depends on, or all there is.
+    """
     outputs = discovery.plant.outputs
     maps = [
-        (one.output if one.output in outputs else outputs[0], _variable(discovery, one))
+        (
+            one.output if one.output in outputs else outputs[0],
+            _variable(discovery, one),
+            one.against,
+        )
         for one in discovery.added
     ]
     if not maps:
         known = ("y", "v", "t") if discovery.plant.degrees[0] > 1 else ("y", "t")
-        maps = [(outputs[0], name) for name in (*known, *discovery.plant.inputs)]
+        maps = [(outputs[0], name, "") for name in (*known, *discovery.plant.inputs)]
     return list(dict.fromkeys(maps))
 
 
@@ -164,8 +171,8 @@ def _draw_maps(figure: Any, discovery: Discovery) -> None:
     beside = min(len(maps), _BESIDE)
     rows = -(-len(maps) // beside)
     panels = figure.subplots(rows, beside, squeeze=False)
-    for axes, (output, name) in zip(panels.ravel(), maps, strict=False):
-        _draw_map(axes, discovery, discovery.plant.outputs.index(output), name)
+    for axes, (output, name, against) in zip(panels.ravel(), maps, strict=False):
+        _draw_map(axes, discovery, discovery.plant.outputs.index(output), name, against)
     for axes in panels.ravel()[len(maps) :]:
         axes.set_visible(False)
     handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -180,9 +187,11 @@ def _variable(discovery: Discovery, added: Added) -> str:
     return added.output if added.output in inputs else inputs[0]
 
 
-def _draw_map(axes: Any, discovery: Discovery, j: int, name: str) -> None:
+def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) -> None:
     before = discovery.declared
     variable = _values(before, j, name)
+    if against:
+        variable = variable - _values(before, before.plant.outputs.index(against), name)
     residual = np.concatenate([part[:, j] for part in before.residual])
     taken = residual - np.concatenate([part[:, j] for part in discovery.found.residual])
     # Where the plant sticks only the model without friction is scored: what both score is shown.
@@ -200,7 +209,7 @@ def _draw_map(axes: Any, discovery: Discovery, j: int, name: str) -> None:
         fitted = [np.mean(taken[one]) for one in bins]
         axes.plot(centre, fitted, color=series(AFTER), lw=1.6, label="taken away by the effects")
     axes.axhline(0.0, color=ink(), linewidth=0.5)
-    axes.set_xlabel(_variable_label(before, j, name))
+    axes.set_xlabel(_variable_label(before, j, name, against))
     if axes.get_subplotspec().is_first_col():
         axes.set_ylabel(injected("residual", before.plant, j))
 
@@ -223,13 +232,14 @@ def _values(result: Any, j: int, name: str) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _variable_label(result: Any, j: int, name: str) -> str:
+def _variable_label(result: Any, j: int, name: str, against: str) -> str:
     if name == "t":
         return "time [s]"
     own = name if name in result.plant.inputs else result.plant.outputs[j]
     unit = result.plant.units.get(own, "")
     derived = _derived(result, j, name)
-    label = f"rate of {own}" if derived else own
+    what = f"{own} - {against}" if against else own
+    label = f"rate of {what}" if derived else what
     return with_unit(label, derivative_unit(unit, 1) if derived else unit)
 
 

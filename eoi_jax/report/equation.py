@@ -111,11 +111,13 @@ def _effects(
         output = plant.outputs[0] if of_input else one.output
         drive = one.output if of_input else (plant.inputs or ("u",))[0]
         names = [_named(name, value, numeric, in_latex) for name, value in one.parameters.items()]
+
+        def coordinate(order: int, one: Any = one, output: str = output) -> str:
+            own = write(Symbol(output, order), {})
+            return f"({own} - {write(Symbol(one.against, order), {})})" if one.against else own
+
         shown = (one.effect.latex if in_latex else one.effect.text)(
-            names,
-            write(Symbol(output), {}),
-            write(Symbol(output, velocity.get(output, 1)), {}),
-            write(Symbol(drive), {}),
+            names, coordinate(0), coordinate(velocity.get(output, 1)), write(Symbol(drive), {})
         )
         if of_input:
             changes.append(shown)
