@@ -4,7 +4,8 @@
 
 Every rig is a few lines of plain Python below, stepped by a Runge-Kutta rule of its own. All were
 written down before the library was tried on them. At 30a864d it missed the motor, the heater
-and the shock absorber, which was mended; the last three lack what it still has no name for.
+and the shock absorber, which was mended. For what the last three lack it had no name; for the play
+between two masses it has one now.
 """
 
 import math
@@ -206,7 +207,7 @@ def rigs() -> list[Rig]:
         Rig("nothing hidden", "nothing", (), _sprung(170.0, 5.0, 1.2),
             lambda x, u: (x[1], u - 200.0 * x[0] - 4.0 * x[1]),
             (0.0, 0.0), 2e-3, 8000, multisine(30.0, 8.0)),
-        Rig("two masses", "play of ±0.01 in the spring between them", (),
+        Rig("two masses", "play of ±0.01 in the spring between them", ("free_play",),
             eoi.Plant(_coupled, pair, 2, outputs=("one", "two")), _true_coupled,
             (0.0, 0.0, 0.0, 0.0), 1e-3, 10000, multisine(6.0, 10.0, 20)),
         Rig("crane", "Coulomb friction of the trolley, through the inertia matrix", (),
