@@ -1,8 +1,10 @@
-"""How JAX is set up: precision, compilation cache, and the one XLA option that matters.
+"""How JAX is set up: precision, compilation cache, and the two XLA options that matter.
 
 Importing the library changes nothing. The CLI, the benchmarks and the tests call `configure`.
 """
 
+import importlib.util
+import mmap
 import os
 import warnings
 from pathlib import Path
@@ -15,6 +17,8 @@ from eoi_jax.checks import check
 # every step pays a few microseconds of dispatch. Raising the limit makes a pass about ten times
 # faster. It is read once, when the backend starts, and cannot be set for one `jit` alone.
 _WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
+# XLA's newer way to compile fusions takes half as long again; what comes of it is no faster here.
+_NEW_FUSIONS = "xla_cpu_use_fusion_emitters"
 
 
 def configure(float64: bool = True, cache: bool = True, devices: int | None = None) -> None:
@@ -44,8 +48,10 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
                 stacklevel=2,
             )
         else:
-            option = f"--xla_backend_extra_options={_WHOLE_LOOPS}"
-            os.environ["XLA_FLAGS"] = f"{flags} {option}".strip()
+            options = [flags, f"--xla_backend_extra_options={_WHOLE_LOOPS}"]
+            if _NEW_FUSIONS not in flags and _has_option(_NEW_FUSIONS):
+                options.append(f"--{_NEW_FUSIONS}=false")
+            os.environ["XLA_FLAGS"] = " ".join(options).strip()
     if devices is not None:
         check(devices >= 1, "devices", "must be an integer ≥ 1", devices)
         _make_devices(devices)
@@ -55,6 +61,19 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _has_option(name: str) -> bool:
+    """Whether this XLA has it: one that it does not know would end the process."""
+    found = importlib.util.find_spec("jaxlib")
+    for folder in found.submodule_search_locations or () if found else ():
+        for library in Path(folder).glob("*jax_common*"):
+            with (
+                library.open("rb") as file,
+                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as code,
+            ):
+                return code.find(name.encode()) >= 0
+    return False
 
 
 def _make_devices(count: int) -> None:

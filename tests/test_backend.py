@@ -78,6 +78,30 @@ print(jnp.ones(1).dtype, jax.device_count(), jax.config.jax_compilation_cache_di
     assert shown.split() == ["float32", "2", "None"]
 
 
+def test_options_that_xla_does_not_know_are_not_given():
+    code = """
+import os
+from eoi_jax import backend
+assert not backend._has_option("xla_cpu_an_option_that_nobody_has")
+backend._NEW_FUSIONS = "xla_cpu_an_option_that_nobody_has"
+backend.configure(cache=False)
+assert "nobody" not in os.environ["XLA_FLAGS"]
+import jax.numpy as jnp
+print(float(jnp.ones(1)[0]))
+"""
+    assert fresh(code)[0].strip() == "1.0"
+
+
+def test_an_option_that_is_set_already_stays():
+    code = """
+import os
+import eoi_jax
+eoi_jax.configure(cache=False)
+print(os.environ["XLA_FLAGS"].count("fusion_emitters"))
+"""
+    assert fresh(code, XLA_FLAGS="--xla_cpu_use_fusion_emitters=true")[0].strip() == "1"
+
+
 def test_configure_warns_when_the_backend_runs_already():
     code = """
 import os, warnings
