@@ -374,13 +374,14 @@ def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
 def _judged(
     placed: Sequence[Placed], share: float, left: float, noise_like: bool, alone: bool = False
 ) -> Status:
-    rest = _rest(left)
+    good, rest = noise_like or left <= _MATERIAL, _rest(left)
     if not placed:
-        if noise_like or left <= _MATERIAL:
+        if good:
             return Status("nothing_missing", _NOTHING.format(rest))
         return Status("unexplained", _UNKNOWN.format(rest))
-    # Of a weak effect a patchwork of others leaves little too: what is taken counts, not the rest.
-    if share >= _EXPLAINED or noise_like:
+    # Of what is weak a patchwork of several effects leaves little too.
+    patched = not noise_like and len(_names(placed)) > 1
+    if share >= _EXPLAINED or (good and not patched):
         return Status("explained", _FOUND.format(share, rest))
     if alone and share >= _MAINLY:
         return Status("explained", _FOUND.format(share, rest) + _REST)
