@@ -88,7 +88,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
 
 
 def _place(one: Added | Evidence) -> str:
-    return f"{one.output}, against {one.against}" if one.against else one.output
+    return f"{one.output} towards {one.against}" if one.against else one.output
 
 
 def change_table(discovery: Discovery) -> str:

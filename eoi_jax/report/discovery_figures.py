@@ -209,6 +209,7 @@ def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) 
         fitted = [np.mean(taken[one]) for one in bins]
         axes.plot(centre, fitted, color=series(AFTER), lw=1.6, label="taken away by the effects")
     axes.axhline(0.0, color=ink(), linewidth=0.5)
+    axes.locator_params(axis="x", nbins=5)  # panels beside each other are narrow
     axes.set_xlabel(_variable_label(before, j, name, against))
     if axes.get_subplotspec().is_first_col():
         axes.set_ylabel(injected("residual", before.plant, j))
