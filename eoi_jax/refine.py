@@ -122,7 +122,8 @@ def refine(
         for start in (*own, *best(problem, unknowns, points))
     ]
     if not fits:
-        return _unanswered(nominal, several, window, Status("diverged", _DIVERGED))
+        reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
+        return _unanswered(nominal, several, window, Status("diverged", reason))
     fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     if substeps is None:
         fit = _finer(fit, several, spans, effort, huber)
@@ -421,6 +422,10 @@ _NO_DATA = "no sample is left to score: the records are masked, or shorter than 
 _DIVERGED = (
     "the free run from the starting parameters does not stay finite: start from other parameters "
     "(`starts = 200` tries so many around them), or fit shorter runs with `window`"
+)
+_ALL_DIVERGED = (
+    "no free run stays finite, neither from the starting parameters nor from the {} other starts: "
+    "fit shorter runs with `window`, or start nearer to what the plant does"
 )
 _ROUGH = (
     "the free run has derivatives that are not finite where the fit ended: a function of the model "

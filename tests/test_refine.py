@@ -448,7 +448,12 @@ def test_a_start_that_diverges_is_said_and_shorter_runs_fit(faded):
     result = refine(plant, faded)
     assert result.status.code == "diverged"
     assert "window" in result.status.message
+    assert "starts = 200" in result.status.message
     assert result.parameters == plant.parameters
+    several = refine(plant, faded, starts=[{"rate": 0.8}, {"rate": 0.9}])
+    assert several.status.code == "diverged"
+    assert "nor from the 2 other starts" in several.status.message
+    assert "starts = 200" not in several.status.message
     shorter = refine(grower(a=True), faded, window=0.2)
     assert shorter.status.ok
     np.testing.assert_allclose(shorter.plant.theta, [-2.0, 1.0, 1.0], rtol=1e-6)
