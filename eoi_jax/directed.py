@@ -26,10 +26,10 @@ class _Directed:
 
     base: Dynamics
     degrees: tuple[int, ...]
-    friction: tuple[bool, ...]
+    friction: tuple[int, ...]
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        ny, flags = len(self.friction), np.asarray(self.friction)
+        ny, flags = len(self.friction), np.asarray(self.friction) > 0
         own, way, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
         rate = velocity_of(x.y, self.degrees)
         held = jnp.where(flags, way * jnp.maximum(way * rate, _REST), rate)
@@ -66,14 +66,14 @@ class _Actuated:
         return jnp.concatenate([self.base(t, u[:, : self.count], p), u[:, self.count :]], axis=1)
 
 
-def directed(plant: Plant, friction: tuple[bool, ...]) -> Plant:
+def directed(plant: Plant, friction: tuple[int, ...]) -> Plant:
     """The plant with more inputs: of each output +1 moving up, −1 moving down, 0 at rest; the grip.
 
     The grip is the damping of an output at rest [1/s].
 
     Args:
         plant: with relative degree 2, or 1, wherever `friction` is true.
-        friction: which outputs have dry friction.
+        friction: which outputs have dry friction, on themselves alone.
     """
     count = len(plant.inputs)
     start = plant.internal_initial

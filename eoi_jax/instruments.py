@@ -36,7 +36,7 @@ from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import Ready, prepare, step_inputs
 from eoi_jax.regression.instrumental import within_bounds
 from eoi_jax.regression.long_run import long_run
-from eoi_jax.trajectory import frictional
+from eoi_jax.trajectory import REACHES, frictional
 from eoi_jax.types import Scalar
 from eoi_jax.validate import validate
 
@@ -198,6 +198,8 @@ def _runs(
                 return _AWAY
             window = None if count == 1 else length * record.sample_period
             try:
+                if REACHES in frictional(plant):
+                    return _REACHING
                 run = validate(plant, record, window=window, initial_samples=head or _HEADS[0])
             except ValueError as error:  # dry friction that cannot be simulated, a short record
                 return f"its free run cannot be made: {error}"
@@ -221,6 +223,7 @@ def _head(record: Record, length: int, prepared: Ready) -> int | None:
     return min((one for one in possible if one >= wanted), default=max(possible, default=None))
 
 
+_REACHING = "dry friction acts on another output by inertia, where a stuck one leaves its reaction"
 _AWAY = "the free run of the model departs from the records, even in short windows"
 
 

@@ -122,7 +122,7 @@ def response_of(
 
 @eqx.filter_jit
 def _slopes(
-    plant: Plant, theta: Array, friction: tuple[bool, ...], *rows: Any
+    plant: Plant, theta: Array, friction: tuple[int, ...], *rows: Any
 ) -> tuple[Array, Array]:
     """A and B of every step."""
     ny = len(plant.outputs)

@@ -84,7 +84,7 @@ class RunKernel(eqx.Module):
     """
 
     plant: Plant
-    friction: tuple[bool, ...] = eqx.field(static=True)
+    friction: tuple[int, ...] = eqx.field(static=True)
     free: tuple[int, ...] = eqx.field(static=True)
     rows: tuple[int, ...] = eqx.field(static=True)
     columns: tuple[int, ...] = eqx.field(static=True)

@@ -12,6 +12,10 @@ Equations I*, section II.6):
    through the velocity at both ends and the acceleration at the start, and sharpened by one Newton
    step; its velocity is then exactly zero, and the rest of the step starts again from 1.
 
+Masses may be coupled by inertia: the friction of one output then acts on others too. While it
+sticks its friction is what keeps it at rest, between $f(0^-)$ and $f(0^+)$, and the others get
+their share of the same mixture (Filippov's convex combination).
+
 Each output can stop at most once within a step (to stop again it would have to leave with a force
 that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
 plant has outputs with dry friction, and never more.
@@ -35,6 +39,7 @@ from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 _GRAIN = 3  # a length is rounded up by an eighth at most
 # The velocity that a moving output shows to f at least, as in `Plant.at_rest`.
 _REST = 1e-9
+REACHES = 2
 
 Motion = Float[Array, "time r ny"]
 Internal = Float[Array, "time nz"]
@@ -59,31 +64,35 @@ class Drive(eqx.Module):
     substeps: int = eqx.field(static=True)
 
 
-def frictional(plant: Plant) -> tuple[bool, ...]:
+def frictional(plant: Plant) -> tuple[int, ...]:
     """For each output, whether it sticks: dry friction at relative degree 2, or of a speed.
+
+    Returns:
+        0: it does not. 1: it does. `REACHES`: it does, and its friction acts on others as well.
 
     Raises:
         ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
-            output of higher degree, which cannot stick; or in the acceleration of another output
-            (masses coupled by inertia), on which a stuck one would act through its reaction.
+            output of higher degree, which cannot stick; or of two outputs that stick, in each
+            other's acceleration: then one may keep the other one at rest.
     """
     jumps = plant.jumps
-    flags = tuple(np.diagonal(jumps).tolist())
+    flags = np.diagonal(jumps)
     for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
         if not flags[j]:
             continue
         rule = "must have relative degree 2 or 1 wherever f jumps with the sign of the velocity"
         check(degree <= 2, "plant", rule, f"degree {degree} of output {key}")
-        struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j]) if i != j]
-        rule = "must have dry friction that acts on its own output alone"
+        struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j] & flags) if i != j]
+        rule = "must have no dry friction in the acceleration of another output that sticks itself"
         found = f"friction of {key} in the acceleration of {', '.join(struck)}"
-        advice = "Masses coupled by inertia cannot be simulated with dry friction."
+        advice = "Masses coupled by inertia can be simulated with the dry friction of one of them."
         check(not struck, "plant", rule, found, advice)
-    return flags
+    reaches = np.sum(jumps, axis=0) > 1
+    return tuple(int(flag) * (1 + int(more)) for flag, more in zip(flags, reaches, strict=True))
 
 
 def trajectory(
-    plant: Plant, theta: Theta, driven_by: Drive, start: State, friction: tuple[bool, ...]
+    plant: Plant, theta: Theta, driven_by: Drive, start: State, friction: tuple[int, ...]
 ) -> tuple[Motion, Internal]:
     """States at every sample, for use inside other JAX code (forward-mode derivatives, `vmap`).
 
@@ -122,7 +131,7 @@ def advanced(
     step: Scalar,
     inputs: Float[Array, "3 nu"],
     x: State,
-    friction: tuple[bool, ...],
+    friction: tuple[int, ...],
 ) -> State:
     """The state one step later, without a loop of unknown length: for `engines`.
 
@@ -140,7 +149,7 @@ def advanced(
 
 
 def chained(
-    plant: Plant, theta: Theta, drives: Drive, starts: State, friction: tuple[bool, ...]
+    plant: Plant, theta: Theta, drives: Drive, starts: State, friction: tuple[int, ...]
 ) -> Float[np.ndarray, "runs time ny"]:
     """Outputs of several runs of one length, one after the other in one scan.
 
@@ -181,7 +190,7 @@ def _chained(
     inputs: Any,
     again: Any,
     begun: State,
-    friction: tuple[bool, ...],
+    friction: tuple[int, ...],
 ) -> Float[Array, "steps ny"]:
     one_step, h = _sticking_step if any(friction) else _smooth_step, jnp.asarray(step)
 
@@ -206,7 +215,12 @@ class _Problem(eqx.Module):
     time: Scalar
     step: Scalar
     inputs: Float[Array, "3 nu"]
-    friction: tuple[bool, ...] = eqx.field(static=True)
+    friction: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def sticks(self) -> np.ndarray:
+        """Whether each output does."""
+        return np.asarray(self.friction) > 0
 
     def input_at(self, fraction: Fraction) -> Input:
         """A parabola through start, middle and end: exact for held and linear inputs."""
@@ -218,19 +232,42 @@ class _Problem(eqx.Module):
         """dx/dt, with outputs that stick moving only the way of `direction`."""
         if direction is None:
             return rate_of(self.plant, self.theta, t, x, u)
-        slope = rate_of(self.plant, self.theta, t, self._frozen(x, direction), u)
-        y, friction = slope.y, np.asarray(self.friction)
+        frozen = self._frozen(x, direction)
+        slope = rate_of(self.plant, self.theta, t, frozen, u)
+        slope = self._with_reactions(slope, t, frozen, u, direction)
+        y, friction = slope.y, self.sticks
         chained = friction & (np.asarray(self.plant.degrees) > 1)
         if np.any(chained):  # and it sees the true velocity: `_frozen` is for f and g alone
             y = y.at[0].set(jnp.where(chained, x.y[1], y[0]))
         stuck = friction & (direction == 0)
         return State(self.moved(y, jnp.where(stuck, 0.0, self.velocity(y))), slope.z)
 
+    def _with_reactions(
+        self, slope: State, t: Scalar, frozen: State, u: Input, direction: Output
+    ) -> State:
+        """dx/dt with what the friction of stuck outputs does to others.
+
+        (1 - α) f⁻ + α f⁺ of all of them, α such that the stuck one does not accelerate.
+        """
+        whole, velocity = slope, self.velocity(frozen.y)
+        for j in np.flatnonzero(np.asarray(self.friction) == REACHES):
+            below, above = (
+                rate_of(self.plant, self.theta, t, State(self.moved(frozen.y, side), frozen.z), u)
+                for side in (velocity.at[j].set(-_REST), velocity.at[j].set(_REST))
+            )
+            low, high = (self.velocity(one.y)[j] for one in (above, below))
+            gap = jnp.where(high > low, high - low, 1.0)
+            alpha = jnp.clip(jnp.where(high > low, high / gap, 0.5), 0.0, 1.0)
+            held = _add(below, alpha, _add(above, -1.0, below))
+            stuck = jnp.where(direction[j] == 0, 1.0, 0.0)
+            whole = _add(whole, stuck, _add(held, -1.0, slope))
+        return whole
+
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
         velocity = self.velocity(x.y)
         held = direction * jnp.maximum(direction * velocity, _REST)
-        return State(self.moved(x.y, jnp.where(np.asarray(self.friction), held, velocity)), x.z)
+        return State(self.moved(x.y, jnp.where(self.sticks, held, velocity)), x.z)
 
     def velocity(self, y: Any) -> Output:
         """Velocities, or rates of them, out of `State.y`."""
@@ -279,7 +316,7 @@ def _smooth_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step(problem: _Problem, x: State) -> State:
     """A step, cut wherever an output comes to rest."""
-    most = sum(problem.friction)
+    most = int(np.sum(problem.sticks))
 
     def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
         return now[1] < 1.0
@@ -295,7 +332,7 @@ def _sticking_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
     """The same, piece by piece: at most one cut for each output that sticks."""
-    most = sum(problem.friction)
+    most = int(np.sum(problem.sticks))
     done = jnp.zeros_like(problem.step)
     for cuts in range(most + 1):
         piece = partial(_until_stop, problem, x, done, jnp.asarray(cuts < most))
@@ -337,7 +374,7 @@ def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
     leaving = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
     velocity = problem.velocity(x.y)
     moving = jnp.where(velocity == 0, leaving, jnp.sign(velocity))
-    return jnp.where(np.asarray(problem.friction), moving, jnp.zeros_like(moving))
+    return jnp.where(problem.sticks, moving, jnp.zeros_like(moving))
 
 
 def _slope(problem: _Problem, x: State, done: Scalar, direction: Output) -> State:

@@ -187,7 +187,7 @@ class Run:
     """What all runs share."""
 
     plant: Plant
-    friction: tuple[bool, ...]
+    friction: tuple[int, ...]
     initial_samples: int
     substeps: int
 
@@ -250,7 +250,7 @@ def _runs(
     theta: Theta,
     drives: Drive,
     values: Float[Array | np.ndarray, "runs unknowns"],
-    friction: tuple[bool, ...],
+    friction: tuple[int, ...],
 ) -> Float[Array, "runs time ny"]:
     """Short runs side by side."""
 

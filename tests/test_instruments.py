@@ -442,12 +442,23 @@ def coupled(t, x, u, p):
     return jnp.stack([force, 0.5 * force - 30.0 * y2])
 
 
-def test_dry_friction_that_cannot_be_simulated_leaves_the_plain_estimate():
-    plant = Plant(coupled, {"a": 40.0, "b": 10.0, "c": 0.5}, 2, ("u",), ("y1", "y2"))
+def mutual(t, x, u, p):
+    """Friction of both masses acts on both."""
+    v2 = x.y[1, 1]
+    pull = jnp.sign(v2) + 2.0 * v2
+    return coupled(t, x, u, p) - jnp.stack([0.1 * pull, pull])
+
+
+@pytest.mark.parametrize(
+    ("f", "why"),
+    [(mutual, "its free run cannot be made: `plant`"), (coupled, "acts on another output")],
+)
+def test_dry_friction_that_acts_on_other_outputs_leaves_the_plain_estimate(f, why):
+    plant = Plant(f, {"a": 40.0, "b": 10.0, "c": 0.5}, 2, ("u",), ("y1", "y2"))
     u = excited(1501, H)
     y = np.column_stack([np.sin(7 * grid(1501, H)), np.sin(5 * grid(1501, H))])
     got = identify(plant, Record.from_period(H, u, y, hold="zero"), instruments=True, substeps=2)
-    assert any("its free run cannot be made: `plant`" in one for one in got.reasons), got.reasons
+    assert any(why in one for one in got.reasons), got.reasons
 
 
 def test_a_record_too_short_for_a_free_run_leaves_the_plain_estimate(clean):

@@ -33,10 +33,22 @@ def two_with_dry_friction() -> Plant:
     return Plant(blocks, values, 2, ("u",), ("y1", "y2"))
 
 
+def trolley_with_a_load():
+    """The friction of the first one acts on the second one too."""
+
+    def both(t, x, u, p):
+        (one, two), (v1, _) = x.y
+        force = u[0] - p.k * one - p.c * jnp.sign(v1)
+        return jnp.stack([force + p.d * two, -0.4 * force - 30.0 * two])
+
+    return Plant(both, {"k": 30.0, "d": 3.0, "c": 0.4}, 2, ("u",), ("y1", "y2"))
+
+
 CASES: dict[str, Any] = {
     "pendulum, dry friction": (plants.pendulum(), [0.4, 0.0]),
     "two masses, dry friction in both": (two_with_dry_friction(), [0.3, 0.0, 0.0, 0.2]),
     "tanks, an internal state": (plants.cascaded_tanks(), [3.0, 4.0]),
+    "friction that acts on another mass": (trolley_with_a_load(), [0.3, 0.0, 0.0, 0.2]),
 }
 
 
@@ -77,7 +89,7 @@ def rows_of(plant, table):
 
 
 @pytest.mark.parametrize(
-    ("name", "threshold"), list(zip(CASES, (0.3, np.inf, 0.3), strict=True)), ids=[*CASES]
+    ("name", "threshold"), list(zip(CASES, (0.3, np.inf, 0.3, 0.3), strict=True)), ids=[*CASES]
 )
 def test_sums_of_many_lanes_equal_the_scan(name, threshold):
     plant, _, table, lanes = case_of(name, lanes=5)
