@@ -134,6 +134,14 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     with ThreadPoolExecutor(1) as aside:  # the search does not wait for the free runs before it
         before = aside.submit(_free_runs, task, task.declared.plant)
         steps, rounds = _searched(task, told)
+        if not rounds[0].base.whole_power > 0.0:
+            lost = replace(
+                task.declared,
+                status=Status(
+                    "no_data", _NO_SAMPLE.format(f"{task.declared.lowpass.cutoff:.4g} rad/s")
+                ),
+            )
+            return _failed(lost, task.held, task.records)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         found = _answer(task, steps, rounds, before.result())
     if found.status.code != "unexplained" or not candidates(task.plant, spare):
@@ -393,6 +401,10 @@ def _rest(left: float) -> str:
     return share if left > 0.0 else "nothing beyond the noise"
 
 
+_NO_SAMPLE = (
+    "no sample of the records counts: motion is hidden in noise at the cut-off {}, or the plant "
+    "rests all the time. Give a `lowpass` with a lower cut-off, or records with more motion"
+)
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _REFITTED = "the refit of the augmented model ended as"
 _SEARCHED = "parameters are those of the search: in free runs better than the refit's"

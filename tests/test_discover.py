@@ -540,3 +540,17 @@ def test_laws_that_contain_each_other_are_no_rivals():
     assert akin(coulomb, stribeck)
     assert akin(effects.AsymmetricFriction(), stribeck)
     assert not akin(coulomb, effects.QuadraticDrag())
+
+
+def test_records_that_show_no_motion_are_said_to_have_no_sample_that_counts():
+    time = PERIOD * np.arange(2000)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(2000)
+    drive = 1e-6 * np.sin(3.0 * time)
+    record = eoi.Record(
+        time, drive, noise, input_names=("force",), output_names=("position",), hold="linear"
+    )
+    found = eoi.discover(MASS, record, effects=FEW, lowpass=eoi.LowPass(60.0, 3))
+    assert found.status.code == "no_data"
+    assert "no sample of the records counts" in found.status.message
+    assert "Give a `lowpass` with a lower cut-off" in str(found)
+    assert not found.effects
