@@ -387,9 +387,7 @@ def _judged(
         if good:
             return Status("nothing_missing", _NOTHING.format(rest))
         return Status("unexplained", _UNKNOWN.format(rest))
-    # Of what is weak a patchwork of several effects leaves little too.
-    patched = not noise_like and len(_names(placed)) > 1
-    if share >= _EXPLAINED or (good and not patched):
+    if share >= _EXPLAINED or good:
         return Status("explained", _FOUND.format(share, rest))
     if alone and share >= _MAINLY:
         return Status("explained", _FOUND.format(share, rest) + _REST)
