@@ -3,13 +3,13 @@
 Importing the library changes nothing. The CLI, the benchmarks and the tests call `configure`.
 """
 
-import importlib.util
 import mmap
 import os
 import warnings
 from pathlib import Path
 
 import jax
+import jaxlib
 
 from eoi_jax.checks import check
 
@@ -65,15 +65,11 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
 
 def _has_option(name: str) -> bool:
     """Whether this XLA has it: one that it does not know would end the process."""
-    found = importlib.util.find_spec("jaxlib")
-    for folder in found.submodule_search_locations or () if found else ():
-        for library in Path(folder).glob("*jax_common*"):
-            with (
-                library.open("rb") as file,
-                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as code,
-            ):
-                return code.find(name.encode()) >= 0
-    return False
+    library = next(Path(jaxlib.__path__[0]).glob("*jax_common*"), None)
+    if library is None:
+        return False
+    with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as code:
+        return code.find(name.encode()) >= 0
 
 
 def _make_devices(count: int) -> None:

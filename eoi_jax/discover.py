@@ -135,12 +135,8 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
         before = aside.submit(_free_runs, task, task.declared.plant)
         steps, rounds = _searched(task, told)
         if not rounds[0].base.whole_power > 0.0:
-            lost = replace(
-                task.declared,
-                status=Status(
-                    "no_data", _NO_SAMPLE.format(f"{task.declared.lowpass.cutoff:.4g} rad/s")
-                ),
-            )
+            reason = _NO_SAMPLE.format(task.declared.lowpass.cutoff)
+            lost = replace(task.declared, status=Status("no_data", reason))
             return _failed(lost, task.held, task.records)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         found = _answer(task, steps, rounds, before.result())
@@ -400,8 +396,9 @@ def _rest(left: float) -> str:
 
 
 _NO_SAMPLE = (
-    "no sample of the records counts: motion is hidden in noise at the cut-off {}, or the plant "
-    "rests all the time. Give a `lowpass` with a lower cut-off, or records with more motion"
+    "no sample of the records counts: motion is hidden in noise at the cut-off {:.4g} rad/s, or "
+    "the plant rests all the time. Give a `lowpass` with a lower cut-off, or records with more "
+    "motion"
 )
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _REFITTED = "the refit of the augmented model ended as"

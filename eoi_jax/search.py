@@ -144,11 +144,11 @@ class Search:
 
     def _contained(self, one: Atom) -> list[Atom]:
         """Simpler effects at the same channel that this one can imitate."""
-        names, channel = one.placed.effect.contains, one.placed.channel
+        names, site = one.placed.effect.contains, one.placed.site[1:]
         return [
             other
             for other in self._terms
-            if other.placed.effect.name in names and other.placed.channel == channel
+            if other.placed.effect.name in names and other.placed.site[1:] == site
         ]
 
     def known(self, placed: Placed) -> bool:

@@ -39,7 +39,7 @@ from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 _GRAIN = 3  # a length is rounded up by an eighth at most
 # The velocity that a moving output shows to f at least, as in `Plant.at_rest`.
 _REST = 1e-9
-REACHES = 2
+REACHES = 2  # of `frictional`: what sticks acts on other outputs too
 
 Motion = Float[Array, "time r ny"]
 Internal = Float[Array, "time nz"]
@@ -88,7 +88,7 @@ def frictional(plant: Plant) -> tuple[int, ...]:
         advice = "Masses coupled by inertia can be simulated with the dry friction of one of them."
         check(not struck, "plant", rule, found, advice)
     reaches = np.sum(jumps, axis=0) > 1
-    return tuple(int(flag) * (1 + int(more)) for flag, more in zip(flags, reaches, strict=True))
+    return tuple(np.where(flags, np.where(reaches, REACHES, 1), 0).tolist())
 
 
 def trajectory(
@@ -245,9 +245,10 @@ class _Problem(eqx.Module):
     def _with_reactions(
         self, slope: State, t: Scalar, frozen: State, u: Input, direction: Output
     ) -> State:
-        """dx/dt with what the friction of stuck outputs does to others.
+        r"""dx/dt with what the friction of stuck outputs does to others.
 
-        (1 - α) f⁻ + α f⁺ of all of them, α such that the stuck one does not accelerate.
+        $(1 - \alpha) f^- + \alpha f^+$ of all outputs, with $\alpha = f_j^- / (f_j^- - f_j^+)$ such
+        that the stuck one, j, does not accelerate.
         """
         whole, velocity = slope, self.velocity(frozen.y)
         for j in np.flatnonzero(np.asarray(self.friction) == REACHES):
@@ -255,9 +256,9 @@ class _Problem(eqx.Module):
                 rate_of(self.plant, self.theta, t, State(self.moved(frozen.y, side), frozen.z), u)
                 for side in (velocity.at[j].set(-_REST), velocity.at[j].set(_REST))
             )
-            low, high = (self.velocity(one.y)[j] for one in (above, below))
-            gap = jnp.where(high > low, high - low, 1.0)
-            alpha = jnp.clip(jnp.where(high > low, high / gap, 0.5), 0.0, 1.0)
+            pulled, pushed = (self.velocity(one.y)[j] for one in (above, below))  # f_j⁺, f_j⁻
+            gap = jnp.where(pushed > pulled, pushed - pulled, 1.0)
+            alpha = jnp.clip(jnp.where(pushed > pulled, pushed / gap, 0.5), 0.0, 1.0)
             held = _add(below, alpha, _add(above, -1.0, below))
             stuck = jnp.where(direction[j] == 0, 1.0, 0.0)
             whole = _add(whole, stuck, _add(held, -1.0, slope))
@@ -316,7 +317,7 @@ def _smooth_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step(problem: _Problem, x: State) -> State:
     """A step, cut wherever an output comes to rest."""
-    most = int(np.sum(problem.sticks))
+    most = np.count_nonzero(problem.friction)
 
     def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
         return now[1] < 1.0
@@ -332,7 +333,7 @@ def _sticking_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
     """The same, piece by piece: at most one cut for each output that sticks."""
-    most = int(np.sum(problem.sticks))
+    most = np.count_nonzero(problem.friction)
     done = jnp.zeros_like(problem.step)
     for cuts in range(most + 1):
         piece = partial(_until_stop, problem, x, done, jnp.asarray(cuts < most))

@@ -111,13 +111,12 @@ def _effects(
         output = plant.outputs[0] if of_input else one.output
         drive = one.output if of_input else (plant.inputs or ("u",))[0]
         names = [_named(name, value, numeric, in_latex) for name, value in one.parameters.items()]
-
-        def coordinate(order: int, one: Any = one, output: str = output) -> str:
-            own = write(Symbol(output, order), {})
-            return f"({own} - {write(Symbol(one.against, order), {})})" if one.against else own
-
+        ends = (output, one.against)
         shown = (one.effect.latex if in_latex else one.effect.text)(
-            names, coordinate(0), coordinate(velocity.get(output, 1)), write(Symbol(drive), {})
+            names,
+            _difference(ends, 0, write),
+            _difference(ends, velocity.get(output, 1), write),
+            write(Symbol(drive), {}),
         )
         if of_input:
             changes.append(shown)
@@ -127,6 +126,12 @@ def _effects(
             outer = one.effect.outer_form[in_latex].format(*names, y=write(Symbol(output), {}))
             terms.setdefault(plant.outputs[0], []).append(_signs(outer))
     return terms, changes
+
+
+def _difference(ends: tuple[str, str], order: int, write: Any) -> str:
+    """A derivative of an output, less that of the one that it is counted from, if any."""
+    own, other = (write(Symbol(name, order), {}) for name in ends)
+    return f"({own} - {other})" if ends[1] else own
 
 
 def _named(name: str, value: float, numeric: bool, in_latex: bool) -> str:
