@@ -13,6 +13,7 @@ through, the filter removes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import equinox as eqx
@@ -28,7 +29,9 @@ from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.plants.plant import Plant, State
 
 _NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
-_CHANCE = 8.0  # standard deviations of the mean power of noise that chance does not reach
+_CHANCE = 1e-3  # that white noise shows a signal in any bin of a record
+_SHARED = 35.0 / 18.0  # bins of a Hann window that carry as much as one alone: 1 + 2 (4/9 + 1/36)
+_FLOOR_ERROR = 3.0 * np.sqrt(7.26)  # of σ² over 1/√n: three standard deviations, 8th difference
 _NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
 _CUTOFFS = 200  # that are tried
 _BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
@@ -252,22 +255,31 @@ def spectrum(record: Record, output: int, degree: int) -> Spectrum:
     omega = 2.0 * np.pi * np.fft.rfftfreq(n, record.sample_period)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
     derivative = omega ** (2 * degree)
-    signal = np.where(_above(power, floor), power, 0.0) * derivative
+    signal = np.where(_above(power, floor, n), power, 0.0) * derivative
     return Spectrum(omega, signal, floor * derivative)
 
 
-def _above(power: Float[np.ndarray, " frequency"], floor: float) -> Bool[np.ndarray, " frequency"]:
-    """Where the power, averaged over neighbours, is more than white noise gives by chance.
+def _above(
+    power: Float[np.ndarray, " frequency"], floor: float, samples: int
+) -> Bool[np.ndarray, " frequency"]:
+    r"""Where the power, averaged over neighbours, is more than white noise gives by chance.
 
     The average spans a fixed ratio of frequencies: single bins at high frequency, which ω^2r weighs
-    most, are many, and one of them exceeds its expectation manifold in every record.
+    most, are many, and one of them exceeds its expectation manifold in every record. Over its
+    expectation the mean of m bins is distributed as χ²/ν with ν = 2m/`_SHARED`, whose quantile is
+    $(1 - 2/9ν + z \sqrt{2/9ν})^3$. The floor itself is an estimate.
+
+    Source: Wilson and Hilferty, PNAS 17 (1931) 684.
     """
     bins = np.arange(len(power))
     reach = _NEIGHBOURS + (_RATIO * bins).astype(int)
     first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
     total = np.concatenate([[0.0], np.cumsum(power)])
     count = last - first
-    return (total[last] - total[first]) / count > (1.0 + _CHANCE / np.sqrt(count)) * floor
+    spread = _SHARED / (9.0 * count)  # 2/9ν
+    z = NormalDist().inv_cdf(1.0 - _CHANCE / len(power))
+    highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (1.0 + _FLOOR_ERROR / np.sqrt(samples))
+    return (total[last] - total[first]) / count > highest * floor
 
 
 def _largest_injection(

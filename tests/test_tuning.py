@@ -10,7 +10,13 @@ from problems import SWAY, Motion, grid, moved_mass_spring
 from eoi_jax.data.record import Record
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.plants import Plant, level_tank, mass_spring_damper
-from eoi_jax.tuning import Spectrum, default_lowpass, default_observer, default_substeps
+from eoi_jax.tuning import (
+    Spectrum,
+    default_lowpass,
+    default_observer,
+    default_substeps,
+    spectrum,
+)
 
 H = 2e-3
 TRUE = mass_spring_damper(true=True).parameters
@@ -50,6 +56,22 @@ def test_noise_does_not_widen_the_band(noise):
     cutoff = cutoff_of(made(noise=noise))
     assert cutoff <= cutoff_of(made()) + 1.0
     assert cutoff >= 6.0  # the motions at 7 and 12 rad/s hold most of the power of ÿ
+
+
+def bins_with_signal(seed, tone=0.0, samples=3000):
+    y = np.random.default_rng(seed).standard_normal(samples)
+    y += tone * np.sin(300.0 * H * np.arange(samples))
+    return np.count_nonzero(spectrum(Record.from_period(H, np.zeros(samples), y), 0, 2).signal)
+
+
+def test_chance_lifts_no_bins_of_noise_above_its_floor():
+    # At most 1 record of 1000 by design. Eight standard deviations of independent bins, the rule
+    # before, are passed by 13: neighbours of a windowed spectrum are alike, and their floor a guess.
+    assert sum(bins_with_signal(seed, samples=300) > 0 for seed in range(1000)) <= 2
+
+
+def test_a_tone_that_stands_out_of_the_noise_is_seen():
+    assert all(bins_with_signal(seed, tone=0.8) > 0 for seed in range(20))
 
 
 def test_widest_record_decides():
