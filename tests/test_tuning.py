@@ -66,7 +66,7 @@ def bins_with_signal(seed, tone=0.0, samples=3000):
 
 def test_chance_lifts_no_bins_of_noise_above_its_floor():
     # At most 1 record of 1000 by design. Eight standard deviations of independent bins, the rule
-    # before, are passed by 13: neighbours of a windowed spectrum are alike, and their floor a guess.
+    # before, are passed by 13: neighbouring bins of a windowed spectrum rise and fall together.
     assert sum(bins_with_signal(seed, samples=300) > 0 for seed in range(1000)) <= 2
 
 
