@@ -46,6 +46,8 @@ class Placed:
         row: of `State.y` that holds the velocity of the output.
         against: index of the output from which its displacement is counted, of an effect between
             two of them; None for the displacement of the output itself.
+        through: index of the input beside which it acts as a force, on all outputs that the input
+            pushes; None where it adds to y^(r) of its output alone.
     """
 
     effect: AbstractEffect
@@ -53,6 +55,7 @@ class Placed:
     names: tuple[str, ...]
     row: int = 1
     against: int | None = None
+    through: int | None = None
 
     @property
     def on_input(self) -> bool:
@@ -70,9 +73,9 @@ class Placed:
         return 0 if self.on_input or self.on_state else self.channel
 
     @property
-    def site(self) -> tuple[AbstractEffect, int, int | None]:
+    def site(self) -> tuple[AbstractEffect, int, int | None, int | None]:
         """What it is and where, whatever its parameters are called."""
-        return self.effect, self.channel, self.against
+        return self.effect, self.channel, self.against, self.through
 
     def coordinate(self, y: Any) -> Any:
         """What it sees of the outputs (last axis), or of their derivatives."""
@@ -80,16 +83,24 @@ class Placed:
         return own if self.against is None else own - y[..., self.against]
 
 
-def place(plant: Plant, effect: AbstractEffect, channel: int, against: int | None = None) -> Placed:
+def place(
+    plant: Plant,
+    effect: AbstractEffect,
+    channel: int,
+    against: int | None = None,
+    through: int | None = None,
+) -> Placed:
     """An effect at a channel, with parameter names that are free in the plant.
 
     Named as the effect and its part; with several channels, and at internal states, also as the
-    channel, and as the output that its displacement is counted from.
+    channel, as the output that its displacement is counted from, and as the input beside which it
+    acts.
     """
     channels = effect.channels(plant)
     several = len(channels) > 1 or isinstance(effect, AbstractInternalEffect)
     suffix = f"_{channels[channel]}" if several else ""
     suffix += "" if against is None else f"_{channels[against]}"
+    suffix += "" if through is None else f"_{plant.inputs[through]}"
     names = []
     for parameter in effect.parameters:
         name = "_".join(filter(None, (effect.name, parameter.name))) + suffix
@@ -99,7 +110,7 @@ def place(plant: Plant, effect: AbstractEffect, channel: int, against: int | Non
         names.append(name)
     on_output = isinstance(effect, AbstractTerm)
     row = velocity_rows(plant.degrees)[channel] if on_output else 1
-    return Placed(effect, channel, tuple(names), row, against)
+    return Placed(effect, channel, tuple(names), row, against, through)
 
 
 def augmented(
@@ -193,12 +204,14 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     y = "" if placed.on_input else plant.units.get(own, "")
     channel = j if placed.on_input else 0
     u = plant.units.get(plant.inputs[channel], "") if plant.inputs else ""
-    known = {"{y}": y, "{v}": y, "{f}": y, "{u}": u}
+    force = "" if placed.through is None else plant.units.get(plant.inputs[placed.through], "")
+    known = {"{y}": y, "{v}": y, "{f}": y if placed.through is None else force, "{u}": u}
     if any(key in pattern and not value for key, value in known.items()):
         return ""
     v = derivative_unit(y, placed.row)
     r = 1 if placed.on_input or placed.on_state else plant.degrees[j]
-    return pattern.format(y=y, v=v, f=derivative_unit(y, r), u=u)
+    f = derivative_unit(y, r) if placed.through is None else force
+    return pattern.format(y=y, v=v, f=f, u=u)
 
 
 @dataclass(frozen=True)
@@ -211,10 +224,12 @@ class _Dynamics:
     nz: int
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        changed = _inputs(self, t, x, u, p)
+        changed = _forced(self, t, x, _inputs(self, t, x, u, p), u, p)
         f = jnp.asarray(self.base(t, State(x.y, x.z[: self.nz]), changed, _own(self.names, p)))
         f = jnp.reshape(f, (x.y.shape[1],))
         for one, z in _own_states(self.placed, x.z[self.nz :]):
+            if one.through is not None:
+                continue
             if isinstance(one.effect, AbstractTerm | AbstractInternalEffect):
                 gain, shape = _parameters(one, p)
                 f = f.at[one.output].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
@@ -300,6 +315,16 @@ def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> A
             _, shape = _parameters(one, p)
             u = u.at[one.channel].set(one.effect.changed(_at(one, t, x, u, z), shape))
     return u
+
+
+def _forced(model: _Dynamics, t: Any, x: State, inputs: Any, u: Any, p: Any) -> Any:
+    """Inputs with the forces beside them; an effect sees the inputs u as they are measured."""
+    for one, z in _own_states(model.placed, x.z[model.nz :]):
+        if isinstance(one.effect, AbstractTerm) and one.through is not None:
+            gain, shape = _parameters(one, p)
+            force = one.effect.term(_at(one, t, x, u, z), gain, shape)
+            inputs = inputs.at[one.through].add(force)
+    return inputs
 
 
 def _own_states(placed: tuple[Placed, ...], z: Any) -> list[tuple[Placed, Any]]:

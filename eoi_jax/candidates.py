@@ -32,9 +32,11 @@ from eoi_jax.effects.effect import (
 from eoi_jax.modes import (
     Stretch,
     Values,
+    coupled,
     integrated,
     internal_along,
     model_rows,
+    push_along,
 )
 from eoi_jax.plants.plant import Plant
 from eoi_jax.thinning import averaged, thinned
@@ -61,10 +63,10 @@ class Atom:
     slopes: Float[np.ndarray, "rows np"] | None = None
 
     @property
-    def key(self) -> tuple[str, bool, int, int | None]:
+    def key(self) -> tuple[str, bool, int, int | None, int | None]:
         """Name and channel: two atoms of one key are never in one model, except opposite stops."""
         one = self.placed
-        return one.effect.name, one.on_state, one.channel, one.against
+        return one.effect.name, one.on_state, one.channel, one.against, one.through
 
 
 def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
@@ -78,6 +80,7 @@ def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
             count = own_states(plant) if inner else len(plant.outputs)
             placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
             placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
+            placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect)]
     return placed
 
 
@@ -96,6 +99,21 @@ def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
         (i, j)
         for i, j in itertools.permutations(range(len(kinds)), 2)
         if kinds[i] == kinds[j] and effect.fits(plant, i)
+    ]
+
+
+def _forces(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
+    """Outputs and inputs beside which an effect may act as a force that inertia passes on.
+
+    Of masses that are coupled by inertia an input pushes several, and so does friction of one.
+    """
+    if not isinstance(effect, AbstractTerm):
+        return []
+    return [
+        (int(j), i)
+        for i, pushed in enumerate(coupled(plant).T)
+        for j in np.flatnonzero(pushed)
+        if effect.fits(plant, int(j))
     ]
 
 
@@ -169,18 +187,28 @@ def _changed_states(
 def _term_rows(
     plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretch]
 ) -> Float[np.ndarray, "grid rows gains"]:
-    effect, j = placed.effect, placed.channel
+    effect = placed.effect
     assert isinstance(effect, AbstractTerm)
     parts = []
     for one in stretches:
-        h = np.asarray(one.sample_period)
-        thin = (one.weight[j], one.kernel)
-        signals = _signals(one, placed)
-        along = _term_along(effect, plant.degrees[j], *signals, shapes, thin, h)
-        own = one.rows(np.asarray(along))
-        for k in range(len(plant.outputs)):
-            parts.append(own if k == j else np.zeros_like(own))
+        h, signals = np.asarray(one.sample_period), _signals(one, placed)
+        pushes = _pushes(plant, placed, one)
+        for k, degree in enumerate(plant.degrees):
+            if np.any(pushes[:, k]):
+                thin = (one.weight[k], one.kernel)
+                along = _term_along(effect, degree, *signals, pushes[:, k], shapes, thin, h)
+                parts.append(one.rows(np.asarray(along)))
+            else:
+                parts.append(np.zeros((len(shapes), len(effect.gains), len(one.omega))))
     return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)
+
+
+def _pushes(plant: Plant, placed: Placed, one: Stretch) -> Float[np.ndarray, "S ny"]:
+    """What one unit of an effect adds to y^(r) of each output."""
+    if placed.through is not None:
+        return np.asarray(push_along(plant, plant.theta, (one.time, one.y, one.u), placed.through))
+    own = np.arange(len(plant.outputs)) == placed.channel
+    return np.broadcast_to(own.astype(float), (len(one.time), len(own)))
 
 
 def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndarray, "grid S nu"]:
@@ -225,11 +253,15 @@ def _term_along(
     degree: int,
     signals: tuple,
     bend: tuple,
+    push: Values,
     shapes: Values,
     thin: tuple,
     h: Values,
 ) -> Float[Array, "grid gains nodes"]:
-    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is."""
+    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is.
+
+    `push` is what one unit of it adds to y^(r), shape (S,).
+    """
     time, y, v, u = signals
     unit = jnp.eye(len(effect.gains))
 
@@ -240,7 +272,8 @@ def _term_along(
             at = At(t, y, v, u, z)
             return jnp.stack([effect.term(at, gain, shape) for gain in unit])
 
-        return thinned(averaged(degree, jax.vmap(instant)(time, y, v, u, z).T), *thin)
+        along = jax.vmap(instant)(time, y, v, u, z).T * push
+        return thinned(averaged(degree, along), *thin)
 
     return jax.vmap(one)(jnp.asarray(shapes))
 

@@ -465,12 +465,16 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
         {name: found.parameters[name] for name in one.names},
         {name: found.standard_errors[name] for name in one.names},
         one.effect.sentence,
-        _against(plant, one),
+        *_ends(plant, one),
     )
 
 
-def _against(plant: Plant, one: Placed) -> str:
-    return "" if one.against is None else plant.outputs[one.against]
+def _ends(plant: Plant, one: Placed) -> tuple[str, str]:
+    """The output that it is counted from, and the input beside which it acts."""
+    return (
+        "" if one.against is None else plant.outputs[one.against],
+        "" if one.through is None else plant.inputs[one.through],
+    )
 
 
 def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Round]) -> list[str]:
@@ -520,7 +524,7 @@ def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> t
         name, channel = placed.effect.name, channels[placed.channel]
         rows[placed] = Evidence(
             name, channel, parameters, max(taken, 0.0), float(score), remark,
-            _against(plant, placed),
+            *_ends(plant, placed),
         )  # fmt: skip
     chosen = set(kept) | set(worth)
     order = sorted(rows, key=lambda one: (one not in chosen, rows[one].remark != "",

@@ -26,6 +26,7 @@ class Evidence:
             effect that was added: beside the others; of another one: alone.
         remark: why it is out, or "".
         against: the output that its displacement is counted from, of an effect between two; or "".
+        through: the input beside which it acts on all that this pushes; or "".
     """
 
     effect: str
@@ -35,6 +36,7 @@ class Evidence:
     score: float
     remark: str
     against: str = ""
+    through: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Added:
         standard_errors: by name.
         sentence: completes "the model lacks …".
         against: the output that its displacement is counted from, of an effect between two; or "".
+        through: the input beside which it acts on all that this pushes; or "".
     """
 
     effect: AbstractEffect
@@ -56,6 +59,7 @@ class Added:
     standard_errors: dict[str, float]
     sentence: str
     against: str = ""
+    through: str = ""
 
 
 @dataclass(frozen=True)

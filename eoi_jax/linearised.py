@@ -140,7 +140,7 @@ class Along:
         forces = [force for shape in grid for force in self._forces(placed, shape)]
         if not forces:
             return []
-        columns = self._columns(placed.output, forces)
+        columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
         columns = columns - self.basis @ (self.basis.T @ columns)
         left = np.sum(columns**2, axis=0)
@@ -210,7 +210,7 @@ class Along:
         return values, after
 
     def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
-        """What the effect adds to y^(r) along the runs, one for each gain, (runs, samples, 3)."""
+        """What the effect adds to y^(r) along the runs for each gain, (runs, samples, 3, ny)."""
         t, u, y, _ = self.stages
         effect = placed.effect
         if isinstance(effect, AbstractTerm):
@@ -220,12 +220,19 @@ class Along:
             own = u[..., 0] if u.shape[-1] else 0.0 * t
             at = At(*(jnp.asarray(one) for one in (t, level, rate, own)), z=None)
             units = np.eye(len(effect.gains))
-            return [np.broadcast_to(effect.term(at, list(gain), list(shape)), t.shape)
-                    for gain in units]  # fmt: skip
+            terms = (effect.term(at, list(gain), list(shape)) for gain in units)
+            pushes = self._pushes(placed)
+            return [np.broadcast_to(one, t.shape)[..., None] * pushes for one in terms]
         return [self._changed(placed, shape)]
 
+    def _pushes(self, placed: Placed) -> np.ndarray:
+        """What one unit of an effect adds to y^(r) of each output, (runs, samples, 3, ny)."""
+        if placed.through is None:
+            return np.arange(len(self.plant.outputs)) == placed.output
+        return np.asarray(_pushed(self.plant, self.stages, placed.through))
+
     def _changed(self, placed: Placed, shape: np.ndarray) -> np.ndarray:
-        """f with the changed input less f, at the first output."""
+        """f with the changed input less f."""
         t, u, y, z = self.stages
         effect, i = placed.effect, placed.channel
         new = np.array(u)
@@ -239,11 +246,13 @@ class Along:
             at = At(t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i], None)
             new[..., i] = np.asarray(effect.changed(at, shape))
         before, after = (_drift(self.plant, t, y, z, one) for one in (u, new))
-        return np.asarray(after - before)[..., 0]
+        return np.asarray(after - before)
 
-    def _columns(self, output: int, forces: Sequence[np.ndarray]) -> Columns:
+    def _columns(self, forces: Sequence[np.ndarray]) -> Columns:
         """Weighed slopes of all outputs with the gains of some forces."""
-        moved = self.response.to(np.stack(forces, axis=-1), output)
+        whole = np.stack(forces, axis=-1)
+        pushed = np.flatnonzero(np.any(whole, axis=(0, 1, 2, 4))).tolist() or [0]
+        moved = sum(self.response.to(whole[..., k, :], k) for k in pushed)
         scale, use = np.asarray(self.problem.scale)[:, None], self.problem.use[..., None]
         return np.where(use, scale * moved, 0.0).reshape(-1, len(forces))
 
@@ -313,6 +322,19 @@ def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
         return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
 
     return jax.vmap(jax.vmap(jax.vmap(one)))(t, y, z, u)
+
+
+@eqx.filter_jit
+def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
+    """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
+
+    def one(t: Any, u: Any, y: Any, z: Any) -> Any:
+        def f(u: Any) -> Any:
+            return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
+
+        return jax.jvp(f, (u,), (jnp.eye(u.shape[0])[i],))[1]
+
+    return jax.vmap(jax.vmap(jax.vmap(one)))(*stages)
 
 
 def _drift(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> np.ndarray:

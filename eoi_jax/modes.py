@@ -25,7 +25,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
@@ -200,8 +200,16 @@ def _usable(
     still = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     shortest = int(_REST / (band * raw.sample_period))
     lasting = np.stack([_lasting(one, shortest) for one in still.T], axis=1)
-    friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool)
+    together = coupled(plant)
+    friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool) | (together @ together.T)
     return good & ~(still @ friction.T), good & ~(lasting @ friction.T)
+
+
+def coupled(plant: Plant) -> Bool[np.ndarray, "ny nu"]:
+    """Which positions an input pushes, where it pushes several: masses coupled by inertia."""
+    positions = np.asarray(plant.degrees) >= 2
+    pushes = plant.pushes & positions[:, None]
+    return pushes & (np.sum(pushes, axis=0) > 1)
 
 
 def _weights(
@@ -395,6 +403,21 @@ def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
     h = jnp.asarray(one.sample_period)
     u = plant.driven(jnp.asarray(one.time), jnp.asarray(one.u), theta)
     return np.asarray(_internal(plant, theta, (one.time, one.y, u), one.bend, h))
+
+
+@eqx.filter_jit
+def push_along(
+    plant: Plant, theta: Float[Values, " np"], rows: tuple, i: int
+) -> Float[Array, "S ny"]:
+    """∂f/∂u_i along a stretch (`time`, `y`, `u`)."""
+    theta, (time, y, u) = jnp.asarray(theta), rows
+    z = plant.internal_start(theta)
+
+    def one(t: Array, y: Array, u: Array) -> Array:
+        unit = jnp.eye(u.shape[0])[i]
+        return jax.jvp(lambda u: plant.derivative(t, State(y, z), u, theta), (u,), (unit,))[1]
+
+    return jax.vmap(one)(time, y, plant.driven(time, u, theta))
 
 
 def integrated(

@@ -302,6 +302,11 @@ class Plant(eqx.Module):
         own = np.eye(len(self.outputs), dtype=bool)
         return np.any(np.asarray(jumps), axis=0) & (own | (np.asarray(self.degrees) >= 2))
 
+    @property
+    def pushes(self) -> Bool[np.ndarray, "ny nu"]:
+        """Whether f of output i depends on input k at the same instant, at [i, k]."""
+        return np.any(np.abs(np.asarray(_pushed(self, *_probes(self)))) > 0.0, axis=0)
+
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
         theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
@@ -464,6 +469,19 @@ def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Ar
         first, second = plant.derivative(t, x, u, theta), plant.derivative(t, x, u, other)
         middle = plant.derivative(t, x, u, 0.5 * (theta + other))
         return jnp.abs(middle - 0.5 * (first + second)), jnp.abs(first) + jnp.abs(second)
+
+    return jax.vmap(one)(t, y, u, theta)
+
+
+@eqx.filter_jit
+def _pushed(
+    plant: Plant, t: Array, y: Array, u: Array, theta: Array
+) -> Float[Array, "probes ny nu"]:
+    """∂f/∂u."""
+
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> Array:
+        x = State(y, plant.internal_start(theta) + 0.1)
+        return jax.jacfwd(lambda u: plant.derivative(t, x, u, theta))(u)
 
     return jax.vmap(one)(t, y, u, theta)
 

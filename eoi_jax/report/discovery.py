@@ -77,7 +77,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
     for (name, value), own in zip(added.parameters.items(), added.effect.parameters, strict=True):
         error = added.standard_errors.get(name, np.nan)
         unit = discovery.plant.units.get(name, "")
-        if own.unit == "{f}" and not _on_input(added):
+        if own.unit == "{f}" and not (_on_input(added) or added.through):
             value, error, unit = _as_input(discovery, added.output, value, error, unit)
         shown.append(
             (own.name, f"{with_error(value, error)} {'' if unit == '1' else unit}".strip())
@@ -88,7 +88,8 @@ def phrase(discovery: Discovery, added: Added) -> str:
 
 
 def _place(one: Added | Evidence) -> str:
-    return f"{one.output} towards {one.against}" if one.against else one.output
+    beside = f" beside {one.through}" if one.through else ""
+    return f"{one.output} towards {one.against}" if one.against else f"{one.output}{beside}"
 
 
 def change_table(discovery: Discovery) -> str:
@@ -157,9 +158,8 @@ def candidate_table(discovery: Discovery) -> str:
 
 def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of a table of all candidates that were not added, the header first; or none."""
-    added = {(one.effect.name, one.output, one.against) for one in discovery.added}
-    others = [one for one in discovery.ranking
-              if (one.effect, one.output, one.against) not in added]  # fmt: skip
+    added = {(one.effect.name, _place(one)) for one in discovery.added}
+    others = [one for one in discovery.ranking if (one.effect, _place(one)) not in added]
     rows = [("other candidate", "at", "explains alone", "score", "")] if others else []
     for one in others:
         share = f"{100 * one.explained:.3g} %"

@@ -120,6 +120,10 @@ def _effects(
         )
         if of_input:
             changes.append(shown)
+        elif one.through:
+            beside = write(Symbol(one.through), {})
+            arrow = r"\to" if in_latex else "→"
+            changes.append(f"{beside} {arrow} {beside} {_signs(shown)}")
         else:
             terms.setdefault(output, []).append(_signs(shown))
         if isinstance(one.effect, AbstractInternalEffect) and one.effect.outer_form[in_latex]:
