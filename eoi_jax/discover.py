@@ -30,6 +30,7 @@ from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
+from eoi_jax.parsimony import as_good, simpler
 from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
@@ -233,6 +234,19 @@ def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     return replace(found, plant=model, parameters=model.parameters)
 
 
+def _plainest(
+    task: Task, placed: tuple[Placed, ...], found: Identification, runs: FreeRuns, first: Round
+) -> tuple[tuple[Placed, ...], Identification, FreeRuns]:
+    """With a simpler law in place of one that contains it, where free runs are as good with it."""
+    for one, plain, fewer in simpler(task.plant, found.plant, placed, task.effects):
+        refit = estimate(plain, task.prepared)
+        theirs = _free_runs(task, refit.plant)
+        if refit.status.ok and as_good(theirs, runs):
+            first.refused[one] = "in free runs no better than a simpler law"
+            placed, found, runs = fewer, refit, theirs
+    return placed, found, runs
+
+
 def _window(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
@@ -320,7 +334,8 @@ def _answer(
         if not sure and not _confirmed(before, runs):
             break
         if _holds(before, runs):
-            status, found, after = verdict, refit, runs
+            status = verdict
+            placed, found, after = _plainest(task, placed, refit, runs, rounds[0])
             break
         notes.append(_REFUSED.format(" and ".join(_names(placed))))
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))

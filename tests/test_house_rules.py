@@ -70,7 +70,7 @@ LAYERS = (
     ("compare",),
     ("discovery",),
     ("rounds", "polish"),
-    ("rivals",),
+    ("rivals", "parsimony"),
     ("discover",),
     ("store",),
     ("report",),
