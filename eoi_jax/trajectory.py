@@ -14,15 +14,18 @@ Equations I*, section II.6):
 
 Masses may be coupled by inertia: the friction of one output then acts on others too. While it
 sticks its friction is what keeps it at rest, between $f(0^-)$ and $f(0^+)$, and the others get
-their share of the same mixture (Filippov's convex combination).
+their share of the same mixture (Filippov's convex combination). Two outputs whose frictions act on
+each other leave rest, or stay, as the linear complementarity problem of both has it (F. Pfeiffer
+and C. Glocker, *Multibody Dynamics with Unilateral Contacts*, chapter 5).
 
 Each output can stop at most once within a step (to stop again it would have to leave with a force
 that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
 plant has outputs with dry friction, and never more.
 """
 
+import itertools
 import math
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import equinox as eqx
@@ -39,6 +42,7 @@ from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 _GRAIN = 3  # a length is rounded up by an eighth at most
 # The velocity that a moving output shows to f at least, as in `Plant.at_rest`.
 _REST = 1e-9
+_PAIR = 2  # outputs whose frictions may act on each other
 REACHES = 2  # of `frictional`: what sticks acts on other outputs too
 
 Motion = Float[Array, "time r ny"]
@@ -72,22 +76,24 @@ def frictional(plant: Plant) -> tuple[int, ...]:
 
     Raises:
         ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
-            output of higher degree, which cannot stick; or of two outputs that stick, in each
-            other's acceleration: then one may keep the other one at rest.
+            output of higher degree, which cannot stick; or of more than two outputs that stick, in
+            each other's acceleration.
     """
     jumps = plant.jumps
     flags = np.diagonal(jumps)
-    for j, (key, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
-        if not flags[j]:
-            continue
-        rule = "must have relative degree 2 or 1 wherever f jumps with the sign of the velocity"
+    rule = "must have relative degree 2 or 1 wherever f jumps with the sign of the velocity"
+    for key, degree in zip(
+        np.asarray(plant.outputs)[flags], np.asarray(plant.degrees)[flags], strict=True
+    ):
         check(degree <= 2, "plant", rule, f"degree {degree} of output {key}")
-        struck = [plant.outputs[i] for i in np.flatnonzero(jumps[:, j] & flags) if i != j]
-        rule = "must have no dry friction in the acceleration of another output that sticks itself"
-        found = f"friction of {key} in the acceleration of {', '.join(struck)}"
-        advice = "Masses coupled by inertia can be simulated with the dry friction of one of them."
-        check(not struck, "plant", rule, found, advice)
-    reaches = np.sum(jumps, axis=0) > 1
+    mutual = jumps & np.outer(flags, flags) & ~np.eye(len(flags), dtype=bool)
+    struck = np.any(mutual | mutual.T, axis=0)
+    reaches = (np.sum(jumps, axis=0) > 1) | struck
+    if np.any(struck):
+        names = ", ".join(np.asarray(plant.outputs)[reaches])
+        rule = "must have no more than two outputs whose dry frictions act on each other"
+        advice = "Leave the friction of one of them out."
+        check(np.sum(reaches) <= _PAIR, "plant", rule, names, advice)
     return tuple(np.where(flags, np.where(reaches, REACHES, 1), 0).tolist())
 
 
@@ -222,6 +228,11 @@ class _Problem(eqx.Module):
         """Whether each output does."""
         return np.asarray(self.friction) > 0
 
+    @property
+    def reaching(self) -> tuple[int, ...]:
+        """Outputs whose friction acts on others."""
+        return tuple(j for j, one in enumerate(self.friction) if one == REACHES)
+
     def input_at(self, fraction: Fraction) -> Input:
         """A parabola through start, middle and end: exact for held and linear inputs."""
         first, middle, last = self.inputs
@@ -233,8 +244,10 @@ class _Problem(eqx.Module):
         if direction is None:
             return rate_of(self.plant, self.theta, t, x, u)
         frozen = self._frozen(x, direction)
-        slope = rate_of(self.plant, self.theta, t, frozen, u)
-        slope = self._with_reactions(slope, t, frozen, u, direction)
+        if self.reaching:
+            slope = self._held(t, frozen, u, direction)
+        else:
+            slope = rate_of(self.plant, self.theta, t, frozen, u)
         y, friction = slope.y, self.sticks
         chained = friction & (np.asarray(self.plant.degrees) > 1)
         if np.any(chained):  # and it sees the true velocity: `_frozen` is for f and g alone
@@ -242,27 +255,87 @@ class _Problem(eqx.Module):
         stuck = friction & (direction == 0)
         return State(self.moved(y, jnp.where(stuck, 0.0, self.velocity(y))), slope.z)
 
-    def _with_reactions(
-        self, slope: State, t: Scalar, frozen: State, u: Input, direction: Output
-    ) -> State:
-        r"""dx/dt with what the friction of stuck outputs does to others.
+    def _held(self, t: Scalar, frozen: State, u: Input, direction: Output) -> State:
+        """dx/dt, with the shares of their friction that keep stuck outputs at rest."""
+        mean, halves = self.mixture(t, frozen, u, direction == 0)
+        matrix, rates = self._at_reaching(mean, halves)
+        stuck = [direction[j] == 0 for j in self.reaching]
+        shares = _solved(matrix, rates, stuck)
+        for share, half in zip(shares, halves, strict=True):
+            mean = _add(mean, jnp.clip(share, -1.0, 1.0), half)
+        return mean
 
-        $(1 - \alpha) f^- + \alpha f^+$ of all outputs, with $\alpha = f_j^- / (f_j^- - f_j^+)$ such
-        that the stuck one, j, does not accelerate.
+    def leaving(self, t: Scalar, x: State, u: Input) -> Output:
+        """Which way outputs whose frictions act on each other leave rest: +1, −1, or 0.
+
+        Each friction is a share s in [-1, 1] of its level: within it where the output stays at
+        rest, at its end where that leaves. Of all that may be, the shares that agree with the
+        accelerations a(s): s = clip(s + a), the linear complementarity problem of two outputs.
         """
-        whole, velocity = slope, self.velocity(frozen.y)
-        for j in np.flatnonzero(np.asarray(self.friction) == REACHES):
-            below, above = (
-                rate_of(self.plant, self.theta, t, State(self.moved(frozen.y, side), frozen.z), u)
-                for side in (velocity.at[j].set(-_REST), velocity.at[j].set(_REST))
+        velocity = self.velocity(x.y)
+        still = [velocity[j] == 0 for j in self.reaching]
+        matrix, rates = self._at_reaching(*self.mixture(t, x, u, velocity == 0))
+
+        def both(shares: list[Scalar]) -> tuple[list[Scalar], list[Scalar], Scalar]:
+            """Shares within their limits, accelerations, and how far these disagree."""
+            s = [jnp.clip(one, -1.0, 1.0) for one in shares]
+            a = [
+                rate + sum(map(jnp.multiply, row, s))
+                for rate, row in zip(rates, matrix, strict=True)
+            ]
+            off = (
+                jnp.where(rests, jnp.abs(jnp.clip(one + rate, -1.0, 1.0) - one), 0.0)
+                for rests, one, rate in zip(still, s, a, strict=True)
             )
-            pulled, pushed = (self.velocity(one.y)[j] for one in (above, below))  # f_j⁺, f_j⁻
-            gap = jnp.where(pushed > pulled, pushed - pulled, 1.0)
-            alpha = jnp.clip(jnp.where(pushed > pulled, pushed / gap, 0.5), 0.0, 1.0)
-            held = _add(below, alpha, _add(above, -1.0, below))
-            stuck = jnp.where(direction[j] == 0, 1.0, 0.0)
-            whole = _add(whole, stuck, _add(held, -1.0, slope))
-        return whole
+            return s, a, sum(off, jnp.zeros(()))
+
+        best = both(_solved(matrix, rates, still))
+        for j, side in itertools.product(range(len(rates)), (-1.0, 1.0)):
+            moved = [rate + side * row[j] for rate, row in zip(rates, matrix, strict=True)]
+            shares = _solved(matrix, moved, [one & (i != j) for i, one in enumerate(still)])
+            shares[j] = jnp.where(still[j], side, 0.0)
+            other = both(shares)
+            better = other[2] < best[2]
+            best = jax.tree.map(lambda new, old, use=better: jnp.where(use, new, old), other, best)
+        way = jnp.zeros_like(velocity)
+        for j, s, a in zip(self.reaching, *best[:2], strict=True):
+            way = way.at[j].set(jnp.where((jnp.abs(s) == 1.0) & (s * a > 0), s, 0.0))
+        return way
+
+    def mixture(self, t: Scalar, x: State, u: Input, free: Flags) -> tuple[State, list[State]]:
+        """dx/dt in the middle between both sides of rest of outputs, and what a side changes.
+
+        Args:
+            t: time [s].
+            x: state.
+            u: inputs.
+            free: of which outputs whose friction reaches others the velocity is put to either side.
+
+        Returns:
+            The mean over all sides, and for each such output half of what its side changes.
+        """
+        velocity = self.velocity(x.y)
+
+        def rates(above: int | None) -> State:
+            moved = velocity
+            for j in self.reaching:
+                side = _REST if j == above else -_REST
+                moved = moved.at[j].set(jnp.where(free[j], side, velocity[j]))
+            there = State(self.moved(x.y, moved), x.z)
+            return rate_of(self.plant, self.theta, t, there, u)
+
+        # Forces add up: what one output's side changes does not depend on the other's.
+        below = rates(None)
+        halves = [_scaled(0.5, _add(rates(j), -1.0, below)) for j in self.reaching]
+        return reduce(lambda mean, half: _add(mean, 1.0, half), halves, below), halves
+
+    def _at_reaching(
+        self, mean: State, halves: list[State]
+    ) -> tuple[list[list[Scalar]], list[Scalar]]:
+        """Accelerations of those outputs: what each share of friction adds, and the mean."""
+        rates = self.velocity(mean.y)
+        matrix = [[self.velocity(half.y)[j] for half in halves] for j in self.reaching]
+        return matrix, [rates[j] for j in self.reaching]
 
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
@@ -288,8 +361,36 @@ def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
     return State(y, plant.internal_rate(t, x, u, theta))
 
 
+def _solved(matrix: list[list[Scalar]], rates: list[Scalar], unknown: list[Array]) -> list[Scalar]:
+    """s with (matrix s + rates)_j = 0 for the unknown s_j, the others zero: Gauss's elimination.
+
+    Diagonals are negative, as friction opposes motion: no pivoting. Where one is not, s_j is 0.
+    """
+    rows, right = [list(row) for row in matrix], [-rate for rate in rates]
+    count = len(rates)
+    for j in range(count):
+        use = unknown[j] & (rows[j][j] < 0)
+        rows[j] = [jnp.where(use, value, float(j == k)) for k, value in enumerate(rows[j])]
+        right[j] = jnp.where(use, right[j], 0.0)
+        for i in range(j + 1, count):
+            factor = rows[i][j] / rows[j][j]
+            rows[i] = [
+                value - factor * other for value, other in zip(rows[i], rows[j], strict=True)
+            ]
+            right[i] = right[i] - factor * right[j]
+    found: list[Scalar] = [jnp.zeros(())] * count
+    for j in reversed(range(count)):
+        known = sum((rows[j][k] * found[k] for k in range(j + 1, count)), jnp.zeros(()))
+        found[j] = (right[j] - known) / rows[j][j]
+    return found
+
+
 def _add(x: State, scale: Fraction, slope: State) -> State:
     return State(x.y + scale * slope.y, x.z + scale * slope.z)
+
+
+def _scaled(scale: Fraction, x: State) -> State:
+    return State(scale * x.y, scale * x.z)
 
 
 def _advance(
@@ -371,8 +472,12 @@ def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> t
 def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
     """+1 moving up, −1 moving down, 0 stuck (or without dry friction)."""
     t = problem.time + done * problem.step
-    above, below = problem.plant.at_rest(t, x, problem.input_at(done), problem.theta)
-    leaving = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
+    u, pair = problem.input_at(done), len(problem.reaching) == _PAIR
+    leaving = problem.leaving(t, x, u) if pair else jnp.zeros_like(problem.velocity(x.y))
+    if not pair or np.count_nonzero(problem.friction) > _PAIR:
+        above, below = problem.plant.at_rest(t, x, u, problem.theta)
+        alone = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
+        leaving = jnp.where(pair & (np.asarray(problem.friction) == REACHES), leaving, alone)
     velocity = problem.velocity(x.y)
     moving = jnp.where(velocity == 0, leaving, jnp.sign(velocity))
     return jnp.where(problem.sticks, moving, jnp.zeros_like(moving))
