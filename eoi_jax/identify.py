@@ -385,8 +385,8 @@ _STALLED = (
     "set bounds"
 )
 _DIVERGED = (
-    "the model is not finite along the record: check units, nominal values, and functions such as "
-    "sqrt or log at the measured outputs"
+    "the model, or its slope with a parameter, is not finite along the record: check units, "
+    "nominal values, and functions such as sqrt or log at the measured outputs"
 )
 _UNTRACED = (
     "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "

@@ -60,10 +60,14 @@ class Pass(eqx.Module):
 
     @property
     def cost(self) -> Float[np.ndarray, " lanes"]:
-        """Σ_j log P_j over the outputs that were scored; the smallest is the best pass."""
+        """Σ_j log P_j over the outputs that were scored; the smallest is the best pass.
+
+        Infinite without slopes to go on from: a parameter on a bound where f has none.
+        """
         scored = self.sums.count != 0  # NaN, too: a lane that went wrong is no perfect fit
         power = np.where(scored, self.index, 1.0)
         finite = np.all(np.isfinite(power), axis=1)
+        finite &= np.all(np.isfinite(self.sums.information), axis=(1, 2, 3))
         safe = np.where(np.isfinite(power), power, 1.0)
         logs = np.log(np.maximum(safe, np.finfo(float).tiny))
         return np.where(finite, np.sum(logs, axis=1), np.inf)

@@ -468,6 +468,19 @@ def test_status_says_that_the_model_is_not_finite():
     assert got.parameters == {"a": 1.0}
 
 
+def test_a_bound_without_slopes_is_not_where_it_ends():
+    """f in √a, so far off that the first step ends on a = 0, where ∂f/∂a is infinite."""
+
+    def rooted(t, x, u, p):
+        return -jnp.sqrt(p.a) * x.y[0] - p.beta * x.y[1] + p.rho * u[0]
+
+    start = {"a": 16.0 * TRUE["alpha"] ** 2, "beta": TRUE["beta"], "rho": TRUE["rho"]}
+    plant = Plant(rooted, start, 2, bounds={"a": (0.0, np.inf)})
+    got = identify(plant, swaying(), OBSERVER, LOWPASS, passes=20)
+    assert np.nanmin(got.parameter_history[:, 0]) == 0.0
+    recovered(got, {"a": TRUE["alpha"] ** 2, "beta": TRUE["beta"], "rho": TRUE["rho"]}, 1e-3)
+
+
 def test_single_precision_is_said():
     with jax.enable_x64(False), pytest.warns(RuntimeWarning, match="single precision"):
         got = identify(NOMINAL, swaying(1001, 4e-3), OBSERVER, LOWPASS, passes=2)
