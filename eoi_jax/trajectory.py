@@ -15,15 +15,14 @@ Equations I*, section II.6):
 Masses may be coupled by inertia: the friction of one output then acts on others too. While it
 sticks its friction is what keeps it at rest, between $f(0^-)$ and $f(0^+)$, and the others get
 their share of the same mixture (Filippov's convex combination). Two outputs whose frictions act on
-each other leave rest, or stay, as the linear complementarity problem of both has it (F. Pfeiffer
-and C. Glocker, *Multibody Dynamics with Unilateral Contacts*, chapter 5).
+each other leave rest, or stay, as the linear complementarity problem of both has it
+(`complementarity.py`).
 
 Each output can stop at most once within a step (to stop again it would have to leave with a force
 that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
 plant has outputs with dry friction, and never more.
 """
 
-import itertools
 import math
 from functools import partial, reduce
 from typing import Any
@@ -36,6 +35,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from eoi_jax.checks import check
+from eoi_jax.complementarity import Matrix, balanced, leaving
 from eoi_jax.plants.plant import Plant, State, velocity_of, with_velocity
 from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 
@@ -260,47 +260,17 @@ class _Problem(eqx.Module):
         mean, halves = self.mixture(t, frozen, u, direction == 0)
         matrix, rates = self._at_reaching(mean, halves)
         stuck = [direction[j] == 0 for j in self.reaching]
-        shares = _solved(matrix, rates, stuck)
+        shares = balanced(matrix, rates, stuck)
         for share, half in zip(shares, halves, strict=True):
             mean = _add(mean, jnp.clip(share, -1.0, 1.0), half)
         return mean
 
     def leaving(self, t: Scalar, x: State, u: Input) -> Output:
-        """Which way outputs whose frictions act on each other leave rest: +1, −1, or 0.
-
-        Each friction is a share s in [-1, 1] of its level: within it where the output stays at
-        rest, at its end where that leaves. Of all that may be, the shares that agree with the
-        accelerations a(s): s = clip(s + a), the linear complementarity problem of two outputs.
-        """
+        """Which way outputs whose frictions act on each other leave rest: +1, −1, or 0."""
         velocity = self.velocity(x.y)
-        still = [velocity[j] == 0 for j in self.reaching]
         matrix, rates = self._at_reaching(*self.mixture(t, x, u, velocity == 0))
-
-        def both(shares: list[Scalar]) -> tuple[list[Scalar], list[Scalar], Scalar]:
-            """Shares within their limits, accelerations, and how far these disagree."""
-            s = [jnp.clip(one, -1.0, 1.0) for one in shares]
-            a = [
-                rate + sum(map(jnp.multiply, row, s))
-                for rate, row in zip(rates, matrix, strict=True)
-            ]
-            off = (
-                jnp.where(rests, jnp.abs(jnp.clip(one + rate, -1.0, 1.0) - one), 0.0)
-                for rests, one, rate in zip(still, s, a, strict=True)
-            )
-            return s, a, sum(off, jnp.zeros(()))
-
-        best = both(_solved(matrix, rates, still))
-        for j, side in itertools.product(range(len(rates)), (-1.0, 1.0)):
-            moved = [rate + side * row[j] for rate, row in zip(rates, matrix, strict=True)]
-            shares = _solved(matrix, moved, [one & (i != j) for i, one in enumerate(still)])
-            shares[j] = jnp.where(still[j], side, 0.0)
-            other = both(shares)
-            better = other[2] < best[2]
-            best = jax.tree.map(lambda new, old, use=better: jnp.where(use, new, old), other, best)
-        way = jnp.zeros_like(velocity)
-        for j, s, a in zip(self.reaching, *best[:2], strict=True):
-            way = way.at[j].set(jnp.where((jnp.abs(s) == 1.0) & (s * a > 0), s, 0.0))
-        return way
+        ways = leaving(matrix, rates, [velocity[j] == 0 for j in self.reaching])
+        return jnp.zeros_like(velocity).at[np.asarray(self.reaching)].set(jnp.stack(ways))
 
     def mixture(self, t: Scalar, x: State, u: Input, free: Flags) -> tuple[State, list[State]]:
         """dx/dt in the middle between both sides of rest of outputs, and what a side changes.
@@ -329,9 +299,7 @@ class _Problem(eqx.Module):
         halves = [_scaled(0.5, _add(rates(j), -1.0, below)) for j in self.reaching]
         return reduce(lambda mean, half: _add(mean, 1.0, half), halves, below), halves
 
-    def _at_reaching(
-        self, mean: State, halves: list[State]
-    ) -> tuple[list[list[Scalar]], list[Scalar]]:
+    def _at_reaching(self, mean: State, halves: list[State]) -> tuple[Matrix, list[Scalar]]:
         """Accelerations of those outputs: what each share of friction adds, and the mean."""
         rates = self.velocity(mean.y)
         matrix = [[self.velocity(half.y)[j] for half in halves] for j in self.reaching]
@@ -359,30 +327,6 @@ def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
     last = np.arange(x.y.shape[0])[:, None] == np.asarray(plant.degrees)[None, :] - 1
     y = jnp.where(last, f[None, :], shifted)
     return State(y, plant.internal_rate(t, x, u, theta))
-
-
-def _solved(matrix: list[list[Scalar]], rates: list[Scalar], unknown: list[Array]) -> list[Scalar]:
-    """s with (matrix s + rates)_j = 0 for the unknown s_j, the others zero: Gauss's elimination.
-
-    Diagonals are negative, as friction opposes motion: no pivoting. Where one is not, s_j is 0.
-    """
-    rows, right = [list(row) for row in matrix], [-rate for rate in rates]
-    count = len(rates)
-    for j in range(count):
-        use = unknown[j] & (rows[j][j] < 0)
-        rows[j] = [jnp.where(use, value, float(j == k)) for k, value in enumerate(rows[j])]
-        right[j] = jnp.where(use, right[j], 0.0)
-        for i in range(j + 1, count):
-            factor = rows[i][j] / rows[j][j]
-            rows[i] = [
-                value - factor * other for value, other in zip(rows[i], rows[j], strict=True)
-            ]
-            right[i] = right[i] - factor * right[j]
-    found: list[Scalar] = [jnp.zeros(())] * count
-    for j in reversed(range(count)):
-        known = sum((rows[j][k] * found[k] for k in range(j + 1, count)), jnp.zeros(()))
-        found[j] = (right[j] - known) / rows[j][j]
-    return found
 
 
 def _add(x: State, scale: Fraction, slope: State) -> State:

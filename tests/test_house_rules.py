@@ -30,6 +30,7 @@ LAYERS = (
     ("effects",),
     ("augment",),
     ("equations",),
+    ("complementarity",),
     ("trajectory",),
     ("sensitivity",),
     ("simulate",),
