@@ -412,22 +412,30 @@ TWO = eoi.Plant(
 
 def test_every_effect_is_tried_at_every_channel_that_it_fits():
     tried = candidates(TWO, [effects.CoulombFriction(), effects.Leak(), effects.InputDelay()])
-    assert [(one.effect.name, one.channel) for one in tried] == [
-        ("coulomb_friction", 0),
-        ("coulomb_friction", 1),
-        ("input_delay", 0),
-        ("input_delay", 1),
+    # Input a pushes both carts: friction of each is tried beside it, too.
+    assert [(one.effect.name, one.channel, one.through) for one in tried] == [
+        ("coulomb_friction", 0, None),
+        ("coulomb_friction", 1, None),
+        ("coulomb_friction", 0, 0),
+        ("coulomb_friction", 1, 0),
+        ("input_delay", 0, None),
+        ("input_delay", 1, None),
     ]
 
 
+def alone(plant, effect):
+    """Where an effect is tried without inertia passing it on."""
+    return [one for one in candidates(plant, [effect]) if one.through is None]
+
+
 def test_springs_are_tried_between_outputs_of_one_kind_each_way_round():
-    sites = [(one.channel, one.against) for one in candidates(TWO, [effects.CubicStiffness()])]
+    sites = [(one.channel, one.against) for one in alone(TWO, effects.CubicStiffness())]
     assert sites == [(0, None), (1, None), (0, 1), (1, 0)]
     angle = eoi.Plant(
         carts, {"k": 20.0, "c": 0.4}, relative_degree=2, inputs=("a", "b"),
         outputs=("y1", "y2"), units={"y1": "m", "y2": "rad"},
     )  # fmt: skip
-    assert len(candidates(angle, [effects.CubicStiffness()])) == 2
+    assert len(alone(angle, effects.CubicStiffness())) == 2
     unlike = eoi.Plant(
         carts, {"k": 20.0, "c": 0.4}, relative_degree=(2, 1), inputs=("a", "b"),
         outputs=("y1", "y2"),
@@ -440,7 +448,7 @@ def test_columns_of_a_term_are_those_of_its_own_output():
     drive = np.stack([np.sin(3.0 * time), np.cos(time)], axis=1)
     record = eoi.simulate(TWO, time, drive, [[0.1, 0.2], [0.0, 0.0]], hold="linear")
     several = [stretch(TWO, record, 15.0)]
-    tried = candidates(TWO, [effects.CubicStiffness()])
+    tried = alone(TWO, effects.CubicStiffness())
     first, second, joint, _ = tried
     size = len(several[0].omega)
     made = [atoms(TWO, one, np.zeros((1, 0)), several)[0].columns[:, 0] for one in tried]
@@ -464,6 +472,6 @@ def test_shape_at_which_a_term_is_not_finite_is_not_tried():
     time = 0.01 * np.arange(1000)
     record = eoi.simulate(TWO, time, np.stack([np.sin(time)] * 2, axis=1), hold="linear")
     several = [stretch(TWO, record, 15.0)]
-    (placed, _) = candidates(TWO, [effects.StribeckFriction()])
+    (placed, _) = alone(TWO, effects.StribeckFriction())
     shapes = [one.shape for one in atoms(TWO, placed, np.array([[0.1], [np.nan]]), several)]
     assert shapes == [(0.1,)]
