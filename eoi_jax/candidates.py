@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.augment import Placed, augmented, own_states, place
 from eoi_jax.effects.effect import (
@@ -32,7 +32,6 @@ from eoi_jax.effects.effect import (
 from eoi_jax.modes import (
     Stretch,
     Values,
-    coupled,
     integrated,
     internal_along,
     model_rows,
@@ -71,7 +70,7 @@ class Atom:
 
 def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
     """Every effect at every channel that it fits."""
-    placed = []
+    placed, coupled = [], plant.coupled
     for effect in effects:
         if isinstance(effect, INPUT_EFFECTS):
             placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
@@ -80,7 +79,7 @@ def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
             count = own_states(plant) if inner else len(plant.outputs)
             placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
             placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
-            placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect)]
+            placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
     return placed
 
 
@@ -102,19 +101,16 @@ def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
     ]
 
 
-def _forces(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
+def _forces(
+    plant: Plant, effect: AbstractEffect, coupled: Bool[np.ndarray, "ny nu"]
+) -> list[tuple[int, int]]:
     """Outputs and inputs beside which an effect may act as a force that inertia passes on.
 
     Of masses that are coupled by inertia an input pushes several, and so does friction of one.
     """
     if not isinstance(effect, AbstractTerm):
         return []
-    return [
-        (int(j), i)
-        for i, pushed in enumerate(coupled(plant).T)
-        for j in np.flatnonzero(pushed)
-        if effect.fits(plant, int(j))
-    ]
+    return [(j, i) for j, i in np.argwhere(coupled).tolist() if effect.fits(plant, j)]
 
 
 def seen_at(

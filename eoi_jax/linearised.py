@@ -329,10 +329,7 @@ def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
     """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
 
     def one(t: Any, u: Any, y: Any, z: Any) -> Any:
-        def f(u: Any) -> Any:
-            return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
-
-        return jax.jvp(f, (u,), (jnp.eye(u.shape[0])[i],))[1]
+        return plant.input_slopes(t, State(y, z), u, jnp.asarray(plant.theta))[:, i]
 
     return jax.vmap(jax.vmap(jax.vmap(one)))(*stages)
 

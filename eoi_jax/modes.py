@@ -25,7 +25,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
@@ -200,16 +200,9 @@ def _usable(
     still = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     shortest = int(_REST / (band * raw.sample_period))
     lasting = np.stack([_lasting(one, shortest) for one in still.T], axis=1)
-    together = coupled(plant)
-    friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool) | (together @ together.T)
+    coupled = plant.coupled
+    friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool) | (coupled @ coupled.T)
     return good & ~(still @ friction.T), good & ~(lasting @ friction.T)
-
-
-def coupled(plant: Plant) -> Bool[np.ndarray, "ny nu"]:
-    """Which positions an input pushes, where it pushes several: masses coupled by inertia."""
-    positions = np.asarray(plant.degrees) >= 2
-    pushes = plant.pushes & positions[:, None]
-    return pushes & (np.sum(pushes, axis=0) > 1)
 
 
 def _weights(
@@ -414,8 +407,7 @@ def push_along(
     z = plant.internal_start(theta)
 
     def one(t: Array, y: Array, u: Array) -> Array:
-        unit = jnp.eye(u.shape[0])[i]
-        return jax.jvp(lambda u: plant.derivative(t, State(y, z), u, theta), (u,), (unit,))[1]
+        return plant.input_slopes(t, State(y, z), u, theta)[:, i]
 
     return jax.vmap(one)(time, y, plant.driven(time, u, theta))
 

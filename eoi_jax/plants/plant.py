@@ -253,6 +253,12 @@ class Plant(eqx.Module):
         r"""$\varphi = \partial f/\partial\theta$ at θ, eq. (2), shape (ny, np)."""
         return jax.jacfwd(lambda value: self.derivative(t, x, u, value))(theta)
 
+    def input_slopes(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> Float[Array, "ny nu"]:
+        """∂f/∂u: what one unit of each input adds to the highest derivative of each output."""
+        return jax.jacfwd(lambda value: self.derivative(t, x, value, theta))(u)
+
     def at_rest(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
     ) -> tuple[Output, Output]:
@@ -303,9 +309,15 @@ class Plant(eqx.Module):
         return np.any(np.asarray(jumps), axis=0) & (own | (np.asarray(self.degrees) >= 2))
 
     @property
-    def pushes(self) -> Bool[np.ndarray, "ny nu"]:
-        """Whether f of output i depends on input k at the same instant, at [i, k]."""
-        return np.any(np.abs(np.asarray(_pushed(self, *_probes(self)))) > 0.0, axis=0)
+    def coupled(self) -> Bool[np.ndarray, "ny nu"]:
+        """Which positions an input pushes, where it pushes several: masses coupled by inertia."""
+        positions = np.asarray(self.degrees) >= 2
+        if np.sum(positions) < 2:
+            return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
+        slopes, size = _pushed(self, *_probes(self))
+        pushes = np.asarray(slopes > 1e2 * jnp.finfo(size.dtype).eps * size)
+        pushes = np.any(pushes, axis=0) & positions[:, None]
+        return pushes & (np.sum(pushes, axis=0) > 1)
 
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
@@ -474,14 +486,13 @@ def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Ar
 
 
 @eqx.filter_jit
-def _pushed(
-    plant: Plant, t: Array, y: Array, u: Array, theta: Array
-) -> Float[Array, "probes ny nu"]:
-    """∂f/∂u."""
+def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+    """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> Array:
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
         x = State(y, plant.internal_start(theta) + 0.1)
-        return jax.jacfwd(lambda u: plant.derivative(t, x, u, theta))(u)
+        size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
+        return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
     return jax.vmap(one)(t, y, u, theta)
 
