@@ -312,7 +312,8 @@ def _products(one: Atom) -> list[tuple[Placed, tuple[float, ...]]]:
     held: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
     if isinstance(one.placed.effect, SinusoidalDisturbance):
         held += [(ModulatedSinusoid(by), one.shape) for by in ("y", "v", "u")]
-    return [(Placed(term, one.placed.output, ()), shape) for term, shape in held]
+    where = one.placed.output, one.placed.through
+    return [(Placed(term, where[0], (), through=where[1]), shape) for term, shape in held]
 
 
 def in_step(stretches: Sequence[Stretch], omega: float) -> bool:
@@ -376,8 +377,9 @@ def read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:
     for placed, values in values_of(fit).items():
         if isinstance(placed.effect, AsymmetricFriction) and max(values) < _EQUAL * min(values):
             forward, backward = values
-            level = place(plant, CoulombFriction(), placed.channel)
-            offset = place(plant, ConstantOffset(), placed.channel)
+            where = placed.channel, placed.against, placed.through
+            level = place(plant, CoulombFriction(), *where)
+            offset = place(plant, ConstantOffset(), *where)
             added[level] = (0.5 * (forward + backward),)
             added[offset] = (0.5 * (backward - forward),)
         else:

@@ -1,10 +1,15 @@
-"""One round of discovery: at which frequencies a sinusoid is worth trying."""
+"""One round of discovery: at which frequencies a sinusoid is tried, how dry friction is read."""
 
 import numpy as np
+import pytest
 
 import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import place
+from eoi_jax.candidates import Atom
+from eoi_jax.fit import Fit
 from eoi_jax.modes import Stretch, stretch
-from eoi_jax.rounds import in_step
+from eoi_jax.rounds import in_step, read_friction
 
 TIME = np.arange(0.0, 40.0, 0.01)
 
@@ -40,3 +45,17 @@ def test_nothing_is_in_step_with_a_motion_that_never_repeats():
     noise = np.random.default_rng(3).standard_normal(len(TIME))
     motion = moved(np.convolve(noise, np.hanning(80), "same"))
     assert not any(in_step(motion, omega) for omega in (0.0, 0.7, 2.0, 5.0, 9.0))
+
+
+def test_friction_beside_an_input_is_read_as_a_level_and_an_offset_there():
+    """Two nearly equal levels of one force are a level and an offset of the same force."""
+    plant = eoi.Plant(lambda t, x, u, p: p.gain * u[0] * np.array([1.0, -0.5]), {"gain": 1.0}, 2,
+                      inputs=("force",), outputs=("cart", "load"))  # fmt: skip
+    one = place(plant, effects.AsymmetricFriction(), 0, None, 0)
+    fit = Fit((Atom(one, (), np.zeros((1, 2))),), np.array([1.2, 1.0]), np.zeros(1), 0.0, True)
+    added = read_friction(plant, fit)
+    assert {placed.names[0]: values[0] for placed, values in added.items()} == {
+        "coulomb_friction_cart_force": pytest.approx(1.1),
+        "constant_offset_cart_force": pytest.approx(-0.1),
+    }
+    assert all(placed.through == 0 for placed in added)
