@@ -37,6 +37,7 @@ from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction, values_of
+from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 
 _ROUNDS = 3
@@ -243,8 +244,17 @@ def _plainest(
         theirs = _free_runs(task, refit.plant)
         if refit.status.ok and as_good(theirs, runs):
             first.refused[one] = "in free runs no better than a simpler law"
-            placed, found, runs = fewer, refit, theirs
+            return _plainest(task, fewer, refit, theirs, first)
     return placed, found, runs
+
+
+def _not_simulated(plant: Plant) -> str:
+    """Why a plant has no free runs; nothing where it has."""
+    try:
+        frictional(plant)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _window(task: Task, records: Sequence[Record]) -> float | None:
@@ -326,12 +336,17 @@ def _answer(
         verdict = _judged(placed, share, left, quiet, alone)
         if verdict.code != "explained":
             break
-        sure = _judged(placed, share, left, quiet).code == "explained"
+        refusal = _not_simulated(model)
+        if refusal:
+            notes.append(_UNCHECKED.format(" and ".join(_names(placed)), share, refusal))
+            rounds[0].refused.update(dict.fromkeys(placed, "its free run cannot be simulated"))
+            status = Status("unexplained", _NO_RUN)
+            continue
         refit = _refitted(task, model, notes)
         if not refit.status.ok:
             notes.append(f"{_REFITTED} {refit.status}")
         runs = _free_runs(task, refit.plant)
-        if not sure and not _confirmed(before, runs):
+        if _judged(placed, share, left, quiet) != verdict and not _confirmed(before, runs):
             break
         if _holds(before, runs):
             status = verdict
@@ -434,6 +449,8 @@ _PARTLY = (
 )
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
+_NO_RUN = "the effects that fit the records cannot be confirmed: no free run has them"
+_UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
 
 

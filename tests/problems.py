@@ -13,6 +13,7 @@ x[k+1] = e^{Ah} x[k] + ∫₀ʰ e^{As} ds B u[k]; both matrices are blocks of ex
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 GRAVITY = 9.81
@@ -87,6 +88,23 @@ def held_response(A, B, u, h: float, start=None):
     for k in range(len(u) - 1):
         states[k + 1] = block[:n, :n] @ states[k] + block[:n, n:] @ u[k]
     return states
+
+
+def stiff_response(rate, u, h: float, states: int = 4, tolerance: float = 1e-9):
+    """States of ẋ = rate(x, u) from rest at each sample, u held over each step (LSODA)."""
+    x = [np.zeros(states)]
+    for held in u[:-1]:
+        run = solve_ivp(
+            lambda _, x, held=held: rate(x, held), (0.0, h), x[-1], "LSODA",
+            rtol=tolerance, atol=1e-3 * tolerance,
+        )  # fmt: skip
+        x.append(run.y[:, -1])
+    return np.asarray(x)
+
+
+def noisy(y, level: float, draw: np.random.Generator):
+    """Outputs with white noise of that share of the standard deviation of each."""
+    return y + level * np.std(y, axis=0) * draw.standard_normal(y.shape)
 
 
 def pushed_double_integrator(u, h: float, gain: float, offset: float):

@@ -1,10 +1,12 @@
 """Friction of one of two masses that are coupled by inertia: a trolley with a load that swings."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from problems import noisy, stiff_response
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -64,17 +66,39 @@ def record(seed: int, dry: float = DRY) -> eoi.Record:
     draw, time = np.random.default_rng(seed), STEP * np.arange(SAMPLES)
     lines = 2.0 * np.pi * draw.uniform(0.2, 2.0, 6)
     force = 1.5 * np.sum(np.sin(np.outer(time, lines) + draw.uniform(0.0, 6.3, 6)), axis=1)
-    x, states = np.zeros(4), []
-    for u in force:
-        states.append(x[:2])
-        x = solve_ivp(
-            lambda _, x, u=u: rate(x, u, dry), (0.0, STEP), x, "LSODA", rtol=1e-7, atol=1e-10
-        ).y[:, -1]
-    y = np.asarray(states)
-    noise = NOISE * np.std(y, axis=0) * draw.standard_normal(y.shape)
+    y = stiff_response(partial(rate, dry=dry), force, STEP, tolerance=1e-7)[:, :2]
     return eoi.Record(
-        time, force[:, None], y + noise, f"run {seed}", hold="zero",
+        time, force[:, None], noisy(y, NOISE, draw), f"run {seed}", hold="zero",
         input_names=PLANT.inputs, output_names=PLANT.outputs,
+    )  # fmt: skip
+
+
+# Three joints, each with a dry friction: more than the simulator can hold at rest together.
+INERTIA = np.array([[2.0, 0.9, 0.3], [0.9, 1.2, 0.5], [0.3, 0.5, 0.8]])
+INVERSE = np.linalg.inv(INERTIA)
+ROBOT = eoi.Plant(
+    lambda t, x, u, p: jnp.asarray(INVERSE) @ (u - p.k * x.y[0] - p.c * x.y[1]),
+    {"k": 4.0, "c": 0.3},
+    2,
+    inputs=("a", "b", "c"),
+    outputs=("one", "two", "three"),
+)
+
+
+def robot_record(seed: int) -> eoi.Record:
+    draw, time = np.random.default_rng(seed), 5e-3 * np.arange(3000)
+    lines = 2.0 * np.pi * draw.uniform(0.2, 2.0, (3, 6))
+    phases = draw.uniform(0.0, 6.3, (3, 6))
+    torques = 1.2 * np.sum(np.sin(time[:, None, None] * lines + phases), axis=2)
+
+    def rate(x: np.ndarray, u: np.ndarray) -> list[float]:
+        dry = np.array([0.8, 0.5, 0.4]) * np.tanh(x[3:] / WIDTH)
+        return [*x[3:], *(INVERSE @ (u - 3.5 * x[:3] - 0.2 * x[3:] - dry))]
+
+    y = stiff_response(rate, torques, 5e-3, states=6, tolerance=1e-7)[:, :3]
+    return eoi.Record(
+        time, torques, noisy(y, NOISE, draw), f"run {seed}", hold="zero",
+        input_names=ROBOT.inputs, output_names=ROBOT.outputs,
     )  # fmt: skip
 
 
@@ -142,6 +166,17 @@ def test_a_wider_law_is_kept_where_a_free_run_is_better_with_it(found):
     assert as_good(after, after)
     assert as_good((found.after, None), before)
     assert not as_good(before, (found.after, None))
+
+
+def test_frictions_without_a_free_run_are_told_and_not_added():
+    found = eoi.discover(ROBOT, robot_record(1), robot_record(2), ["coulomb_friction"])
+    assert found.status.code == "unexplained"
+    assert "no free run has them" in found.status.message
+    assert found.effects == ()
+    (note,) = (one for one in found.notes if one.startswith("refused"))
+    assert "no more than two outputs whose dry frictions act on each other" in note
+    at = {(one.output, one.through) for one in found.ranking if "cannot be sim" in one.remark}
+    assert at == {("one", "a"), ("two", "b"), ("three", "c")}
 
 
 def test_free_runs_show_it_too(fit):

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import pytest
+from problems import noisy
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -53,10 +54,8 @@ def record(seed: int) -> eoi.Record:
             b = rate(x + 0.5 * h * a, u)
             c = rate(x + 0.5 * h * b, u)
             x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + rate(x + h * c, u))
-    y = np.asarray(states)
-    noise = NOISE * np.std(y, axis=0) * draw.standard_normal(y.shape)
     return eoi.Record(
-        time, force[:, None], y + noise, f"run {seed}", hold="zero",
+        time, force[:, None], noisy(np.asarray(states), NOISE, draw), f"run {seed}", hold="zero",
         input_names=PLANT.inputs, output_names=PLANT.outputs,
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from problems import stiff_response
 from scipy.integrate import solve_ivp
 
 from eoi_jax.plants import (
@@ -366,18 +367,14 @@ def crane():
 def smoothed_crane(u, h, width):
     """LSODA with the sign of the velocity made a hyperbolic tangent of that width."""
 
-    def rate(t, x, push):
+    def rate(x, push):
         _, angle, v, w = x
         s, c = np.sin(angle), np.cos(angle)
         push = push - 2.0 * v - 1.2 * np.tanh(v / width) + 0.12 * w * w * s
         fall, inertia = -9.81 * s - 0.05 * w, 0.52 - 0.12 * c * c
         return [v, w, (0.4 * push - 0.12 * c * fall) / inertia, (1.3 * fall - c * push) / inertia]
 
-    states = [np.zeros(4)]
-    for held in u[:-1]:
-        run = solve_ivp(rate, (0.0, h), states[-1], "LSODA", rtol=1e-9, atol=1e-12, args=(held,))
-        states.append(run.y[:, -1])
-    return np.asarray(states)[:, :2]
+    return stiff_response(rate, u, h)[:, :2]
 
 
 def crane_push(time):
@@ -421,15 +418,11 @@ def smoothed_joints(u, h, width):
     """LSODA with hyperbolic tangents for the signs."""
     inverse = np.linalg.inv(INERTIA)
 
-    def rate(t, x, push):
+    def rate(x, push):
         dry = np.array([0.8, 0.5]) * np.tanh(x[2:] / width)
         return [*x[2:], *(inverse @ (push - 3.0 * x[:2] - 0.2 * x[2:] - dry))]
 
-    states = [np.zeros(4)]
-    for held in u[:-1]:
-        run = solve_ivp(rate, (0.0, h), states[-1], "LSODA", rtol=1e-9, atol=1e-12, args=(held,))
-        states.append(run.y[:, -1])
-    return np.asarray(states)[:, :2]
+    return stiff_response(rate, u, h)[:, :2]
 
 
 def test_two_joints_hold_and_release_each_other():
