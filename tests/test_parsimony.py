@@ -1,0 +1,72 @@
+"""Laws that contain a simpler one: two carts with dry friction, each given a Stribeck law."""
+
+import importlib
+
+import jax.numpy as jnp
+import numpy as np
+from problems import noisy, stiff_response
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.augment import augmented, place
+from eoi_jax.identify import estimate
+from eoi_jax.prepare import ready
+from eoi_jax.rounds import Round, Task
+
+STEP, DRY = 4e-3, np.array([0.8, 0.5])
+discovery = importlib.import_module("eoi_jax.discover")
+
+
+def carts(t, x, u, p):
+    return p.b * u - jnp.stack([p.c1, p.c2]) * x.y[1]
+
+
+PLANT = eoi.Plant(
+    carts,
+    {"b": 1.2, "c1": 1.0, "c2": 1.0},
+    2,
+    inputs=("pull", "push"),
+    outputs=("near", "far"),
+)
+
+
+def record(seed: int) -> eoi.Record:
+    draw, time = np.random.default_rng(seed), STEP * np.arange(2500)
+    lines = 2.0 * np.pi * draw.uniform(0.3, 2.0, (2, 6))
+    forces = np.sum(np.sin(time[:, None, None] * lines + draw.uniform(0.0, 6.3, (2, 6))), axis=2)
+
+    def rate(x: np.ndarray, u: np.ndarray) -> list[float]:
+        return [*x[2:], *(u - 0.5 * x[2:] - DRY * np.tanh(x[2:] / 1e-4))]
+
+    y = stiff_response(rate, forces, STEP, tolerance=1e-7)[:, :2]
+    return eoi.Record(
+        time, forces, noisy(y, 1e-3, draw), f"run {seed}", hold="zero",
+        input_names=PLANT.inputs, output_names=PLANT.outputs,
+    )  # fmt: skip
+
+
+def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
+    """Whatever free runs say: the second exchange must not undo the first."""
+    monkeypatch.setattr(discovery, "as_good", lambda *_: True)
+    fit, held = (record(1),), (record(2),)
+    prepared = ready(PLANT, fit)
+    library = (effects.CoulombFriction(), effects.StribeckFriction())
+    declared = estimate(PLANT, prepared)
+    task = Task(PLANT, prepared, fit, held, library, declared, 0.01, 3, None)
+    wide = tuple(place(PLANT, effects.StribeckFriction(), j) for j in range(2))
+    values = {
+        name: value
+        for one, level in zip(wide, DRY, strict=True)
+        for name, value in zip(one.names, (level, 0.1, 0.02), strict=True)
+    }
+    found = estimate(augmented(declared.plant, wide, values), prepared)
+    runs = discovery._free_runs(task, found.plant)
+    first = Round(task, declared.plant, ())
+    placed, fewer, _ = discovery._plainest(task, wide, found, runs, first)
+    assert [one.effect.name for one in placed] == ["coulomb_friction"] * 2
+    assert set(fewer.parameters) == {
+        "b", "c1", "c2", "coulomb_friction_near", "coulomb_friction_far"
+    }  # fmt: skip
+    levels = [fewer.parameters[f"coulomb_friction_{name}"] for name in PLANT.outputs]
+    np.testing.assert_allclose(levels, DRY, rtol=0.01)
+    assert set(first.refused) == set(wide)
