@@ -204,14 +204,14 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     y = "" if placed.on_input else plant.units.get(own, "")
     channel = j if placed.on_input else 0
     u = plant.units.get(plant.inputs[channel], "") if plant.inputs else ""
-    force = "" if placed.through is None else plant.units.get(plant.inputs[placed.through], "")
-    known = {"{y}": y, "{v}": y, "{f}": y if placed.through is None else force, "{u}": u}
-    if any(key in pattern and not value for key, value in known.items()):
+    if placed.through is None:
+        f = derivative_unit(y, 1 if placed.on_input or placed.on_state else plant.degrees[j])
+    else:
+        f = plant.units.get(plant.inputs[placed.through], "")
+    known = {"y": y, "v": derivative_unit(y, placed.row), "f": f, "u": u}
+    if any(f"{{{key}}}" in pattern and not value for key, value in known.items()):
         return ""
-    v = derivative_unit(y, placed.row)
-    r = 1 if placed.on_input or placed.on_state else plant.degrees[j]
-    f = derivative_unit(y, r) if placed.through is None else force
-    return pattern.format(y=y, v=v, f=f, u=u)
+    return pattern.format(**known)
 
 
 @dataclass(frozen=True)
