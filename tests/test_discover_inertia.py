@@ -19,7 +19,6 @@ from eoi_jax.report.discovery import candidate_rows, phrase
 from eoi_jax.report.equation import equation_latex, equation_text
 
 mpl.use("Agg")
-pytestmark = pytest.mark.xdist_group("inertia")  # one worker makes the discovery once
 
 STEP, SAMPLES, NOISE = 4e-3, 5000, 1e-3
 DRY, WIDTH = 1.2, 1e-4  # N; m/s, of the tanh that stands for the sign

@@ -12,7 +12,6 @@ from eoi_jax.report.discovery import phrase
 from eoi_jax.report.equation import equation_latex, equation_text
 
 mpl.use("Agg")
-pytestmark = pytest.mark.xdist_group("joints")  # one worker makes the discovery once
 
 STEP, SAMPLES, NOISE = 4e-3, 5000, 1e-3
 HARD = 6e4  # N/m³, of the spring between masses of 1 and 0.6 kg
