@@ -28,7 +28,7 @@ REACH = 2.0  # of the starts, in sizes of each parameter
 STEPS = 50  # of the solver, as `refine` allows by default
 SIDE = 100  # starts side by side
 ALONE = 300  # of 1000 starts, for output error alone
-DRAWN = 200  # points that `refine` draws by itself around one start
+TURNS, ROUNDS = 10, 4  # starts of the tanks in turn, and of points drawn at their end
 CLOSE = 1e-2  # cost over the lowest one, less one, that counts as reached
 
 
@@ -80,7 +80,8 @@ OPTIMA = {
 }  # fmt: skip
 
 
-MANY = ("cascaded_tanks without overflow", "cascaded_tanks")  # most starts have no estimate
+# Most starts have no estimate: points that `refine` draws around one by itself, and how often.
+DRAWN = {"cascaded_tanks without overflow": (200, 1), "cascaded_tanks": (400, 30)}
 TANKS = {"lowpass": eoi.LowPass(0.05, 2), "passes": 30}  # as in their config
 
 
@@ -200,7 +201,7 @@ def found(case: Case, count: int, alone: int) -> Found:
     polished = refined(case, passed.theta, rows)
     straight = refined(case, rows[:alone], rows[:alone])
     best = refined(case, case.centre[None], case.centre[None])
-    more = drawn(case, passed.theta, rows) if case.name in MANY else None
+    more = drawn(case, passed.theta, rows) if case.name in DRAWN else None
     lowest = min(float(np.min(one.cost)) for one in (polished, straight, best, more or best))
     return Found(case.name, passed, polished, straight, more, lowest)
 
@@ -222,16 +223,17 @@ def row(one: Found) -> list[str]:
 
 
 def drawn(case: Case, rows: np.ndarray, starts: np.ndarray) -> Ends:
-    """`refine` of each row on its own with `DRAWN` points that it draws around it by itself.
+    """`refine` of each row on its own with points that it draws around it by itself.
 
     Args:
         rows: estimates of the passes.
         starts: where they began; drawn around where there is no estimate (NaN).
     """
     began, cost, theta = time.perf_counter(), [], []
+    points, rounds = DRAWN[case.name]
     for row, start in zip(rows, starts, strict=True):
         plant = case.plant.with_parameters(row if np.all(np.isfinite(row)) else start)
-        one = eoi.refine(plant, case.record, substeps=case.substeps, starts=DRAWN)
+        one = eoi.refine(plant, case.record, substeps=case.substeps, starts=points, rounds=rounds)
         cost.append(cost_of(one, case.record))
         theta.append(np.asarray(one.plant.theta))
     ends = np.where(np.isfinite(cost), cost, np.inf)  # no answer
@@ -243,20 +245,26 @@ def cost_of(one: eoi.Refinement, record: eoi.Record) -> float:
     return float(len(record) * one.rmse[0] ** 2 / np.var(record.outputs))
 
 
-def tanks_in_turn(number: int) -> tuple[list[str], float]:
-    """A random start without effects refined with drawn points, `discover`, `refine`: a row."""
+def tanks_in_turn(number: int) -> tuple[list[str], tuple[float, float]]:
+    """A random start without effects refined with drawn points, `discover`, `refine`.
+
+    Returns:
+        A row, and the costs without drawn points and with them.
+    """
     folder = data_directory()
     case, (plant, record) = measured_cases.cascaded_tanks(folder), refine_cases.bare_tanks(folder)
     bare = Case("", plant, record, np.asarray(OPTIMA["cascaded_tanks without overflow"]), 4, TANKS)
     lost = plant.with_parameters(bare.rows(number + 1)[number])
-    first = eoi.refine(lost, record, starts=DRAWN)
+    points, _ = DRAWN["cascaded_tanks without overflow"]
+    first = eoi.refine(lost, record, starts=points)
     more = eoi.discover(
         first.plant, case.records, case.held_out, lowpass=case.lowpass, window=case.window
     )
-    ends = [eoi.refine(more.plant, record, starts=count) for count in (None, DRAWN)]
-    volts = [f"{float(one.rmse[0]):.4f} V" for one in (first, *ends)]
+    alone = eoi.refine(more.plant, record)
+    helped = eoi.refine(more.plant, record, starts=points, rounds=ROUNDS)
+    volts = [f"{float(one.rmse[0]):.4f} V" for one in (first, alone, helped)]
     cells = [str(number), volts[0], ", ".join(more.effects), *volts[1:]]
-    return cells, cost_of(ends[0], record)
+    return cells, (cost_of(alone, record), cost_of(helped, record))
 
 
 def drawn_row(one: Found) -> list[str]:
@@ -265,7 +273,9 @@ def drawn_row(one: Found) -> list[str]:
     wide, missed = one.reached(one.drawn), one.median(one.drawn)
     rest = "" if np.isnan(missed) else f"{missed:.3g}"
     share = f"**{percent(float(np.mean(wide)))}** of {len(wide)}"
-    return [one.name, share, rest, f"{one.drawn.seconds / len(wide):.2g}"]
+    points, rounds = DRAWN[one.name]
+    seconds = f"{one.drawn.seconds / len(wide):.2g}"
+    return [one.name, f"{points}, {rounds}", share, rest, seconds]
 
 
 HEADER = ("case", "passes answer", "pass + refine", "missed: rms / best", "output error alone",
@@ -298,19 +308,21 @@ def main() -> None:
     if not given.quick:
         several = [one for one in ends if one.drawn is not None]
         report.add(
-            f"Passes, then `refine(starts={DRAWN})`, each start on its own: points around the "
+            "Passes, then `refine(starts=…, rounds=…)`, each start on its own: points around the "
             "estimate of the passes, or around the start where they have none.",
-            table(("case", "reached", "missed: rms / best", "seconds a start"),
+            table(("case", "starts, rounds", "reached", "missed: rms / best", "seconds a start"),
                   [drawn_row(one) for one in several]),
         )  # fmt: skip
-        turns = [tanks_in_turn(number) for number in range(3)]
-        best = min(several[-1].best, *(cost for _, cost in turns))
+        turns = [tanks_in_turn(number) for number in range(TURNS)]
+        best = min(several[-1].best, *(min(costs) for _, costs in turns))
+        points, _ = DRAWN["cascaded_tanks without overflow"]
         report.add(
-            f"The tanks in turn, each from one random start: `refine(starts={DRAWN})` without "
-            "effects; `discover` from there; `refine` with what it adds, without and with drawn "
-            "points, and the cost of the former beside the lowest of all:",
-            table(("start", "bare", "added", "with these", f"starts={DRAWN}", "above the best"),
-                  [[*cells, percent(cost / best - 1.0)] for cells, cost in turns]),
+            f"The tanks in turn, each from one random start: `refine(starts={points})` without "
+            "effects; `discover` from there; `refine` with what it adds, without and with points "
+            f"drawn {ROUNDS} times, and both costs beside the lowest of all:",
+            table(("start", "bare", "added", "with these", f"rounds={ROUNDS}", "above the best"),
+                  [[*cells, ", ".join(percent(cost / best - 1.0) for cost in costs)]
+                   for cells, costs in turns]),
         )  # fmt: skip
     report.close("random_starts", given.write)
 

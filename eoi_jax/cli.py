@@ -419,6 +419,7 @@ def _refined(
         substeps=table.substeps,
         max_steps=table.max_steps,
         starts=table.starts,
+        rounds=table.rounds,
         callback=None if shown is None else stepped,
     )
     known = result.status.ok and given.held_out

@@ -130,12 +130,14 @@ class RefineTable(msgspec.Struct, frozen=True):
         max_steps: of the solver.
         starts: so many further points to start from, drawn around the estimate of the passes, or
             around the nominal values where the passes have none; absent: none.
+        rounds: how often so many are drawn, from the second time on around the best so far.
     """
 
     window: Positive | None = None
     substeps: Count | None = None
     max_steps: Count = 50
     starts: Count | None = None
+    rounds: Count = 1
 
 
 class RangeTable(msgspec.Struct, frozen=True):

@@ -57,6 +57,7 @@ def refine(
     substeps: int | None = None,
     max_steps: int = 50,
     starts: Any = None,
+    rounds: int = 1,
     huber: float | None = None,
     callback: Callable[[int, int], None] | None = None,
 ) -> Refinement:
@@ -75,6 +76,9 @@ def refine(
             (starts, np), or how many are drawn around the plant's values: each times a factor of
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
             ones more, the best one the rest; the answer is never worse than without them.
+        rounds: how often so many points are followed. From the second time on they are drawn
+            around the best one so far: some parameters anew, the others moved a little. For models
+            of several parts (a start far off in all of them needs tens of rounds) and rugged costs.
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
@@ -105,6 +109,9 @@ def refine(
     if huber is not None:
         check_positive("huber", huber)
     points = points_of(nominal, starts)
+    check(isinstance(rounds, int) and rounds >= 1, "rounds", "must be an integer ≥ 1", rounds)
+    check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
+          "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     spans = spans_of(several, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
@@ -119,14 +126,14 @@ def refine(
     effort = _Effort(max_steps, _watch(callback, max_steps))
     fits = [
         _fitted(problem, start, before, effort, huber)
-        for start in (*own, *best(problem, unknowns, points))
+        for start in (*own, *best(problem, unknowns, points, rounds))
     ]
     if not fits:
         reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
         return _unanswered(nominal, several, window, Status("diverged", reason))
-    fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     if substeps is None:
-        fit = _finer(fit, several, spans, effort, huber)
+        fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
+    fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     return _refinement(fit, several, spans, window)
 
 

@@ -98,7 +98,7 @@ def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Pa
     assert result["identified"]["parameters"] != result["parameters"]
     errors = [result["validation"][name]["rmse"]["position"] for name in ("before", "refined")]
     assert errors == pytest.approx([1e-4, 1e-4], rel=0.1)
-    table = {"window": None, "substeps": 1, "max_steps": 20, "starts": None}
+    table = {"window": None, "substeps": 1, "max_steps": 20, "starts": None, "rounds": 1}
     assert result["config"]["refine"] == table
 
 

@@ -10,7 +10,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
-from eoi_jax.multistart import points_of
+from eoi_jax.multistart import _varied, points_of
 from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
 from eoi_jax.refine import refine
 
@@ -289,6 +289,49 @@ def test_so_many_starts_are_drawn_around_a_plant_where_a_wrong_sign_leaves_no_tr
     found = refine(lost, record, substeps=1, starts=100)
     np.testing.assert_allclose(found.plant.theta, true.theta, rtol=1e-4)
     np.testing.assert_array_equal(found.nominal.theta, lost.theta)  # the plant as given
+
+
+def spring_with_stops(t, x, u, p):
+    (y,), (v,) = x.y
+    stops = jnp.maximum(y - p.right, 0.0) - jnp.maximum(-y - p.left, 0.0)
+    return p.gain * u - p.damping * v - p.stiffness * y - p.hard * stops
+
+
+def test_further_rounds_find_what_a_few_points_at_once_do_not():
+    """Where a stop lies leaves no trace until the spring between the stops is about right."""
+    values = {"gain": 1.0, "damping": 0.5, "stiffness": 16.0, "hard": 80.0, "right": 0.06,
+              "left": 0.1}  # fmt: skip
+    true = eoi.Plant(spring_with_stops, values, 2)
+    time = 0.02 * np.arange(751)
+    drive = eoi.excitation.multisine(time, 3.0, (0.2, 2.0), 12, seed=0)
+    record = eoi.simulate(true, time, drive, substeps=2)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((751, 1))
+    record = eoi.Record(time, record.inputs, record.outputs + noise, hold=record.hold)
+    found = {1: 0, 20: 0}
+    for seed in range(4):
+        far = 1.0 + np.random.default_rng(seed).uniform(-2.0, 2.0, 6)
+        lost = true.with_parameters(far * np.asarray(true.theta))
+        for rounds in found:
+            one = refine(lost, record, substeps=2, starts=20, rounds=rounds)
+            found[rounds] += bool(one.rmse[0] < 1.2e-4)
+    assert found[20] >= 3
+    assert found[20] > found[1]
+
+
+def test_rounds_are_drawn_around_the_best_so_far_within_the_bounds():
+    bounds = {"damping": (0.0, 2.0)}
+    plant = eoi.Plant(hardening, VALUES, 2, ("u",), ("y",), bounds=bounds, fixed=("offset",))
+    best = np.array([1.5, 1.0, 1e9, 3.0, 0.1])
+    points = _varied(plant, best, 500, np.random.default_rng(0))
+    assert np.all((points >= plant.lower) & (points <= plant.upper))
+    np.testing.assert_array_equal(points[:, 4], 0.1)  # fixed
+    assert np.max(np.abs(points[:, 2])) <= 8.0 * abs(VALUES["stiffness"])  # had run away
+    assert 0.1 < np.mean(points[:, 0] == 1.5) < 0.6
+    for wrong in (0, -1):
+        with pytest.raises(ValueError, match=rf"`rounds` must be an integer ≥ 1, got {wrong}"):
+            refine(plant, run(OSCILLATOR), starts=10, rounds=wrong)
+    with pytest.raises(ValueError, match=r"`rounds` must be 1 without `starts`, got 3\. Say how"):
+        refine(plant, run(OSCILLATOR), rounds=3)
 
 
 def test_drawn_starts_keep_to_bounds_and_leave_what_is_fixed_or_zero():
