@@ -72,14 +72,14 @@ def _drawn(plant: Plant, count: int, draw: np.random.Generator) -> Float[np.ndar
 def _varied(
     plant: Plant, best: Float[np.ndarray, " np"], count: int, draw: np.random.Generator
 ) -> Float[np.ndarray, "points np"]:
-    """Points around the best ones so far, for a further round."""
-    anew = _drawn(plant, count, draw)
+    """Points around the best one so far, for a further round; what began at zero is moved only."""
+    anew, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
     low, high = np.log(_SPREAD)
     spread = np.exp(draw.uniform(low, high, (count, 1))) * draw.choice([0, 1], (count, 1))
     points = best * np.exp(spread * draw.standard_normal(anew.shape))
-    share = draw.choice(_ANEW, (count, 1))
-    lost = np.abs(best) > _LOST * np.abs(np.asarray(plant.theta))
-    points = np.where((draw.uniform(size=anew.shape) < share) | lost, anew, points)
+    chosen = draw.uniform(size=anew.shape) < draw.choice(_ANEW, (count, 1))
+    lost = np.abs(best) > _LOST * nominal
+    points = np.where((chosen | lost) & (nominal > 0), anew, points)
     return np.where(np.asarray(plant.free), np.clip(points, plant.lower, plant.upper), best)
 
 
@@ -99,16 +99,18 @@ def best(
         return []
     plant, free = problem.kernel.plant, list(problem.free)
     draw = np.random.default_rng(_SEED + 1)
-    found = _tournament(problem, points[:, free], unknowns.starts)
+    found = unknowns, np.inf  # stays the best one where all diverge
+
+    def better(theta: np.ndarray, starts: Any) -> tuple[Unknowns, float]:
+        return min(found, _tournament(problem, theta, starts), key=lambda one: one[1])
+
+    found = better(points[:, free], unknowns.starts)
     if rounds > 1:
-        own = _tournament(problem, np.asarray(unknowns.theta)[None], unknowns.starts)
-        found = min(found, own, key=lambda one: one[1])
+        found = better(np.asarray(unknowns.theta)[None], unknowns.starts)
     for _ in range(rounds - 1):
         theta = np.array(plant.theta, dtype=float)
         theta[free] = np.asarray(found[0].theta)
-        varied = _varied(plant, theta, len(points), draw)
-        other = _tournament(problem, varied[:, free], found[0].starts)
-        found = min(found, other, key=lambda one: one[1])
+        found = better(_varied(plant, theta, len(points), draw)[:, free], found[0].starts)
     return [found[0]] if np.isfinite(found[1]) else []
 
 
