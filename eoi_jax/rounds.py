@@ -273,6 +273,10 @@ class Round:
             if left - self._beside > max(_MOST * left, _NOTABLE * found.lacking):
                 self.refused[refused] = "a product of signals takes most of the rest"
                 return False
+            # One that does better than the whole set: the set imitates it.
+            if power(fit.residual) - power(found.fit(more).residual) > _NOTABLE * found.lacking:
+                self.refused[refused] = "a product of signals takes more, alone"
+                return False
         return True
 
     def _better(self, fit: Fit) -> bool:

@@ -211,6 +211,38 @@ def test_what_is_nearly_an_effect_is_not_given_its_name(law, nearly):
     assert answer.status.code == "unexplained"
 
 
+def filled(t, x, u, p):
+    return p.inflow * u[0] - p.outflow * jnp.sqrt(jnp.maximum(x.y[0], 0.0))
+
+
+def filled_through_a_long_pipe(t, x, u, p):
+    """The pump delivers less, or more, against a higher level."""
+    return filled(t, x, u, p) + p.hidden * u[0] * x.y[0]
+
+
+def pumped(seed: int, hidden: float) -> eoi.Record:
+    known = {"relative_degree": 1, "inputs": ("pump",), "outputs": ("level",)}
+    values = {"outflow": 0.0268, "inflow": 0.003, "hidden": hidden}
+    plant = eoi.Plant(filled_through_a_long_pipe, values, **known)
+    time = 0.5 * np.arange(8000)
+    pump = 3.0 + eoi.excitation.multisine(time, 0.6, (1e-3, 0.02), 12, seed=seed)
+    level = eoi.simulate(plant, time, pump, 0.2, hold="linear").outputs
+    noise = RELATIVE * np.std(level) * np.random.default_rng(seed).standard_normal(level.shape)
+    return eoi.Record(time, pump, level + noise, f"run {seed}", hold="linear",
+                      input_names=("pump",), output_names=("level",))  # fmt: skip
+
+
+@pytest.mark.parametrize("hidden", [0.002, -0.002])
+def test_several_effects_that_imitate_one_product_are_not_given_their_names(hidden):
+    """A level follows its pump: u y is nearly a parabola of u, an offset and a leak."""
+    declared = eoi.Plant(filled, {"outflow": 0.03, "inflow": 0.0025}, 1, ("pump",), ("level",))
+    few = ["input_quadratic", "constant_offset", "leak"]
+    answer = eoi.discover(declared, pumped(1, hidden), pumped(2, hidden), few)
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+    assert any(one.remark.startswith("a product of signals") for one in answer.ranking)
+
+
 def test_what_is_rare_is_tried_where_the_rest_explains_nothing():
     plant = eoi.Plant(damper, {**TRUE, "hidden": 0.3}, **KNOWN, units=UNITS)
     fit, held = measured(plant, 1), measured(plant, 2)
