@@ -13,7 +13,6 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +36,7 @@ from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction, values_of
+from eoi_jax.side_by_side import aside
 from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 
@@ -133,20 +133,20 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     What is so rare that it would only cast doubt on an answer may be one where there is none: then
     the spare effects are tried too. Not as one patch of several.
     """
-    with ThreadPoolExecutor(1) as aside:  # the search does not wait for the free runs before it
-        before = aside.submit(_free_runs, task, task.declared.plant)
+    # The search does not wait for the free runs before it.
+    with aside(task.threads, lambda: _free_runs(task, task.declared.plant)) as before:
         steps, rounds = _searched(task, told)
         if not rounds[0].base.whole_power > 0.0:
             reason = _NO_SAMPLE.format(task.declared.lowpass.cutoff)
             lost = replace(task.declared, status=Status("no_data", reason))
             return _failed(lost, task.held, task.records)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
-        found = _answer(task, steps, rounds, before.result())
+        found = _answer(task, steps, rounds, before())
     if found.status.code != "unexplained" or not candidates(task.plant, spare):
         return found
     wider = replace(task, effects=(*task.effects, *spare))
     steps, rounds = _searched(wider, told, rounds[0])
-    more = _answer(wider, steps, rounds, before.result())
+    more = _answer(wider, steps, rounds, before())
     named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
     return more if named and more.explained >= _WHOLLY else found
 
@@ -225,10 +225,9 @@ def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     def error(plant: Plant) -> float:
         return float(np.sum(np.log(validate(plant, task.records, window=window).rmse + 1e-300)))
 
-    with ThreadPoolExecutor(1) as aside:
-        searched = aside.submit(error, model)
+    with aside(task.threads, lambda: error(model)) as searched:
         found = estimate(model, task.prepared)
-        ours, theirs = searched.result(), error(found.plant)
+        ours, theirs = searched(), error(found.plant)
     if not ours < theirs:
         return found
     notes.append(_SEARCHED)

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, islice
@@ -28,6 +27,7 @@ from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import Ready
 from eoi_jax.search import Search
+from eoi_jax.side_by_side import each, waits
 
 _BAND = 2.0  # of the modes over the cut-off of F
 # Over that, where fast modes still tell something: far beyond F a rig has dynamics of its own.
@@ -56,6 +56,11 @@ class Task:
     alpha: float
     most: int
     window: float | None
+
+    @cached_property
+    def threads(self) -> int:
+        """How many may evaluate models beside this one; none where they would wait for ever."""
+        return 0 if waits(self.plant) else os.cpu_count() or 1
 
     @cached_property
     def band(self) -> float:
@@ -139,8 +144,7 @@ class Round:
             return known if known and same else self._make(one, shapes)
 
         # Each effect is a kernel of its own: their compilers run side by side.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            grid = list(chain.from_iterable(pool.map(gridded, self.candidates)))
+        grid = list(chain.from_iterable(each(task.threads, gridded, self.candidates)))
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
             self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking

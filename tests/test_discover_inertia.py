@@ -76,7 +76,7 @@ def record(seed: int, dry: float = DRY) -> eoi.Record:
 INERTIA = np.array([[2.0, 0.9, 0.3], [0.9, 1.2, 0.5], [0.3, 0.5, 0.8]])
 INVERSE = np.linalg.inv(INERTIA)
 ROBOT = eoi.Plant(
-    lambda t, x, u, p: jnp.asarray(INVERSE) @ (u - p.k * x.y[0] - p.c * x.y[1]),
+    lambda t, x, u, p: jnp.linalg.solve(INERTIA, u - p.k * x.y[0] - p.c * x.y[1]),
     {"k": 4.0, "c": 0.3},
     2,
     inputs=("a", "b", "c"),

@@ -43,7 +43,7 @@ LAYERS = (
     ("thinning",),
     ("modes", "noise_model"),
     ("candidates",),
-    ("fit",),
+    ("fit", "side_by_side"),
     ("projections",),
     ("search",),
     ("iteration",),
