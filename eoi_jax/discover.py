@@ -21,12 +21,13 @@ from jaxtyping import Float
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
+from eoi_jax.confirm import confirmed, holds
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Evidence
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base
+from eoi_jax.fit import Base, fitted
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import as_good, simpler
@@ -46,8 +47,8 @@ _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
 # Where no other effect comes near the first one (in power that it takes alone), half is enough if
-# all free runs on held-out data lose a third of their error.
-_MAINLY, _CONFIRMED = 0.5, 2.0 / 3.0
+# free runs on held-out data confirm it.
+_MAINLY = 0.5
 _END = 1e-3  # of a range of shapes: as near as this to its end
 _MEDIAN = 0.455  # of the square of a normal variable
 _MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
@@ -318,10 +319,7 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 
 
 def _answer(
-    task: Task,
-    steps: Sequence[Step],
-    rounds: Sequence[Round],
-    before: FreeRuns,
+    task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
 ) -> Discovery:
     """From the rounds of the search to what the user reads; a last step may be refused."""
     notes = _notes(task)
@@ -345,11 +343,14 @@ def _answer(
         if not refit.status.ok:
             notes.append(f"{_REFITTED} {refit.status}")
         runs = _free_runs(task, refit.plant)
-        if _judged(placed, share, left, quiet) != verdict and not _confirmed(before, runs):
+        if _judged(placed, share, left, quiet) != verdict and not confirmed(before, runs):
             break
-        if _holds(before, runs):
-            status = verdict
+        if holds(before, runs):
+            status, wide = verdict, placed
             placed, found, after = _plainest(task, placed, refit, runs, rounds[0])
+            if placed != wide:
+                notes.append(_WIDER.format(" and ".join(_names(wide)), share))
+                share, status = _by_plain(task, placed, found, rounds)
             break
         notes.append(_REFUSED.format(" and ".join(_names(placed))))
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
@@ -380,14 +381,25 @@ def _answer(
     )
 
 
-def _explained(rounds: Sequence[Round]) -> tuple[float, float, bool]:
+def _by_plain(
+    task: Task, placed: tuple[Placed, ...], found: Identification, rounds: Sequence[Round]
+) -> tuple[float, Status]:
+    """What a simpler set takes of the residual, in place of the one that was found."""
+    share, left, _ = _explained(rounds, Round(task, found.plant, placed, rounds[-1]))
+    return share, Status("explained", _FOUND.format(share, _rest(left)))
+
+
+def _explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[float, float, bool]:
     """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
 
-    And whether that is noise: white as predicted, or less than the noise is.
+    And whether that is noise: white as predicted, or less than the noise is. Of what the rounds
+    found, or of a `plain` model that stands in its place, which was not searched.
     """
     first, last = rounds[0], rounds[-1]
     before = first.found.fit([]).residual
     after = last.found.fit([]).residual if not last.chosen.atoms else last.chosen.residual
+    if plain is not None:
+        after = fitted(plain.base, [], last.found.power).residual
     noise = _noise_scale(last.base, after) * first.base.noise_power
     excess = first.base.signal_power(before) - noise
     rest = max(first.base.signal_power(after) - noise, 0.0)
@@ -447,6 +459,7 @@ _PARTLY = (
     "{}: not the whole story, so nothing was added"
 )
 _WORSE = "the effects that fit the records make the free run on other data worse"
+_WIDER = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _NO_RUN = "the effects that fit the records cannot be confirmed: no free run has them"
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
@@ -466,26 +479,6 @@ def _notes(task: Task) -> list[str]:
             "on other data. Give `validation`: records, or a share of these such as 0.3"
         )
     return notes
-
-
-def _holds(before: FreeRuns, after: FreeRuns) -> bool:
-    """Whether the free run is better, whole or in windows: one lightly damped drifts in phase."""
-    short = after[0] if after[1] is None else after[1]
-    if np.all(short.nrmse > 1.0):
-        return False  # a constant would predict better
-    pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
-    better = [
-        float(np.sum(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300))))
-        for old, new in pairs
-        if np.all(np.isfinite(old.rmse)) or np.all(np.isfinite(new.rmse))
-    ]
-    return not better or min(better) < 0.0
-
-
-def _confirmed(before: FreeRuns, after: FreeRuns) -> bool:
-    """Whether all free runs, whole and in windows, lose a good part of their error."""
-    pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
-    return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in pairs)
 
 
 def _added(plant: Plant, found: Identification, one: Placed) -> Added:

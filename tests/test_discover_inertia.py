@@ -158,6 +158,10 @@ def test_a_narrow_spike_is_no_better_than_one_level_in_free_runs(found):
     )  # fmt: skip
     assert spike.explained >= level.explained
     assert spike.remark == "in free runs no better than a simpler law"
+    (note,) = (one for one in found.notes if one.endswith("do no better in free runs"))
+    assert note.startswith("stribeck_friction would take ")
+    assert 0.9 < found.explained <= spike.explained  # that of the level, not of the spike
+    assert f"{found.explained:.1%}" in found.status.message
 
 
 def test_a_wider_law_is_kept_where_a_free_run_is_better_with_it(found):

@@ -71,7 +71,7 @@ LAYERS = (
     ("compare",),
     ("discovery",),
     ("rounds", "polish"),
-    ("rivals", "parsimony"),
+    ("rivals", "parsimony", "confirm"),
     ("discover",),
     ("store",),
     ("report",),
