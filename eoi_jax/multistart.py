@@ -101,16 +101,17 @@ def best(
     draw = np.random.default_rng(_SEED + 1)
     found = unknowns, np.inf  # stays the best one where all diverge
 
-    def better(theta: np.ndarray, starts: Any) -> tuple[Unknowns, float]:
+    def better(found: Any, theta: np.ndarray, starts: Any) -> tuple[Unknowns, float]:
         return min(found, _tournament(problem, theta, starts), key=lambda one: one[1])
 
-    found = better(points[:, free], unknowns.starts)
+    found = better(found, points[:, free], unknowns.starts)
     if rounds > 1:
-        found = better(np.asarray(unknowns.theta)[None], unknowns.starts)
+        found = better(found, np.asarray(unknowns.theta)[None], unknowns.starts)
     for _ in range(rounds - 1):
         theta = np.array(plant.theta, dtype=float)
         theta[free] = np.asarray(found[0].theta)
-        found = better(_varied(plant, theta, len(points), draw)[:, free], found[0].starts)
+        varied = _varied(plant, theta, len(points), draw)
+        found = better(found, varied[:, free], found[0].starts)
     return [found[0]] if np.isfinite(found[1]) else []
 
 
