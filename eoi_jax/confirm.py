@@ -1,10 +1,12 @@
 """What free runs on held-out records say of an answer: it holds, or they even confirm it."""
 
 import numpy as np
+from jaxtyping import Float
 
-from eoi_jax.validate import FreeRuns
+from eoi_jax.validate import FreeRuns, Validation
 
 _CONFIRMED = 2.0 / 3.0  # error after over before, of every free run, up to which it is confirmed
+_AS_GOOD = 1.01  # error of a simpler law over that of a wider one, up to which it is preferred
 
 
 def holds(before: FreeRuns, after: FreeRuns) -> bool:
@@ -12,16 +14,32 @@ def holds(before: FreeRuns, after: FreeRuns) -> bool:
     short = after[0] if after[1] is None else after[1]
     if np.all(short.nrmse > 1.0):
         return False  # a constant would predict better
-    pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
-    better = [
-        float(np.sum(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300))))
-        for old, new in pairs
-        if np.all(np.isfinite(old.rmse)) or np.all(np.isfinite(new.rmse))
-    ]
-    return not better or min(better) < 0.0
+    growth = [float(np.sum(one)) for one in _growth(before, after)]
+    return not growth or min(growth) < 0.0
 
 
 def confirmed(before: FreeRuns, after: FreeRuns) -> bool:
     """Whether all free runs, whole and in windows, lose a good part of their error."""
-    pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
-    return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in pairs)
+    return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
+
+
+def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
+    """Whether neither whole nor short free runs of the simpler model miss by more.
+
+    By the geometric mean over the outputs: a fit anew moves all of them a little.
+    """
+    return all(bool(np.mean(one) <= np.log(_AS_GOOD)) for one in _growth(wide, plain))
+
+
+def _growth(before: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]:
+    """Logarithm of error after over before, whole and in windows; none where both diverge."""
+    return [
+        np.log(np.maximum(new.rmse, 1e-300)) - np.log(np.maximum(old.rmse, 1e-300))
+        for old, new in _pairs(before, after)
+        if np.all(np.isfinite(old.rmse)) or np.all(np.isfinite(new.rmse))
+    ]
+
+
+def _pairs(before: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validation]]:
+    """Free runs of one length, before and after, where there are both."""
+    return [(old, new) for old, new in zip(before, after, strict=True) if old and new]

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
-from eoi_jax.confirm import confirmed, holds
+from eoi_jax.confirm import as_good, confirmed, holds
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Evidence
@@ -30,7 +30,7 @@ from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base, fitted
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
-from eoi_jax.parsimony import as_good, simpler
+from eoi_jax.parsimony import simpler
 from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready

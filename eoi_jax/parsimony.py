@@ -12,9 +12,6 @@ import numpy as np
 from eoi_jax.augment import Placed, augmented, place
 from eoi_jax.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.plants.plant import Plant
-from eoi_jax.validate import FreeRuns
-
-_AS_GOOD = 1.01  # error of the simpler law over that of the wider one, up to which it is preferred
 
 
 def simpler(
@@ -52,13 +49,3 @@ def _replaced(
     }
     plant = augmented(declared, placed, values, bounds)
     return plant.with_parameters(np.array([values[name] for name in plant.names]))
-
-
-def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
-    """Whether neither whole nor short free runs of the simpler model miss by more.
-
-    By the geometric mean over the outputs: a fit anew moves all of them a little.
-    """
-    pairs = [(one, other) for one, other in zip(plain, wide, strict=True) if one and other]
-    ratios = [np.maximum(one.rmse, 1e-300) / np.maximum(other.rmse, 1e-300) for one, other in pairs]
-    return all(bool(np.mean(np.log(ratio)) <= np.log(_AS_GOOD)) for ratio in ratios)

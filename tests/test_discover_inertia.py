@@ -1,5 +1,6 @@
 """Friction of one of two masses that are coupled by inertia: a trolley with a load that swings."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax.numpy as jnp
@@ -11,9 +12,9 @@ from problems import noisy, stiff_response
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
+from eoi_jax.confirm import as_good
 from eoi_jax.linearised import Along
 from eoi_jax.output_error import spans_of
-from eoi_jax.parsimony import as_good
 from eoi_jax.plants.plant import State
 from eoi_jax.report.discovery import candidate_rows, phrase
 from eoi_jax.report.equation import equation_latex, equation_text
@@ -169,6 +170,10 @@ def test_a_wider_law_is_kept_where_a_free_run_is_better_with_it(found):
     assert as_good(after, after)
     assert as_good((found.after, None), before)
     assert not as_good(before, (found.after, None))
+    # Whole runs that diverge with both laws say nothing; the short ones decide.
+    lost = replace(found.after, rmse=np.full(2, np.inf))
+    assert as_good((lost, found.windows_after), (lost, found.windows_after))
+    assert not as_good((lost, found.windows_before), (lost, found.windows_after))
 
 
 def test_frictions_without_a_free_run_are_told_and_not_added():
