@@ -3,7 +3,6 @@
 Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent route.
 """
 
-import math
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from eoi_jax.checks import check, check_choice, check_shape
 from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import HOLDS
+from eoi_jax.data.resample import HOLDS, inputs_within_steps
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.trajectory import Drive, Internal, Motion, frictional, rate_of, trajectory
 from eoi_jax.types import Scalar, Theta
@@ -124,10 +123,8 @@ def drive(
     """
     whole = isinstance(substeps, int | np.integer) and substeps >= 1
     check(whole, "substeps", "must be an integer ≥ 1", substeps)
-    pieces = _input_pieces(inputs, hold)
     fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
-    powers = np.vander(fractions, pieces.shape[1], increasing=True)
-    values = np.einsum("fi,kiu->kfu", powers, pieces)
+    values = inputs_within_steps(inputs, fractions, hold)
     stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
     period = (time[-1] - time[0]) / (len(time) - 1)
     steps = (len(time) - 1) * substeps
@@ -170,26 +167,7 @@ def behind(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 
     return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)
 
 
-# -- inputs and starts --------------------------------------------------------------------
-
-
-def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
-    """The input within each step: a polynomial in the fraction of the step, lowest power first."""
-    check_choice("hold", hold, HOLDS)
-    first = samples[:-1]
-    if hold == "zero":
-        return first[:, None, :]
-    if hold == "linear":
-        return np.stack([first, np.diff(samples, axis=0)], axis=1)
-    # Imported here: only this branch needs scipy's splines.
-    from scipy.interpolate import make_interp_spline
-
-    # Counted in samples, the spline is equally well conditioned for any sample period.
-    index = np.arange(len(samples), dtype=np.float64)
-    degree = max(k for k in (1, 3, 5) if k < len(samples))
-    spline = make_interp_spline(index, samples, k=degree)
-    powers = [spline(index[:-1], nu=i) / math.factorial(i) for i in range(degree + 1)]
-    return np.stack(powers, axis=1)
+# -- starts ------------------------------------------------------------------------------
 
 
 def _check_finite(name: str, value: np.ndarray) -> None:
@@ -233,6 +211,13 @@ def _internal(plant: Plant, internal: ArrayLike | None) -> Float[Array, " nz"]:
 
 
 # -- the independent route ----------------------------------------------------------------
+
+
+def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
+    """The input within each step: a polynomial in the fraction of the step, lowest power first."""
+    places = np.linspace(0.0, 1.0, {"zero": 1, "linear": 2}.get(hold, 6))
+    values = inputs_within_steps(samples, places, hold)
+    return np.einsum("pf,kfu->kpu", np.linalg.inv(np.vander(places, increasing=True)), values)
 
 
 @eqx.filter_jit

@@ -10,12 +10,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax.checks import check, check_choice
+from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resample import (
     GAP,
     Grid,
+    Segments,
     covered,
     fill,
+    held_means,
     hold_inputs,
+    runs,
     sample_segments,
     spline,
 )
@@ -23,6 +27,7 @@ from eoi_jax.types import Mask, Signals, TimeAxis
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 _STAIRCASE = 0.2  # share of steps that may change a held input's value
+_DEGREE = 3  # of the spline through outputs that lie between grid points
 
 Names: TypeAlias = Sequence[str] | None
 Inputs: TypeAlias = Float[np.ndarray, "time nu"]
@@ -241,17 +246,53 @@ def interpolate(
 ) -> OnGrid:
     """Samples between grid points: interpolated, segment by segment."""
     h = grid.sample_period
-    position, query = (stamps - stamps[0]) / h, np.arange(grid.time.size, dtype=float)
-    segments = sample_segments(stamps, good, h)
+    position, query, segments = _between(grid, stamps, good)
     valid = covered(position, segments, query)
     spacing = np.diff(stamps)
     gaps = int(np.sum(spacing > GAP * h))
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
+    held = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart: resampled from "
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
-        f"their hold ({hold}){masked}."
+        f"{held}{masked}."
     )
     u_known = fill(position, u, position)
-    inputs = hold_inputs(position, u_known, segments, query, hold)
-    return inputs, spline(position, y, segments, query, degree=3), valid
+    if hold == "zero":
+        inputs = held_means(position, u_known, query.size)
+    else:
+        inputs = hold_inputs(position, u_known, segments, query, hold)
+    return inputs, spline(position, y, segments, query, _DEGREE), valid
+
+
+def interpolated_noise(
+    grid: Grid,
+    stamps: TimeAxis,
+    y: Float[np.ndarray, "points ny"],
+    good: Mask,
+    valid: Bool[np.ndarray, " points"],
+    quanta: Float[np.ndarray, " ny"],
+) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the noise that the samples had before they were interpolated.
+
+    Args:
+        grid: onto which.
+        stamps: of the samples.
+        y: interpolated.
+        good: of the samples.
+        valid: of what was interpolated.
+        quanta: steps of the samples; their noise is at least that of these.
+    """
+    white = np.random.default_rng(0).standard_normal((stamps.size, 1))
+    position, query, segments = _between(grid, stamps, good)
+    passed = spline(position, white, segments, query, _DEGREE)
+    return np.maximum(white_noise(y, runs(valid), passed), quanta / np.sqrt(12.0))
+
+
+def _between(
+    grid: Grid, stamps: TimeAxis, good: Mask
+) -> tuple[TimeAxis, Float[np.ndarray, " points"], Segments]:
+    """Samples and grid points, both in steps of the grid, and runs of samples without a gap."""
+    position = (stamps - grid.time[0]) / grid.sample_period
+    query = np.arange(grid.time.size, dtype=float)
+    return position, query, sample_segments(stamps, good, grid.sample_period)

@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -28,21 +27,23 @@ from eoi_jax.data.ingest import (
     drop_repeats,
     finite_rows,
     interpolate,
+    interpolated_noise,
     place,
     read_signals,
     read_stamps,
 )
+from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resample import (
     HOLDS,
     Real,
     covered,
     fill,
-    hold_inputs,
     low_pass,
     low_pass_noise,
     runs,
-    spline,
     staircase_to_smooth,
+    sub_stepped,
+    sub_stepped_inputs,
     uniform_grid,
 )
 from eoi_jax.types import Mask, TimeAxis
@@ -54,10 +55,10 @@ class Record:
 
     What comes in is checked and brought onto the grid. Stamps within 1e-3 of a period of a
     uniform clock, or as near to it as their printed digits tell, are taken as they are; otherwise
-    outputs are resampled by a cubic spline, inputs by their hold. Missing samples, gaps, NaN and
-    infinities are masked: `valid` is False there, and the values are linear interpolations that
-    keep arithmetic finite. Repeated stamps with equal values are dropped. Each of these is said by
-    a `RecordWarning` and kept in `notes`.
+    outputs are resampled by a cubic spline, inputs by their hold (held ones enter each step by
+    their mean over it). Missing samples, gaps, NaN and infinities are masked: `valid` is False
+    there, and the values are linear interpolations that keep arithmetic finite. Repeated stamps
+    with equal values are dropped. Each of these is said by a `RecordWarning` and kept in `notes`.
 
     Args:
         time: stamps (N,) [s], increasing; datetimes count in seconds from the first.
@@ -98,6 +99,7 @@ class Record:
     notes: tuple[str, ...]
     _noise: Float[np.ndarray, " ny"] | None  # known from the samples this one was made from
     _quantum: Float[np.ndarray, " ny"] | None
+    _middle: Inputs | None  # halfway between the samples, if it is known from a coarser record
 
     def __init__(
         self,
@@ -125,8 +127,12 @@ class Record:
         good = finite_rows((*u_names, *y_names), np.hstack([u, y]), notes)
         hold, why = choose_hold(u[good], hold)
         grid = uniform_grid(stamps)
+        noise = quanta = None
         if grid.index is None:
             arrays = interpolate(grid, stamps, u, y, good, hold, notes)
+            # Interpolation hides both the noise and the steps of the raw values.
+            quanta = _quanta(y[good])
+            noise = interpolated_noise(grid, stamps, arrays[1], good, arrays[2], quanta)
         else:
             arrays = place(grid, grid.index, u, y, good, notes)
         check(
@@ -151,9 +157,8 @@ class Record:
             "hold": hold,
             "burn_in": float(burn_in),
             "notes": (*notes, *why),
-            "_noise": None,
-            # Interpolation hides the steps of the raw values, so they are looked for in those.
-            "_quantum": _quanta(y[good]) if grid.index is None else None,
+            "_noise": noise,
+            "_quantum": quanta,
         }
         self._assign(labels)
 
@@ -247,7 +252,8 @@ class Record:
         """The same instants and inputs with other outputs, all valid: those of a simulation."""
         new = self._changed(None)
         new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
-        new._assign({"name": name, "notes": (), "_noise": None, "_quantum": None})
+        known = {"_noise": None, "_quantum": None, "_middle": self._middle}
+        new._assign({"name": name, "notes": (), **known})
         return new
 
     def without_inputs(self) -> "Record":
@@ -280,8 +286,9 @@ class Record:
         count = (len(self) - 1) * int(substeps) + 1
         position, segments = np.arange(len(self), dtype=float), self.segments()
         query = np.arange(count) / int(substeps)
-        outputs = spline(position, self.outputs, segments, query, degree=5)
-        inputs = hold_inputs(position, self.inputs, segments, query, self.hold)
+        outputs = sub_stepped(self.outputs, segments, int(substeps))
+        # One spline for both: a second one, through the sub-steps, would only cost more.
+        inputs = sub_stepped_inputs(self.inputs, segments, 2 * int(substeps), self.hold)
         valid = covered(position, segments, query)
         sample_period = self.sample_period / int(substeps)
         new = self._changed(
@@ -289,8 +296,9 @@ class Record:
             f"their hold ({self.hold})."
         )
         time = self.time[0] + sample_period * np.arange(count)
-        new._set(inputs, outputs, valid, time, sample_period)
-        new._assign({"_noise": self.noise, "_quantum": self.quantum})
+        new._set(inputs[::2], outputs, valid, time, sample_period)
+        known = {"_noise": self.noise, "_quantum": self.quantum, "_middle": inputs[1::2]}
+        new._assign(known)
         return new
 
     def smooth(self, cutoff: Real) -> "Record":
@@ -339,25 +347,22 @@ class Record:
 
     def midpoint_inputs(self) -> Float[np.ndarray, "steps nu"]:
         """The inputs in the middle of each of the N − 1 steps, by their hold."""
-        position = np.arange(len(self), dtype=float)
-        middle = position[:-1] + 0.5
-        return hold_inputs(position, self.inputs, self.segments(), middle, self.hold)
+        if self._middle is not None:
+            return self._middle
+        return sub_stepped_inputs(self.inputs, self.segments(), 2, self.hold)[1::2]
 
     # -- what it shows --------------------------------------------------------------------
 
     @property
     def noise(self) -> Float[np.ndarray, " ny"]:
-        r"""Standard deviation of the white measurement noise of each output, estimated.
+        """Standard deviation of the white measurement noise of each output, from its differences.
 
-        The d-th difference of white noise has the variance $\binom{2d}{d}\sigma^2$, and removes the
-        signal the better the higher d and the faster the sampling. Signal that is left adds to
-        the estimate, so the smallest over d = 2 … 8 is taken. Quantisation finer than the noise is
-        part of it; a signal that stands still between coarse steps hides it from the differences,
-        so the noise is at least that of its steps, quantum/√12.
-        Of a sub-stepped record it is the noise of its samples, of a smoothed one what the filter
-        leaves of that.
+        Quantisation finer than the noise is part of it; a signal that stands still between coarse
+        steps hides it from the differences, so the noise is at least that of its steps,
+        quantum/√12. Of an interpolated or sub-stepped record it is the noise of the samples that
+        were measured, of a smoothed one what the filter leaves of that.
 
-        Source: Rice, Ann. Statist. 12 (1984) 1215, with higher differences.
+        Source: `data/noise.py`.
         """
         return self._own_noise if self._noise is None else self._noise
 
@@ -371,14 +376,8 @@ class Record:
 
     @cached_property
     def _own_noise(self) -> Float[np.ndarray, " ny"]:
-        estimates = []
-        for d in range(2, 9):
-            pieces = [np.diff(self.outputs[a:b], n=d, axis=0) for a, b in self.segments()]
-            differences = np.concatenate(pieces)  # empty for segments shorter than d + 1
-            if len(differences):
-                estimates.append(np.sqrt(np.mean(differences**2, axis=0) / comb(2 * d, d)))
         steps = self.quantum / np.sqrt(12.0)
-        return np.maximum(np.min(estimates, axis=0), steps) if estimates else steps
+        return np.maximum(white_noise(self.outputs, self.segments()), steps)
 
     @cached_property
     def _own_quantum(self) -> Float[np.ndarray, " ny"]:
@@ -416,7 +415,7 @@ class Record:
         arrays = {"inputs": inputs, "outputs": outputs, "valid": valid, "time": time}
         for array in arrays.values():
             array.setflags(write=False)  # kernels and results share them
-        self._assign({**arrays, "sample_period": float(sample_period)})
+        self._assign({**arrays, "sample_period": float(sample_period), "_middle": None})
         for name in ("_own_noise", "_own_quantum"):  # of other samples, if this is a copy
             self.__dict__.pop(name, None)
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax.checks import check, check_choice
+from eoi_jax.data.uniform_spline import within_steps
 from eoi_jax.types import Mask, Signals, TimeAxis
 
 # A number as a caller writes it: an integer is as good as a float.
@@ -20,6 +21,7 @@ Segments: TypeAlias = Sequence[tuple[int, int]]
 
 HOLDS = ("zero", "linear", "smooth")
 _JITTER = 1e-3  # a stamp within this many periods of its grid point is on it
+_ROUNDING = 1e-9  # of a period
 GAP = 2.5  # a spacing of more periods than this is a gap, not one late sample
 _GROWTH = 10  # a grid this many times longer than the stamps is no regular sampling
 
@@ -51,7 +53,8 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     The period is the slope of the least-squares line through (sample number, stamp): a nominal
     step with rounded digits, such as 1/610.35 s, then neither drifts nor counts as jitter. Stamps
     within 1e-3 of a period of that line, or as near as the clock's last digit tells, are on
-    the grid. Otherwise the period is the median spacing, and the grid starts at the first stamp.
+    the grid. If they only scatter around it, by up to half a period, the grid is still that line.
+    Otherwise the period is the median spacing, and the grid starts at the first stamp.
 
     Args:
         stamps: strictly increasing time [s], at least two.
@@ -74,9 +77,12 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
         start = float(stamps[0]) if deviation < 1e-6 else start
         time = start + slope * np.arange(count)
         return Grid(time, slope, index, deviation, resolution * slope if rounded else 0.0)
-    count = int(np.floor((stamps[-1] - stamps[0]) / period + _JITTER)) + 1
+    first = float(stamps[0])
+    if deviation < 0.5:  # from the first point of the line that lies between stamps
+        period, first = slope, start + slope * np.ceil((first - start) / slope - _ROUNDING)
+    count = int(np.floor((stamps[-1] - first) / period + _ROUNDING)) + 1
     period = _snap(period, count)
-    time = stamps[0] + period * np.arange(count)
+    time = first + period * np.arange(count)
     return Grid(time, period, None, deviation, 0.0)
 
 
@@ -154,6 +160,20 @@ def spline(
     return result
 
 
+def sub_stepped(
+    values: Float[np.ndarray, "time channel"], segments: Segments, count: int
+) -> Float[np.ndarray, "points channel"]:
+    """`spline` of degree five on a uniform record, with `count` steps in place of each one."""
+    position = np.arange(len(values), dtype=float)
+    result = fill(position, values, np.arange((len(values) - 1) * count + 1) / count)
+    fractions = np.arange(count) / count
+    for start, stop in segments:
+        if stop - start > 1 and values.shape[1]:
+            inside = within_steps(values[start:stop], fractions, degree=5)
+            result[count * start : count * (stop - 1)] = inside.reshape(-1, values.shape[1])
+    return result
+
+
 def hold_inputs(
     position: Float[np.ndarray, " stamps"],
     inputs: Float[np.ndarray, "stamps nu"],
@@ -169,6 +189,47 @@ def hold_inputs(
         return fill(position, inputs, query)
     last = np.searchsorted(position, query + _JITTER, side="right") - 1
     return inputs[np.clip(last, 0, len(inputs) - 1)]
+
+
+def sub_stepped_inputs(
+    inputs: Float[np.ndarray, "time nu"], segments: Segments, count: int, hold: str
+) -> Float[np.ndarray, "points nu"]:
+    """`hold_inputs` on a uniform record, with `count` steps in place of each one."""
+    if hold == "smooth":
+        return sub_stepped(inputs, segments, count)
+    position, query = np.arange(len(inputs)), np.arange((len(inputs) - 1) * count + 1)
+    return hold_inputs(position.astype(float), inputs, segments, query / count, hold)
+
+
+def inputs_within_steps(
+    inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: str
+) -> Float[np.ndarray, "steps places nu"]:
+    """Inputs at the same places of every step, its end (1) still being part of it."""
+    check_choice("hold", hold, HOLDS)
+    if hold == "smooth":
+        return within_steps(inputs, fractions, degree=5)
+    rise = np.diff(inputs, axis=0) * (hold == "linear")
+    return inputs[:-1, None] + fractions[:, None] * rise[:, None]
+
+
+def held_means(
+    position: Float[np.ndarray, " stamps"], inputs: Float[np.ndarray, "stamps nu"], count: int
+) -> Signals:
+    """Means of inputs that were held from each stamp to the next, over the steps of a grid.
+
+    Where an input changes inside a step it has no level there; its mean moves a plant by as much.
+
+    Args:
+        position: of the stamps, increasing [steps]; the grid begins at zero.
+        inputs: from each stamp on.
+        count: of steps.
+    """
+    step = np.ceil(position[1:] - _JITTER).astype(int) - 1  # in which each of them changes
+    inside = (step >= 0) & (step < count)
+    rest = np.clip(step + 1 - position[1:], 0.0, 1.0)  # of that step
+    means = hold_inputs(position, inputs, (), np.arange(count, dtype=float), "zero")
+    np.add.at(means, step[inside], (rest[:, None] * np.diff(inputs, axis=0))[inside])
+    return means
 
 
 def staircase_to_smooth(levels: Signals) -> Signals:

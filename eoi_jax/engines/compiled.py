@@ -6,7 +6,7 @@ import functools
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -162,6 +162,14 @@ def numbers(tree: Any, dtype: Any, skip: int = 0) -> np.ndarray:
         one.astype(dtype).reshape(*one.shape[:skip], -1) for one in arrays if one.dtype.kind in "fb"
     ]
     return np.concatenate(flat, axis=-1)
+
+
+def spread(values: Sequence[Any], count: int, dtype: Any) -> np.ndarray:
+    """One row for each value, shape (values, count): it is a number, or has one for each lane."""
+    out = np.empty((len(values), count), dtype)
+    for row, value in zip(out, values, strict=True):
+        row[...] = value
+    return out
 
 
 @functools.cache

@@ -9,7 +9,15 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from eoi_jax.engines.compiled import Compiled, aligned, cores, numbers, together, translated
+from eoi_jax.engines.compiled import (
+    Compiled,
+    aligned,
+    cores,
+    numbers,
+    spread,
+    together,
+    translated,
+)
 from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
 from eoi_jax.engines.scalars import Untranslatable, evaluated
 from eoi_jax.sensitivity import RunCarry, RunKernel, RunLane, RunRow
@@ -196,11 +204,10 @@ class _Job:
         memory = aligned((vectors, where.rows, where.width), float)
         wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
         values = evaluated(wanted, lambda at: groups[at[0]][at[1]], float)
-        self._spoilt = np.zeros(self._count, bool)
-        for row, value in enumerate(values):
-            whole = np.broadcast_to(value, self._count)
-            self._spoilt |= np.isnan(whole)
-            memory[:, row] = whole[room].reshape(vectors, where.width)
+        rows = spread(values, self._count, float)
+        self._spoilt = np.any(np.isnan(rows), axis=0)
+        lines = rows[:, room].reshape(len(rows), vectors, where.width)
+        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
         self._memory = memory
         self._fixed, self._carries = (
             np.array([*evaluated(nodes, lambda at: groups[at[0]][at[1]], float), 0.0])

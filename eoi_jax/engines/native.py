@@ -19,6 +19,7 @@ from eoi_jax.engines.compiled import (
     copied,
     cores,
     numbers,
+    spread,
     together,
     translated,
 )
@@ -260,12 +261,11 @@ class PassRun:
         groups = {"lane": lane.T, "fixed": all_lanes}
         wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
         values = evaluated(wanted, lambda at: groups[at[0]][at[1]], dtype)
-        for row, value in enumerate(values):
-            whole = np.broadcast_to(value, len(self._lanes))
-            if row >= len(program.lane_carries):
-                self._spoilt |= np.isnan(whole)
-            target = self._memory[:, :, row]
-            target[...] = whole[self._padding].reshape(target.shape)
+        rows = spread(values, len(self._lanes), dtype)
+        self._spoilt |= np.any(np.isnan(rows[len(program.lane_carries) :]), axis=0)
+        tiles, size, _, width = self._memory.shape
+        lines = rows[:, self._padding].reshape(len(rows), tiles, size, width)
+        self._memory[:, :, : len(rows)] = np.moveaxis(lines, 0, 2)
         carries = [program.initial[i] for i in program.step_carries]
         fixed, self._carries = (
             np.array([*evaluated(nodes, lambda at: all_lanes[at[1]], dtype), 0.0], dtype)

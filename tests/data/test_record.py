@@ -160,14 +160,46 @@ def test_a_jittered_rig_is_resampled_and_its_gaps_are_masked():
     assert np.max(np.abs(error)) < 5e-8
 
 
-def test_a_held_input_keeps_its_levels_when_resampled():
+def test_a_held_input_enters_a_jittered_record_by_its_mean_over_each_step():
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(500) + rng.uniform(-2e-3, 2e-3, 500)
     u = np.repeat([0.0, 1.0, -2.0, 5.0, 1.0], 100)
-    with pytest.warns(RecordWarning, match="resampled"):
+    with pytest.warns(RecordWarning, match="inputs by their means over each step"):
         record = Record(t, u, np.sin(t))
     assert record.hold == "zero"
-    assert set(np.unique(record.inputs)) == {0.0, 1.0, -2.0, 5.0}
+    between = ~np.isin(record.inputs, [0.0, 1.0, -2.0, 5.0])
+    assert 1 <= np.sum(between) <= 4  # a level lasts a hundred samples, and changes four times
+    # What an integrator behind the input would do, at every instant of the grid.
+    held = np.append(0.0, np.cumsum(u[:-1] * np.diff(t)))
+    after = np.append(0.0, record.sample_period * np.cumsum(record.inputs[:-1, 0]))
+    np.testing.assert_allclose(after, np.interp(record.time, t, held), atol=5e-5)
+
+
+def test_stamps_with_a_jitter_of_the_clock_do_not_move_a_held_input():
+    """A grid point just before a stamp is in the step of that stamp, not in the one before."""
+    rng = np.random.default_rng(1)
+    t = 0.01 * (np.arange(800) + 0.02 * rng.standard_normal(800))
+    u = rng.standard_normal(800)
+    with pytest.warns(RecordWarning, match="resampled"):
+        record = Record(t, u, np.sin(t), hold="zero")
+    nearest = np.round(record.time / 0.01).astype(int)
+    np.testing.assert_allclose(record.sample_period, 0.01, rtol=1e-5)  # of the clock's mean rate
+    apart = record.inputs[:, 0] - u[nearest]
+    assert np.sqrt(np.mean(apart**2)) < 0.1  # of the input's rms; a step late would be 1.4
+
+
+@pytest.mark.parametrize("jitter", [0.02, 0.1, 0.3])
+def test_the_noise_of_a_jittered_record_is_that_of_its_samples(jitter):
+    """Interpolation takes a third of it at the highest frequencies, and nothing at the others."""
+    rng = np.random.default_rng(2)
+    t = 0.01 * (np.arange(4000) + jitter * rng.uniform(-1, 1, 4000))
+    y = np.sin(t)[:, None] + [0.01, 0.0] * rng.standard_normal((4000, 2))
+    y[:, 1] = 0.1 * np.round(y[:, 1] / 0.1)
+    with pytest.warns(RecordWarning, match="resampled"):
+        record = Record(t, t, y)
+    assert record.noise[0] == pytest.approx(0.01, rel=0.05)
+    assert record.noise[1] >= 0.0288  # of its steps
+    assert record[:1000].noise[0] == record.noise[0]  # of all samples
 
 
 def test_nan_in_a_jittered_record_masks_the_grid_points_around_it():
