@@ -3,7 +3,8 @@ r"""Default gains, filter and sub-steps, read off the records, with the reason i
 **Filter.** Least squares on F[y^(r)] is disturbed by the measurement noise that F lets through,
 whose density grows as ω^2r. The cut-off is the highest at which that noise stays below a
 thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the power of y^(r), so
-that the plant's own dynamics stay inside, and at most the one below which 99 % of it lies. One
+that the plant's own dynamics stay inside, and at most the one below which 99 % of it lies. Lines
+that no input has (hum, vibration) count neither as dynamics nor as what noise is held against. One
 pole more than the derivatives that are taken bounds the noise at any sampling rate.
 
 **Relay.** It is set well above all that it may have to inject, so that the implicit observer stays
@@ -33,6 +34,10 @@ _CHANCE = 1e-3  # that white noise shows a signal in any bin of a record
 _SHARED = 35.0 / 18.0  # bins of a Hann window that carry as much as one alone: 1 + 2 (4/9 + 1/36)
 _FLOOR_ERROR = 3.0 * np.sqrt(7.26)  # of σ² over 1/√n: three standard deviations, 8th difference
 _NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
+# A line: bins on each side that hold it (Hann), and its mean over that of its neighbours; the same
+# of an input, from which on that drives it; share of an output's power from which on it is motion.
+_LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
+_ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
 _CUTOFFS = 200  # that are tried
 _BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
 _NOISY_RATE = 0.01  # noise of the velocity over the velocity, rms, that calls for smoothing
@@ -49,7 +54,8 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
     spectra = [
         spectrum(record, j, degree) for record in records for j, degree in enumerate(plant.degrees)
     ]
-    half, most = (max(one.below(share) for one in spectra) for share in (0.5, 0.99))
+    half = max(one.below(0.5, one.own) for one in spectra)
+    most = max(one.below(0.99, one.signal) for one in spectra)
     quiet = min(one.quiet_cutoff(_NOISE_SHARE, order) for one in spectra)
     choices = {
         f"the highest with noise below {_NOISE_SHARE:g} of the filtered highest derivative": quiet,
@@ -209,22 +215,24 @@ class Spectrum:
     Attributes:
         omega: frequencies, evenly spaced [rad/s].
         signal: power of the signal at each, 0 where it is lost in the noise.
+        own: of these what is the plant's motion, 0 in lines that come from elsewhere.
         noise: expected power of the measurement noise at each.
     """
 
     omega: Float[np.ndarray, " frequency"]
     signal: Float[np.ndarray, " frequency"]
+    own: Float[np.ndarray, " frequency"]
     noise: Float[np.ndarray, " frequency"]
 
-    def below(self, share: float) -> float:
-        """Frequency below which this share of the signal's power lies [rad/s]; 0 without signal."""
-        total = np.cumsum(self.signal)
+    def below(self, share: float, power: Float[np.ndarray, " frequency"]) -> float:
+        """Frequency below which this share of a power lies [rad/s]; 0 without any."""
+        total = np.cumsum(power)
         if total[-1] <= 0:
             return 0.0
         return float(self.omega[np.searchsorted(total, share * total[-1])])
 
     def quiet_cutoff(self, share: float, order: int) -> float:
-        """Highest cut-off [rad/s] whose filter passes noise below `share` of the signal (rms)."""
+        """Highest cut-off [rad/s] whose filter passes noise below `share` of the motion (rms)."""
         cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
         omega, signal, noise = self._bands()
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
@@ -236,10 +244,10 @@ class Spectrum:
         return 0.0
 
     def _bands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean frequency, signal and noise of bands so narrow that a filter is flat in each."""
+        """Mean frequency, motion and noise of bands so narrow that a filter is flat in each."""
         edges = np.geomspace(1.0, len(self.omega), round(np.log(len(self.omega)) / _BAND))
         first = np.unique(np.append(0, edges[:-1].astype(int)))
-        sums = (np.add.reduceat(one, first) for one in (self.omega, self.signal, self.noise))
+        sums = (np.add.reduceat(one, first) for one in (self.omega, self.own, self.noise))
         omega, signal, noise = sums
         return omega / np.diff(np.append(first, len(self.omega))), signal, noise
 
@@ -247,16 +255,66 @@ class Spectrum:
 def spectrum(record: Record, output: int, degree: int) -> Spectrum:
     """Spectrum of the derivative of one output, over the longest run of valid samples."""
     start, stop = max(record.segments(), key=lambda one: one[1] - one[0])
-    y = record.outputs[start:stop, output]
-    n = stop - start
-    line = np.polynomial.polynomial.polyfit(np.arange(n), y, 1)
-    window = np.hanning(n)
-    power = np.abs(np.fft.rfft(window * (y - line[0] - line[1] * np.arange(n)))) ** 2
+    n, window = stop - start, np.hanning(stop - start)
+    power = _power(record.outputs[start:stop, output], window)
     omega = 2.0 * np.pi * np.fft.rfftfreq(n, record.sample_period)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
     derivative = omega ** (2 * degree)
-    signal = np.where(_above(power, floor, n), power, 0.0) * derivative
-    return Spectrum(omega, signal, floor * derivative)
+    moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
+    inputs = [_power(u, window) for u in moving]
+    driven = np.where(_foreign(power, inputs), 0.0, power) if inputs else power
+    signal, own = (
+        np.where(_above(one, floor, n), one, 0.0) * derivative for one in (power, driven)
+    )
+    return Spectrum(omega, signal, own, floor * derivative)
+
+
+def _power(
+    signal: Float[np.ndarray, " time"], window: Float[np.ndarray, " time"]
+) -> Float[np.ndarray, " frequency"]:
+    """|FFT|² of what a straight line leaves."""
+    index = np.arange(len(signal))
+    line = np.polynomial.polynomial.polyfit(index, signal, 1)
+    return np.abs(np.fft.rfft(window * (signal - line[0] - line[1] * index))) ** 2
+
+
+def _foreign(
+    power: Float[np.ndarray, " frequency"], inputs: Sequence[Float[np.ndarray, " frequency"]]
+) -> Bool[np.ndarray, " frequency"]:
+    """Bins of lines that no input drives and that are no part of the motion: hum, vibration.
+
+    A line of a thousandth of the motion can hold most of the power of its highest derivative, and
+    says nothing about where the dynamics of the plant lie.
+    """
+    lines = _lines(power, _LINE)
+    for u in inputs:
+        lines &= ~_lines(u, _DRIVEN)
+    held, _ = _within(power, _LINE_WIDTH)
+    lines &= (held < _MOTION * np.sum(power)) & (held > _ROUNDED * np.sum(power))
+    return _within(lines.astype(float), _LINE_WIDTH)[0] > 0.0
+
+
+def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndarray, " frequency"]:
+    """Where the mean of a few bins is so many times that of their neighbours, near and far.
+
+    A free motion that decays within the record has skirts, which the near ones show.
+    """
+    line, narrow = _within(power, _LINE_WIDTH)
+    around = [_within(power, reach) for reach in (_NEIGHBOURS, _reach(power))]
+    above = [line * (wide - narrow) > ratio * narrow * (whole - line) for whole, wide in around]
+    return above[0] & above[1]
+
+
+def _reach(power: Float[np.ndarray, " frequency"]) -> np.ndarray:
+    """Bins on each side of each one that count as neighbours."""
+    return _NEIGHBOURS + (_RATIO * np.arange(len(power))).astype(int)
+
+
+def _within(power: Float[np.ndarray, " frequency"], reach: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Sum over so many bins on each side of each one, and how many these are."""
+    bins, total = np.arange(len(power)), np.concatenate([[0.0], np.cumsum(power)])
+    first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
+    return total[last] - total[first], last - first
 
 
 def _above(
@@ -271,15 +329,11 @@ def _above(
 
     Source: Wilson and Hilferty, PNAS 17 (1931) 684.
     """
-    bins = np.arange(len(power))
-    reach = _NEIGHBOURS + (_RATIO * bins).astype(int)
-    first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
-    total = np.concatenate([[0.0], np.cumsum(power)])
-    count = last - first
+    total, count = _within(power, _reach(power))
     spread = _SHARED / (9.0 * count)  # 2/9ν
     z = NormalDist().inv_cdf(1.0 - _CHANCE / len(power))
     highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (1.0 + _FLOOR_ERROR / np.sqrt(samples))
-    return (total[last] - total[first]) / count > highest * floor
+    return total / count > highest * floor
 
 
 def _largest_injection(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from problems import SWAY, Motion, grid, moved_mass_spring
 
+from eoi_jax.checks import RecordWarning
 from eoi_jax.data.record import Record
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.plants import Plant, level_tank, mass_spring_damper
@@ -21,6 +22,7 @@ from eoi_jax.tuning import (
 H = 2e-3
 TRUE = mass_spring_damper(true=True).parameters
 PLANT = mass_spring_damper()
+FREE = Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 50.0}, 2, inputs=())
 
 
 def made(motion=SWAY, samples=8001, h=H, noise=0.0):
@@ -40,6 +42,33 @@ def test_cutoff_follows_the_band_of_the_highest_derivative(top):
     assert lowpass.cutoff == pytest.approx(top, abs=1.0)
     assert reason.startswith(f"cut-off {lowpass.cutoff:.4g} rad/s")
     assert "99 % of the power" in reason
+
+
+def test_a_line_that_no_input_drives_does_not_widen_the_band():
+    record = made(noise=1e-3)
+    size = np.std(record.outputs)
+    hum = 5e-3 * size * np.sin(2.0 * np.pi * 50.0 * record.time + 0.4)[:, None]
+    loud = Record(record.time, record.inputs, record.outputs + hum, hold="smooth")
+    one = spectrum(loud, 0, 2)
+    assert one.below(0.5, one.signal) == pytest.approx(100.0 * np.pi, rel=0.05)
+    assert cutoff_of(loud) == pytest.approx(cutoff_of(record), rel=0.1)
+    # Where there is no input, or the input has that line as well, it may be the motion itself.
+    alone = Record(record.time, np.zeros((len(loud), 0)), loud.outputs)
+    driven = Record(record.time, record.inputs * (1.0 + hum / size), loud.outputs, hold="smooth")
+    stirred = Record(record.time, record.inputs + 40.0 * hum / size, loud.outputs, hold="smooth")
+    assert cutoff_of(alone, plant=FREE) > 3.0 * cutoff_of(record)
+    assert cutoff_of(stirred) > 3.0 * cutoff_of(record)
+    assert cutoff_of(driven) == pytest.approx(cutoff_of(record), rel=0.1)
+
+
+def test_a_record_in_short_pieces_has_a_spectrum():
+    t = H * np.arange(40)
+    y = np.sin(9.0 * t)
+    y[3::4] = np.nan
+    with pytest.warns(RecordWarning):
+        record = Record(t, np.cos(5.0 * t), y)
+    assert len(spectrum(record, 0, 2).omega) == 2
+    assert cutoff_of(record) > 0.0
 
 
 def test_band_grows_with_the_derivative_that_is_looked_at():
@@ -210,7 +239,7 @@ def test_quiet_cutoff_is_that_of_every_frequency_by_itself():
     draw = np.random.default_rng(0)
     omega = np.linspace(0.0, 3000.0, 4000)
     signal, noise = draw.exponential(1.0, 4000) / (1.0 + omega) ** 2, 1e-14 * omega**4
-    one, order, found = Spectrum(omega, signal, noise), 3, 0.0
+    one, order, found = Spectrum(omega, signal, signal, noise), 3, 0.0
     for cutoff in np.geomspace(omega[1], omega[-1], 200):
         gain = 1.0 / (1.0 + (omega / cutoff) ** (2 * order))
         found = cutoff if gain @ noise <= 1e-6 * (gain @ signal) else found
