@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
 from eoi_jax.prepare import check_records
@@ -52,6 +52,7 @@ def bootstrap(
     """
     rule = f"must be an integer ≥ {_FEWEST}"
     check(isinstance(resamples, int) and resamples >= _FEWEST, "resamples", rule, resamples)
+    check_kind("identification", identification, Identification, "what `identify` returned")
     base = uncertainty(identification)
     drawn = sweep(
         identification.plant,

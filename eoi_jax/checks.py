@@ -33,6 +33,11 @@ def check(
         raise ValueError(f"{shown} {advice}".rstrip())
 
 
+def check_kind(name: str, value: object, kind: type | tuple[type, ...], what: str) -> None:
+    """`value` must be of a class, or of one of several; `what` says it in words: ``a Plant``."""
+    check(isinstance(value, kind), name, f"must be {what}", type(value).__name__)
+
+
 def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") -> ValueError:
     """The error to raise for a text that is wrong at one place; it is shown with the column marked.
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.data.saturation import saturations
 from eoi_jax.diagnosis import Confounded, Cross, Diagnosis, Map, PerOutput, Window
@@ -74,13 +74,14 @@ def diagnose(
         The evidence; `findings` says it in sentences.
 
     Raises:
-        ValueError: a level outside (0, 0.5), records that do not fit the plant.
+        ValueError: no identification, a level outside (0, 0.5), records that do not fit the plant.
 
     Source:
         Ljung and Box, Biometrika 65 (1978) 297; Newey and West, Econometrica 55 (1987) 703; Ljung,
         *System Identification*, chapter 16.
     """
     check(0.0 < level < 0.5, "level", "must lie in (0, 0.5)", level)
+    check_kind("identification", identification, Identification, "what `identify` returned")
     plant = identification.plant
     measured = identification.records if records is None else check_records(plant, records)
     views, method_floor = views_of(identification)

@@ -4,7 +4,7 @@ All on the host; the kernel then reads one rectangular batch. What depends on th
 done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.observer import AbstractObserver
@@ -32,12 +32,17 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     """One or several records as a tuple, checked against the plant's channels and units.
 
     Raises:
-        ValueError: no record, another number of channels, channels in another order, other units.
+        ValueError: no plant, no record, another number of channels, channels in another order,
+            other units.
     """
-    several = (records,) if isinstance(records, Record) else tuple(records or ())
+    check_kind("plant", plant, Plant, "a Plant")
+    if isinstance(records, Record):
+        records = (records,)
+    check_kind("records", () if records is None else records, Iterable, "a Record or several")
+    several = tuple(records or ())
     check(len(several) > 0, "records", "must hold at least one record", "none")
     for one in several:
-        check(isinstance(one, Record), "records", "must be a Record or several", type(one).__name__)
+        check_kind("records", one, Record, "a Record or several")
     for record in several:
         for kind, names, own, signals in (
             ("inputs", plant.inputs, record.input_names, record.inputs),

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refine import refine
@@ -110,6 +110,7 @@ def profile(
     Source:
         J. Kent, Biometrika 69 (1982) 19; A. Raue et al., Bioinformatics 25 (2009) 1923.
     """
+    check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant = refinement.plant
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
     free = [one for one in plant.names if one not in plant.fixed]

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from eoi_jax.augment import augmented
 from eoi_jax.candidates import candidates
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import (
@@ -178,6 +178,7 @@ def remaining(
         C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test); M. S. Bartlett (independent
         samples of coloured residuals).
     """
+    check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant, records = refinement.plant, refinement.records
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
     check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import parameter_type
 from eoi_jax.refinement import Refinement
@@ -180,6 +180,7 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     Raises:
         ValueError: an estimate without an answer; its status says why.
     """
+    check_kind("estimate", estimate, (Identification, Refinement), "an estimate")
     status = estimate.status
     answered = status.ok or status.code == "unidentifiable"
     check(answered, "estimate", "must be one with an answer", str(status))

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
+from eoi_jax.prepare import check_records
 from eoi_jax.simulate import acted, drive
 from eoi_jax.trajectory import Drive, chained, frictional, trajectory
 from eoi_jax.types import Theta
@@ -108,11 +109,10 @@ def validate(
         Errors over all scored samples of all records, and predictions over all samples.
 
     Raises:
-        ValueError: no record, channels that do not match the plant's, too few samples, a window
-            not longer than the initial samples.
+        ValueError: no record, channels or units that are not the plant's, too few samples, a
+            window not longer than the initial samples.
     """
-    records = (records,) if isinstance(records, Record) else tuple(records)
-    check(len(records) > 0, "records", "must hold at least one record", "none")
+    records = check_records(plant, records)
     for record in records:
         _check_record(plant, record, initial_samples, window)
     run = Run(plant, frictional(plant), initial_samples, substeps)
@@ -154,12 +154,6 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
 
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
-    for key, have, want in (
-        ("inputs", record.inputs.shape[1], plant.inputs),
-        ("outputs", record.outputs.shape[1], plant.outputs),
-    ):
-        rule = f"must have {len(want)} {key} ({', '.join(want)}) for {plant.name}"
-        check(have == len(want), f"record {record.name}", rule, have)
     unknowns = plant.relative_degree + len(plant.internal_start(jnp.asarray(plant.theta)))
     check(
         initial_samples > unknowns,

@@ -165,10 +165,12 @@ def test_wrong_calls_name_field_rule_and_value(change, message):
 
 
 def test_channels_must_match_the_plant():
-    with pytest.raises(ValueError, match=r"`record swing` must have 3 outputs \(position_1"):
+    with pytest.raises(
+        ValueError, match=r"`records\[swing\].outputs` must have 3 channels \(position_1"
+    ):
         validate(three_mass_spring_damper(), swing())
     both = Record(TIME, np.stack([FORCE, FORCE], axis=1), FORCE, "two")
-    with pytest.raises(ValueError, match=r"`record two` must have 1 inputs \(voltage\)"):
+    with pytest.raises(ValueError, match=r"`records\[two\].inputs` must have 1 channels \(volt"):
         validate(mass_spring_damper(), both)
 
 
