@@ -16,42 +16,36 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
-from eoi_jax.confirm import as_good, confirmed, holds
+from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
-from eoi_jax.discovery import Added, Discovery, Evidence
+from eoi_jax.discovery import Added, Discovery
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base, fitted
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
 from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
+from eoi_jax.ranking import ends, ranking
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
-from eoi_jax.rounds import Round, Task, read_friction, values_of
+from eoi_jax.rounds import Round, Task, read_friction
 from eoi_jax.side_by_side import aside
 from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
+from eoi_jax.verdict import answered, explained, judged, names_of
 
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
 _WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
-_EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
 _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
-# Where no other effect comes near the first one (in power that it takes alone), half is enough if
-# free runs on held-out data confirm it.
-_MAINLY = 0.5
 _END = 1e-3  # of a range of shapes: as near as this to its end
-_MEDIAN = 0.455  # of the square of a normal variable
-_MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
 
 Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
 Told = Callable[[str, int, int], None]
@@ -118,10 +112,19 @@ def discover(
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
     found = _run(task, rare() if effects is None else (), told)
-    if not refine or found.status.code not in ("explained", "nothing_missing"):
+    if refine and found.status.code in ("explained", "nothing_missing"):
+        told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
+        found = _polished(task, found, None if effects is None else tried)
+    return _doubted(task, found, refine)
+
+
+def _doubted(task: Task, found: Discovery, refined: bool) -> Discovery:
+    """With a note where nothing seems to be missing, and free runs say otherwise."""
+    if found.status.code != "nothing_missing":
         return found
-    told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
-    return _polished(task, found, None if effects is None else tried)
+    doubts = beyond_noise(found.windows_after, task.held or task.records)
+    further = "" if refined else _SEEN_THERE
+    return replace(found, notes=(*found.notes, *(one + further for one in doubts)))
 
 
 def _untold(stage: str, done: int, stages: int) -> None:
@@ -188,7 +191,7 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     notes = [one for one in found.notes if not one.startswith((_SEARCHED, _REFITTED))]
     notes.append(f"refined: {better.refinement.status}")
     if better.placed:
-        names = " and ".join(one.replace("_", " ") for one in _names(better.placed))
+        names = " and ".join(one.replace("_", " ") for one in names_of(better.placed))
         notes.append(f"found in the free run alone: {names}")
     result = better.refinement
     # One pass, for the injection that is left; parameters and errors are those of the refinement.
@@ -239,7 +242,7 @@ def _plainest(
     task: Task, placed: tuple[Placed, ...], found: Identification, runs: FreeRuns, first: Round
 ) -> tuple[tuple[Placed, ...], Identification, FreeRuns]:
     """With a simpler law in place of one that contains it, where free runs are as good with it."""
-    for one, plain, fewer in simpler(task.plant, found.plant, placed, task.effects):
+    for one, plain, fewer in simpler(task.plant, found, placed, task.effects):
         refit = estimate(plain, task.prepared)
         theirs = _free_runs(task, refit.plant)
         if refit.status.ok and as_good(theirs, runs):
@@ -324,18 +327,18 @@ def _answer(
     """From the rounds of the search to what the user reads; a last step may be refused."""
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
-    share, left, quiet = _explained(rounds)
+    share, left, quiet = explained(rounds)
     alone = bool(task.held) and unrivalled(rounds[0])
-    status = _judged(placed, share, left, quiet)
+    status = judged(placed, share, left, quiet)
     found, after = task.declared, before
     for model, placed, done in reversed(steps):
-        share, left, quiet = _explained(rounds if placed is steps[-1][1] else done)
-        verdict = _judged(placed, share, left, quiet, alone)
+        share, left, quiet = explained(rounds if placed is steps[-1][1] else done)
+        verdict = judged(placed, share, left, quiet, alone)
         if verdict.code != "explained":
             break
         refusal = _not_simulated(model)
         if refusal:
-            notes.append(_UNCHECKED.format(" and ".join(_names(placed)), share, refusal))
+            notes.append(_UNCHECKED.format(" and ".join(names_of(placed)), share, refusal))
             rounds[0].refused.update(dict.fromkeys(placed, "its free run cannot be simulated"))
             status = Status("unexplained", _NO_RUN)
             continue
@@ -343,25 +346,25 @@ def _answer(
         if not refit.status.ok:
             notes.append(f"{_REFITTED} {refit.status}")
         runs = _free_runs(task, refit.plant)
-        if _judged(placed, share, left, quiet) != verdict and not confirmed(before, runs):
+        if judged(placed, share, left, quiet) != verdict and not confirmed(before, runs):
             break
         if holds(before, runs):
             status, wide = verdict, placed
             placed, found, after = _plainest(task, placed, refit, runs, rounds[0])
             if placed != wide:
-                notes.append(_WIDER.format(" and ".join(_names(wide)), share))
+                notes.append(_WIDER.format(" and ".join(names_of(wide)), share))
                 share, status = _by_plain(task, placed, found, rounds)
             break
-        notes.append(_REFUSED.format(" and ".join(_names(placed))))
+        notes.append(_REFUSED.format(" and ".join(names_of(placed))))
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
     notes += _at_ends(found, kept, rounds)
-    others = ambiguous(rounds[0], _names(kept)) if kept else ()
+    others = ambiguous(rounds[0], names_of(kept)) if kept else ()
     return Discovery(
-        effects=_names(kept),
+        effects=names_of(kept),
         added=tuple(_added(task.plant, found, one) for one in kept),
-        ranking=_ranking(task.plant, rounds, kept),
+        ranking=ranking(task.plant, rounds, kept),
         ambiguous_with=others,
         advice=advice(rounds[0], others),
         explained=share if kept else 0.0,
@@ -385,55 +388,8 @@ def _by_plain(
     task: Task, placed: tuple[Placed, ...], found: Identification, rounds: Sequence[Round]
 ) -> tuple[float, Status]:
     """What a simpler set takes of the residual, in place of the one that was found."""
-    share, left, _ = _explained(rounds, Round(task, found.plant, placed, rounds[-1]))
-    return share, Status("explained", _FOUND.format(share, _rest(left)))
-
-
-def _explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[float, float, bool]:
-    """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
-
-    And whether that is noise: white as predicted, or less than the noise is. Of what the rounds
-    found, or of a `plain` model that stands in its place, which was not searched.
-    """
-    first, last = rounds[0], rounds[-1]
-    before = first.found.fit([]).residual
-    after = last.found.fit([]).residual if not last.chosen.atoms else last.chosen.residual
-    if plain is not None:
-        after = fitted(plain.base, [], last.found.power).residual
-    noise = _noise_scale(last.base, after) * first.base.noise_power
-    excess = first.base.signal_power(before) - noise
-    rest = max(first.base.signal_power(after) - noise, 0.0)
-    whole = first.base.whole_power - noise
-    if not (excess > 0.0 and whole > 0.0 and np.isfinite(rest)):
-        return 0.0, 0.0 if np.isfinite(rest) else np.inf, last.exhausted
-    share = float(np.clip(1.0 - rest / excess, 0.0, 1.0))
-    return share, float(np.sqrt(rest / whole)), last.exhausted or rest <= noise
-
-
-def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
-    """How much of the predicted noise is there: a record's noise estimate is an upper bound."""
-    ratio = residual**2 / np.maximum(base.noise, 1e-300)
-    return float(min(1.0, np.median(ratio) / _MEDIAN))
-
-
-def _judged(
-    placed: Sequence[Placed], share: float, left: float, noise_like: bool, alone: bool = False
-) -> Status:
-    good, rest = noise_like or left <= _MATERIAL, _rest(left)
-    if not placed:
-        if good:
-            return Status("nothing_missing", _NOTHING.format(rest))
-        return Status("unexplained", _UNKNOWN.format(rest))
-    if share >= _EXPLAINED or good:
-        return Status("explained", _FOUND.format(share, rest))
-    if alone and share >= _MAINLY:
-        return Status("explained", _FOUND.format(share, rest) + _REST)
-    return Status("unexplained", _PARTLY.format(" and ".join(_names(placed)), share, rest))
-
-
-def _rest(left: float) -> str:
-    share = f"{left:.2g} of the highest derivative (rms)"
-    return share if left > 0.0 else "nothing beyond the noise"
+    share, left, _ = explained(rounds, Round(task, found.plant, placed, rounds[-1]))
+    return share, answered(share, left)
 
 
 _NO_SAMPLE = (
@@ -442,33 +398,15 @@ _NO_SAMPLE = (
     "motion"
 )
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
+_SEEN_THERE = ". `refine=True` looks for it in the free runs"
 _REFITTED = "the refit of the augmented model ended as"
 _SEARCHED = "parameters are those of the search: in free runs better than the refit's"
-_NOTHING = "what is left is {}: nothing that the data can name"
-_UNKNOWN = (
-    "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "
-    "shows where it lives; more records with other inputs may tell"
-)
-_FOUND = "the effects take {:.1%} of the residual's power; what is left is {}"
-_REST = (
-    ", more than noise. No other effect comes near the first of them, and free runs on other data "
-    "confirm it; the rest stays unexplained"
-)
-_PARTLY = (
-    "the best that the library has, {}, takes only {:.0%} of the residual's power and leaves "
-    "{}: not the whole story, so nothing was added"
-)
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _WIDER = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _NO_RUN = "the effects that fit the records cannot be confirmed: no free run has them"
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
-
-
-def _names(placed: Sequence[Placed]) -> tuple[str, ...]:
-    """Each name once, in the order in which the effects came."""
-    return tuple(dict.fromkeys(one.effect.name for one in placed))
 
 
 def _notes(task: Task) -> list[str]:
@@ -489,15 +427,7 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
         {name: found.parameters[name] for name in one.names},
         {name: found.standard_errors[name] for name in one.names},
         one.effect.sentence,
-        *_ends(plant, one),
-    )
-
-
-def _ends(plant: Plant, one: Placed) -> tuple[str, str]:
-    """The output that it is counted from, and the input beside which it acts."""
-    return (
-        "" if one.against is None else plant.outputs[one.against],
-        "" if one.through is None else plant.inputs[one.through],
+        *ends(plant, one),
     )
 
 
@@ -516,44 +446,6 @@ def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Rou
             if value >= high - close:
                 notes.append(_AT_END.format(name, value, "larger"))
     return notes
-
-
-def _ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> tuple[Evidence, ...]:
-    """What was added, then every other candidate alone, by score."""
-    first = rounds[0]
-    search, empty = first.found, first.found.fit([])
-    power = float(np.sum(empty.residual**2))
-    rows: dict[Placed, Evidence] = {}
-    alone = {fit.atoms[0].placed: fit for fit in search.extended(empty)}
-    refined = {next(iter(fit.keys)): fit for fit in first.sets if len(fit.atoms) == 1}
-    worth = {
-        one.placed: search.value(search.fit([other for other in fit.atoms if other is not one]))
-        - search.value(fit)
-        for fit in [first.chosen]
-        for one in fit.atoms
-    }
-    for placed in first.candidates:
-        fit = refined.get(placed, alone.get(placed))
-        channels = placed.effect.channels(plant)
-        remark, parameters, score, taken = "", {}, -np.inf, 0.0
-        known = search.known(placed)
-        if fit is None or known:
-            remark = "already in the model" if known else "not to be evaluated"
-        else:
-            parameters = dict(zip(placed.names, values_of(fit)[placed], strict=True))
-            score = worth.get(placed, empty.cost - fit.cost - search.penalty(fit.atoms))
-            taken = 1.0 - float(np.sum(fit.residual**2)) / power
-            remark = "" if fit.physical else "wrong sign"
-            remark = first.refused.get(placed, remark)
-        name, channel = placed.effect.name, channels[placed.channel]
-        rows[placed] = Evidence(
-            name, channel, parameters, max(taken, 0.0), float(score), remark,
-            *_ends(plant, placed),
-        )  # fmt: skip
-    chosen = set(kept) | set(worth)
-    order = sorted(rows, key=lambda one: (one not in chosen, rows[one].remark != "",
-                                          -rows[one].score))  # fmt: skip
-    return tuple(rows[one] for one in order)
 
 
 def _failed(

@@ -71,7 +71,7 @@ LAYERS = (
     ("compare",),
     ("discovery",),
     ("rounds", "polish"),
-    ("rivals", "parsimony", "confirm"),
+    ("rivals", "parsimony", "confirm", "verdict", "ranking"),
     ("discover",),
     ("store",),
     ("report",),

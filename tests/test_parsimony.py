@@ -4,6 +4,7 @@ import importlib
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from problems import noisy, stiff_response
 
 import eoi_jax as eoi
@@ -30,13 +31,14 @@ PLANT = eoi.Plant(
 )
 
 
-def record(seed: int) -> eoi.Record:
+def record(seed: int, offset: float = 0.0) -> eoi.Record:
     draw, time = np.random.default_rng(seed), STEP * np.arange(2500)
     lines = 2.0 * np.pi * draw.uniform(0.3, 2.0, (2, 6))
     forces = np.sum(np.sin(time[:, None, None] * lines + draw.uniform(0.0, 6.3, (2, 6))), axis=2)
 
     def rate(x: np.ndarray, u: np.ndarray) -> list[float]:
-        return [*x[2:], *(u - 0.5 * x[2:] - DRY * np.tanh(x[2:] / 1e-4))]
+        push = u - 0.5 * x[2:] - DRY * np.tanh(x[2:] / 1e-4)
+        return [*x[2:], push[0] + offset, push[1]]
 
     y = stiff_response(rate, forces, STEP, tolerance=1e-7)[:, :2]
     return eoi.Record(
@@ -70,3 +72,21 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     levels = [fewer.parameters[f"coulomb_friction_{name}"] for name in PLANT.outputs]
     np.testing.assert_allclose(levels, DRY, rtol=0.01)
     assert set(first.refused) == set(wide)
+
+
+@pytest.mark.parametrize(("offset", "kept"), [(0.0, False), (0.3, True)])
+def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offset, kept):
+    """Asymmetric friction is read as a level and an offset; the level alone is the simpler law."""
+    fit, held = (record(1, offset),), (record(2, offset),)
+    prepared = ready(PLANT, fit)
+    library = (effects.CoulombFriction(), effects.ConstantOffset())
+    task = Task(PLANT, prepared, fit, held, library, estimate(PLANT, prepared), 0.01, 3, None)
+    far = place(PLANT, effects.CoulombFriction(), 1)
+    both = tuple(place(PLANT, one, 0) for one in library)
+    values = {"coulomb_friction_near": 0.8, "constant_offset_near": 0.02, far.names[0]: 0.5}
+    placed = (*both, far)
+    found = estimate(augmented(PLANT, placed, values), prepared)
+    runs = discovery._free_runs(task, found.plant)
+    first = Round(task, task.declared.plant, ())
+    left, _, _ = discovery._plainest(task, placed, found, runs, first)
+    assert left == (placed if kept else (both[0], far))

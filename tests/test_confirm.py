@@ -1,0 +1,75 @@
+"""What free runs say where the injection is silent."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eoi_jax import Plant, Record, discover, validate
+from eoi_jax.confirm import beyond_noise
+from eoi_jax.results import Status
+from tests import problems
+
+H, NOISE = 5e-3, 2e-4
+
+
+def spring(t, x, u, p):
+    del t
+    return p.b * u - p.k * x.y[0] - p.c * x.y[1]
+
+
+def plant(k: float) -> Plant:
+    return Plant(spring, {"k": k, "c": 4.0, "b": 1.0}, 2, outputs=("place",))
+
+
+def run(seed: int) -> Record:
+    """A mass on a spring of 200."""
+    draw = np.random.default_rng(seed)
+    t = H * np.arange(2000)
+    lines = 2.0 * np.pi * np.array([0.3, 0.7, 1.1, 1.7, 2.3, 3.1])
+    u = 8.0 * np.sum(np.sin(np.outer(t, lines) + draw.uniform(0.0, 6.28, 6)), axis=1)
+    a, b = np.array([[0.0, 1.0], [-200.0, -4.0]]), np.array([[0.0], [1.0]])
+    y = problems.held_response(a, b, u[:, None], H)[:, :1]
+    y = y + NOISE * draw.standard_normal(y.shape)
+    return Record(t, u, y, output_names="place", hold="zero")
+
+
+@pytest.fixture(scope="module")
+def records():
+    return run(0), run(1)
+
+
+def test_free_runs_beyond_the_noise_are_told(records):
+    assert beyond_noise(validate(plant(200.0), records[0], window=1.0), [records[0]]) == []
+    (told,) = beyond_noise(validate(plant(220.0), records[0], window=1.0), [records[0]])
+    assert told.startswith("free runs of place in windows miss by ")
+    assert beyond_noise(None, [records[0]]) == []
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(
+    records, monkeypatch, refine
+):
+    module = importlib.import_module("eoi_jax.discover")
+    monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
+    monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
+    monkeypatch.setattr(module, "_polished", lambda _, found, __: found)
+    found = discover(plant(220.0), *records, effects="cubic_stiffness", refine=refine)
+    (doubt,) = [note for note in found.notes if "times the noise of its sensor" in note]
+    assert ("`refine=True`" in doubt) is not refine
+
+
+def test_an_answer_of_nothing_stands_where_free_runs_agree(records):
+    found = discover(plant(180.0), *records, effects="cubic_stiffness")
+    assert found.status.code == "nothing_missing"
+    assert not any("noise of its sensor" in note for note in found.notes)
+
+
+def _as_declared(estimate):
+    """The estimator, but that it leaves the parameters where they are."""
+
+    def fake(model, prepared):
+        return replace(estimate(model, prepared), plant=model, parameters=model.parameters)
+
+    return fake
