@@ -5,7 +5,7 @@
 Every rig is a few lines of plain Python below, stepped by a Runge-Kutta rule of its own. All were
 written down before the library was tried on them. At 30a864d it missed the motor, the heater
 and the shock absorber, which was mended. For what the last three lack it had no name; for the play
-between two masses it has one now.
+between two masses and the friction of the trolley it has one now.
 """
 
 import math
@@ -60,8 +60,15 @@ class Rig:
 
 
 def record(rig: Rig, seed: int, samples: int) -> eoi.Record:
-    """Simulated with inputs held over each sample, with noise on the outputs."""
+    """Simulated, with noise on the outputs."""
     draw = np.random.default_rng(seed)
+    grid, inputs, outputs = noiseless(rig, draw, samples)
+    noise = NOISE * np.std(outputs, axis=0) * draw.standard_normal(outputs.shape)
+    return eoi.Record(grid, inputs, outputs + noise, f"seed {seed}", hold="zero")
+
+
+def noiseless(rig: Rig, draw: np.random.Generator, samples: int) -> tuple[np.ndarray, ...]:
+    """Time, inputs and outputs of a rig, simulated with inputs held over each sample."""
     grid = rig.step * np.arange(samples)
     wanted, h = rig.drive(grid, draw).tolist(), rig.step / SUBSTEPS
     x, states, inputs = list(rig.start), [], [0.0] * rig.delay
@@ -71,9 +78,7 @@ def record(rig: Rig, seed: int, samples: int) -> eoi.Record:
         for _ in range(SUBSTEPS):
             x = _runge_kutta(rig.rate, x, inputs[k], h)
     outputs = np.asarray(states)[:, : len(rig.model.outputs)]
-    noise = NOISE * np.std(outputs, axis=0) * draw.standard_normal(outputs.shape)
-    given = np.asarray(inputs[rig.delay :])[:, None]
-    return eoi.Record(grid, given, outputs + noise, f"seed {seed}", hold="zero")
+    return grid, np.asarray(inputs[rig.delay :])[:, None], outputs
 
 
 def _runge_kutta(f: Rate, x: list[float], u: float, h: float) -> list[float]:
@@ -144,7 +149,8 @@ def _crane(t: Any, x: Any, u: Any, p: Any) -> Any:
     return jnp.stack([(0.4 * push - 0.12 * c * fall) / inertia, (p.m * fall - c * push) / inertia])
 
 
-def _sprung(k: float, c: float, b: float) -> eoi.Plant:
+def sprung(k: float, c: float, b: float) -> eoi.Plant:
+    """A mass on a spring."""
     return eoi.Plant(_spring, {"k": k, "c": c, "b": b}, 2)
 
 
@@ -184,19 +190,19 @@ def rigs() -> list[Rig]:
             lambda x, u: (0.01 * u + 0.018 * u * u - 0.01 * (x[0] - 20.0),),
             (20.0,), 0.5, 6000, levels(5.0, 100)),
         Rig("shock absorber", "damping 6 one way, 2 the other: slope 2",
-            ("asymmetric_friction",), _sprung(80.0, 3.0, 1.2),
+            ("asymmetric_friction",), sprung(80.0, 3.0, 1.2),
             lambda x, u: (x[1], u - 100.0 * x[0] - (6.0 if x[1] > 0 else 2.0) * x[1]),
             (0.0, 0.0), 2e-3, 8000, multisine(20.0, 6.0)),
-        Rig("amplifier", "saturation at 0.8", ("input_saturation",), _sprung(80.0, 3.5, 40.0),
+        Rig("amplifier", "saturation at 0.8", ("input_saturation",), sprung(80.0, 3.5, 40.0),
             lambda x, u: (x[1], 50.0 * max(-0.8, min(u, 0.8)) - 100.0 * x[0] - 3.0 * x[1]),
             (0.0, 0.0), 2e-3, 8000, multisine(1.0, 6.0)),
         Rig("valve and slide", "lag of 30 ms, Coulomb friction 3",
-            ("actuator_lag", "coulomb_friction"), _sprung(25.0, 2.0, 45.0),
+            ("actuator_lag", "coulomb_friction"), sprung(25.0, 2.0, 45.0),
             lambda x, u: (x[1], 40.0 * x[2] - 30.0 * x[0] - 1.5 * x[1]
                              - 3.0 * math.tanh(x[1] / 0.005), (u - x[2]) / 0.03),
             (0.0, 0.0, 0.0), 2e-3, 10000, multisine(1.0, 6.0)),
         Rig("machine with an unbalance", "8 sin(27.46 t + 0.6), weight -3",
-            ("constant_offset", "sinusoidal_disturbance"), _sprung(170.0, 5.0, 1.2),
+            ("constant_offset", "sinusoidal_disturbance"), sprung(170.0, 5.0, 1.2),
             lambda x, u: (x[1], u - 200.0 * x[0] - 4.0 * x[1] - 3.0 + 8.0 * x[2],
                           27.46 * x[3], -27.46 * x[2]),
             (0.0, 0.0, math.sin(0.6), math.cos(0.6)), 2e-3, 8000, multisine(30.0, 8.0)),
@@ -204,17 +210,18 @@ def rigs() -> list[Rig]:
             lambda x, u: (x[1], 60.0 * x[0] + 5.0 * u - 0.5 * x[1]),
             (0.0, 0.0), 1e-3, 8000, multisine(0.3, 6.0, 10),
             lambda wanted, x: -30.0 * (x[0] - wanted) - 4.0 * x[1], 12),
-        Rig("nothing hidden", "nothing", (), _sprung(170.0, 5.0, 1.2),
+        Rig("nothing hidden", "nothing", (), sprung(170.0, 5.0, 1.2),
             lambda x, u: (x[1], u - 200.0 * x[0] - 4.0 * x[1]),
             (0.0, 0.0), 2e-3, 8000, multisine(30.0, 8.0)),
         Rig("two masses", "play of ±0.01 in the spring between them", ("free_play",),
             eoi.Plant(_coupled, pair, 2, outputs=("one", "two")), _true_coupled,
             (0.0, 0.0, 0.0, 0.0), 1e-3, 10000, multisine(6.0, 10.0, 20)),
-        Rig("crane", "Coulomb friction of the trolley, through the inertia matrix", (),
+        Rig("crane", "Coulomb friction 1.2 of the trolley, through the inertia matrix",
+            ("coulomb_friction",),
             eoi.Plant(_crane, {"c": 1.5, "m": 1.6, "d": 0.08}, 2, outputs=("trolley", "angle")),
             _true_crane, (0.0, 0.0, 0.0, 0.0), 2e-3, 10000, multisine(5.0, 3.0)),
         Rig("Van der Pol", "damping with the square of the displacement", (),
-            _sprung(3.0, 0.3, 1.2),
+            sprung(3.0, 0.3, 1.2),
             lambda x, u: (x[1], u - 4.0 * x[0] - 0.6 * x[1] * (x[0] ** 2 - 1.0)),
             (0.5, 0.0), 5e-3, 8000, multisine(1.5, 3.0)),
     ]  # fmt: skip
