@@ -2,8 +2,10 @@
 
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import pytest
 from jaxtyping import install_import_hook
 
@@ -30,6 +32,14 @@ with warnings.catch_warnings():
 def pytest_configure(config: pytest.Config) -> None:
     """A record that was changed says so; named here, for pytest would import it before the hook."""
     config.addinivalue_line("filterwarnings", "default::eoi_jax.checks.RecordWarning")
+
+
+@pytest.fixture(autouse=True)
+def compilation_cache() -> Iterator[None]:
+    """Pages and examples set the folder of compiled code; no test finds what another kept there."""
+    folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    yield
+    jax.config.update("jax_compilation_cache_dir", folder)
 
 
 @pytest.fixture(scope="session")

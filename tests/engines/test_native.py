@@ -235,32 +235,24 @@ def test_one_compilation_for_all_lanes_and_lengths(monkeypatch):
 def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
     lanes = lanes_of(PENDULUM, RELAY, 3)
     before = Native().run(PENDULUM, lanes, LOWPASS, swinging)
-    folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-        compiled_code.translated.cache_clear()
-        compiled_code.functions.cache_clear()
-        Native().run(PENDULUM, lanes, LOWPASS, swinging)
-        assert len(list((tmp_path / "native").iterdir())) == 1
-        compiled_code.translated.cache_clear()
-        compiled_code.functions.cache_clear()
-        monkeypatch.setattr(compiled_code, "_translate", lambda *a: pytest.fail("compiled again"))
-        again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
-    finally:
-        jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    compiled_code.translated.cache_clear()
+    compiled_code.functions.cache_clear()
+    Native().run(PENDULUM, lanes, LOWPASS, swinging)
+    assert len(list((tmp_path / "native").iterdir())) == 1
+    compiled_code.translated.cache_clear()
+    compiled_code.functions.cache_clear()
+    monkeypatch.setattr(compiled_code, "_translate", lambda *a: pytest.fail("compiled again"))
+    again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     close(again, before, rtol=0)
 
 
 def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, swinging):
     (tmp_path / "native").write_text("a file where the folder should be")
-    folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-        compiled_code.translated.cache_clear()
-        compiled_code.functions.cache_clear()
-        Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
-    finally:
-        jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    compiled_code.translated.cache_clear()
+    compiled_code.functions.cache_clear()
+    Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
 
 
 # -- what it cannot do ------------------------------------------------------------------------
