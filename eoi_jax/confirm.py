@@ -27,6 +27,16 @@ def confirmed(before: FreeRuns, after: FreeRuns) -> bool:
     return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
 
 
+def only_short(before: FreeRuns, after: FreeRuns) -> bool:
+    """Whether only short free runs tell anything: whole ones drift in phase, or diverge."""
+    if before[1] is None or after[1] is None or not np.all(np.isfinite(after[1].rmse)):
+        return False
+    if not np.all(np.isfinite(after[0].rmse)):
+        return True
+    whole, short = (float(np.sum(one)) for one in _growth(before, after))
+    return short < 0.0 <= whole
+
+
 def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
     """Whether neither whole nor short free runs of the simpler model miss by more.
 

@@ -12,6 +12,7 @@ from eoi_jax import effects, plants
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added
 from eoi_jax.report import discovery_figures, tables
+from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.equation import equation_latex, equation_text
 from eoi_jax.report.expression import name_latex
@@ -106,6 +107,40 @@ def test_a_run_that_diverges_has_no_number(found):
     assert "without bound before" in text
     (line,) = [line for line in text.splitlines() if line.startswith("held-out RMSE of position  ")]
     assert "diverges" in line
+
+
+def worse(runs, factor):
+    return dataclasses.replace(runs, rmse=factor * runs.rmse)
+
+
+@pytest.mark.parametrize("factor", [1.5, np.inf])
+def test_where_whole_runs_drift_the_answer_speaks_of_short_ones(found, factor):
+    drifting = dataclasses.replace(found, after=worse(found.before, factor))
+    short = [
+        tables.quantity(one.rmse[0], "m") for one in (found.windows_before, found.windows_after)
+    ]
+    assert answer(drifting).endswith(
+        f"free-run error on held-out data in windows {short[0]} before, {short[1]} after "
+        "(whole records drift away in free run)."
+    )
+    tiles = [
+        (one.label, one.value)
+        for one in discovery_contents(drifting, {"diagnosis": diagnose(drifting.found)}).tiles
+    ]
+    assert ("Free-run error of position, held-out data, windows", short[1]) in tiles
+
+
+def test_where_short_runs_are_no_better_the_answer_speaks_of_whole_ones(found):
+    bad = dataclasses.replace(
+        found,
+        after=worse(found.before, 1.5),
+        windows_after=worse(found.windows_before, 1.2),
+    )
+    assert "in windows" not in answer(bad)
+    none = dataclasses.replace(
+        found, after=worse(found.before, 1.5), windows_before=None, windows_after=None
+    )
+    assert "in windows" not in answer(none)
 
 
 def test_the_table_shows_each_parameter_before_and_after(found):

@@ -206,12 +206,13 @@ def _table(
 
 def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
     tiles = []
-    if result.before is not None and result.after is not None:
-        where = "same data" if result.in_sample else "held-out data"
-        for j, name in enumerate(result.before.outputs[:_MOST]):
+    before, after, short = discoveries.told_runs(result)
+    if before is not None and after is not None:
+        where = ("same data" if result.in_sample else "held-out data") + ", windows" * short
+        for j, name in enumerate(before.outputs[:_MOST]):
             old, new = (
                 quantity(one.rmse[j], one.units[j]) if np.isfinite(one.rmse[j]) else "diverges"
-                for one in (result.before, result.after)
+                for one in (before, after)
             )
             note = f"before {old}" if result.added else ""
             tiles.append(Tile(f"Free-run error of {name}, {where}", new, note))

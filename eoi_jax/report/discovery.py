@@ -7,12 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from eoi_jax.confirm import only_short
 from eoi_jax.discovery import Added, Discovery, Evidence
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
+from eoi_jax.validate import Validation
 
+_DRIFT = " (whole records drift away in free run)"
 # So many of the candidates that were not added are shown.
 _NEXT = 5
 
@@ -213,9 +216,20 @@ def _row(name: str, before: float, after: float, unit: str) -> tuple[str, ...]:
     return (name, *shown, ratio, unit)
 
 
+def told_runs(discovery: Discovery) -> tuple[Validation | None, Validation | None, bool]:
+    """Free runs of which the answer speaks, before and after, and whether they are short ones."""
+    whole = discovery.before, discovery.after
+    short = discovery.windows_before, discovery.windows_after
+    if whole[0] is None or whole[1] is None:
+        return None, None, False
+    if only_short((whole[0], short[0]), (whole[1], short[1])):
+        return *short, True
+    return *whole, False
+
+
 def _free_run_errors(discovery: Discovery) -> str:
     """``free-run error on held-out data 95.9 mm before, 6.4 mm after``."""
-    before, after = discovery.before, discovery.after
+    before, after, short = told_runs(discovery)
     if before is None or after is None:
         return "no free run was possible"
     data = "the same data (none was held out)" if discovery.in_sample else "held-out data"
@@ -227,7 +241,8 @@ def _free_run_errors(discovery: Discovery) -> str:
             for one in (before, after)
         )
         parts.append(f"{old}{whose} before, {new} after" if discovery.added else f"{old}{whose}")
-    return f"free-run error on {data} {'; '.join(parts)}"
+    where, rest = (" in windows", _DRIFT) if short else ("", "")
+    return f"free-run error on {data}{where} {'; '.join(parts)}{rest}"
 
 
 def _as_input(
