@@ -130,7 +130,8 @@ class RefineTable(msgspec.Struct, frozen=True):
         max_steps: of the solver.
         starts: so many further points to start from, drawn around the estimate of the passes, or
             around the nominal values where the passes have none; absent: none.
-        rounds: how often so many are drawn, from the second time on around the best so far.
+        rounds: how often so many are drawn, from the second time on around the best so far, and
+            anew where that stands still.
     """
 
     window: Positive | None = None

@@ -3,11 +3,12 @@
 One round draws all points anew. Further rounds keep what was found: each point is the best one so
 far with some of its parameters drawn anew and the others moved a little, over several scales. So
 parts of a model are found one after the other, and an optimum is left that is one of few samples
-only. Stochastic local search: H. Hoos, T. Stützle, *Stochastic Local Search* (2004), chapter 2
-(iterated local search).
+only. Where that stands still the search begins anew, for a wrong part may hold all others; the last
+rounds are again those of the best one of all. Stochastic local search: H. Hoos, T. Stützle,
+*Stochastic Local Search* (2004), chapters 2 (iterated local search) and 4 (restarts).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +16,22 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.checks import check
-from eoi_jax.output_error import Problem, Unknowns
+from eoi_jax.output_error import Problem, Unknowns, signals
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import starting_points
 
 _REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
 _TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
 _SHARE = 8  # one of so many is kept
+_CLIMB = 24  # more steps for what is left then, where further rounds begin at the best one
 # Of further rounds: shares of the parameters that are drawn anew; spread of the logarithm of the
 # others, at random between; ratio to the plant's values from which on one has run away.
 _ANEW, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
+# Steps along what the runs hardly tell, in standard errors; least singular value over the largest.
+_FAR, _FLAT = (0.3, 30.0), 1e-9
+# So many rounds in a row that each lower the cost by less than a share of it are a standstill; the
+# last ones, one of so many, are those of the best one of all.
+_PATIENCE, _GAIN, _LAST = 5, 0.01, 5
 _RULE = "must be points (dicts of parameters, or rows), or how many are drawn: at least 1"
 
 
@@ -53,13 +60,15 @@ def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
     return points
 
 
-def _drawn(plant: Plant, count: int, draw: np.random.Generator) -> Float[np.ndarray, "points np"]:
+def _drawn(
+    plant: Plant, count: int, draw: np.random.Generator, reach: float = _REACH
+) -> Float[np.ndarray, "points np"]:
     """Points around a plant's values by ratio and by sign, in which guesses are mostly wrong.
 
     What is zero stays zero, and what is fixed stays.
     """
     theta = np.asarray(plant.theta, dtype=float)
-    ratio = np.exp(draw.uniform(-np.log(_REACH), np.log(_REACH), (count, len(theta))))
+    ratio = _scales(draw, (1.0 / reach, reach), (count, len(theta)))
     ratio *= draw.choice([-1.0, 1.0], ratio.shape)
     points = theta * ratio
     for inside in (-ratio, 1.0 / ratio, -1.0 / ratio):
@@ -69,18 +78,72 @@ def _drawn(plant: Plant, count: int, draw: np.random.Generator) -> Float[np.ndar
     return np.where(np.asarray(plant.free), points, theta)
 
 
+def _scales(
+    draw: np.random.Generator, limits: tuple[float, float], shape: tuple[int, int]
+) -> Float[np.ndarray, "points each"]:
+    """As likely in each octave between the limits."""
+    return np.exp(draw.uniform(np.log(limits[0]), np.log(limits[1]), shape))
+
+
 def _varied(
-    plant: Plant, best: Float[np.ndarray, " np"], count: int, draw: np.random.Generator
+    plant: Plant,
+    best: Float[np.ndarray, " np"],
+    along: Float[np.ndarray, "np np"],
+    count: int,
+    draw: np.random.Generator,
 ) -> Float[np.ndarray, "points np"]:
-    """Points around the best one so far, for a further round; what began at zero is moved only."""
+    """Points around the best one so far, for a further round; what began at zero is moved only.
+
+    Args:
+        plant: with the values that parameters are drawn around.
+        best: the best ones so far.
+        along: of `_standard_steps`.
+        count: points.
+        draw: of chance.
+    """
     anew, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
-    low, high = np.log(_SPREAD)
-    spread = np.exp(draw.uniform(low, high, (count, 1))) * draw.choice([0, 1], (count, 1))
-    points = best * np.exp(spread * draw.standard_normal(anew.shape))
+    how = draw.choice(["stay", "each", "along"], (count, 1))
+    spread, far = (_scales(draw, limits, (count, 1)) for limits in (_SPREAD, _FAR))
+    normal = draw.standard_normal(anew.shape)
+    points = best * np.exp(np.where(how == "each", spread, 0.0) * normal)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points += np.where(how == "along", far, 0.0) * (normal @ along.T)
     chosen = draw.uniform(size=anew.shape) < draw.choice(_ANEW, (count, 1))
     lost = np.abs(best) > _LOST * nominal
-    points = np.where((chosen | lost) & (nominal > 0), anew, points)
+    away = lost | ~np.isfinite(points)
+    points = np.where((chosen | away) & (nominal > 0), anew, points)
     return np.where(np.asarray(plant.free), np.clip(points, plant.lower, plant.upper), best)
+
+
+def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "free free"]:
+    """Columns of steps of θ, one standard error each, that the initial states follow.
+
+    The errors grow alike along all of them: they are long where the runs hardly tell parameters
+    apart, so that an optimum lies far along a valley; but no longer than what doubles a parameter.
+    Zeros where a run diverges.
+    """
+    shown, theta = signals(unknowns, problem), np.asarray(unknowns.theta)
+    own, error = shown.shape[-1] - 1 - len(theta), shown[..., -1]
+    with np.errstate(over="ignore"):
+        sigma = np.sqrt(np.sum(error**2) / np.sum(problem.use))
+    if not np.all(np.isfinite(shown)) or not np.isfinite(sigma):
+        return np.zeros((len(theta), len(theta)))
+    # What the columns of a run's initial state leave of the others: the corner of its triangle.
+    roots = [np.linalg.qr(one.reshape(-1, one.shape[-1])).R[own:, own:-1] for one in shown]
+    rows = np.concatenate(roots)
+    lengths = np.linalg.norm(rows, axis=0)
+    lengths = np.where(lengths > 0.0, lengths, np.inf)  # what leaves no trace stays
+    _, values, across = np.linalg.svd(rows / lengths, full_matrices=False)
+    steps = sigma * (across.T / np.maximum(values, _FLAT * values[0])) / lengths[:, None]
+    size = np.where(theta == 0.0, np.inf, np.abs(theta))
+    return steps / np.maximum(np.max(np.abs(steps) / size[:, None], axis=0), 1.0)
+
+
+class _Found(NamedTuple):
+    """Where a search has come to, and the cost there."""
+
+    unknowns: Unknowns
+    cost: float
 
 
 def best(
@@ -90,8 +153,8 @@ def best(
 
     Args:
         problem: the runs; further points are drawn around the values of its plant.
-        unknowns: of which the initial states are where all points begin. From the second round on
-            its parameters count too.
+        unknowns: of which the initial states are where all points begin. With further rounds its
+            parameters are a point too.
         points: parameters, shape (points, np).
         rounds: how often so many points are followed.
     """
@@ -99,40 +162,59 @@ def best(
         return []
     plant, free = problem.kernel.plant, list(problem.free)
     draw = np.random.default_rng(_SEED + 1)
-    found = unknowns, np.inf  # stays the best one where all diverge
+    stages = _TOURNAMENT if rounds == 1 else (*_TOURNAMENT, _CLIMB)
 
-    def better(found: Any, theta: np.ndarray, starts: Any) -> tuple[Unknowns, float]:
-        return min(found, _tournament(problem, theta, starts), key=lambda one: one[1])
+    def followed(theta: np.ndarray, starts: Any) -> _Found:
+        nothing = _Found(unknowns, np.inf)  # stays the best one where all diverge
+        return _better(nothing, _tournament(problem, theta, starts, stages))
 
-    found = better(found, points[:, free], unknowns.starts)
+    now = followed(points[:, free], unknowns.starts)
     if rounds > 1:
-        found = better(found, np.asarray(unknowns.theta)[None], unknowns.starts)
-    for _ in range(rounds - 1):
-        theta = np.array(plant.theta, dtype=float)
-        theta[free] = np.asarray(found[0].theta)
-        varied = _varied(plant, theta, len(points), draw)
-        found = better(found, varied[:, free], found[0].starts)
-    return [found[0]] if np.isfinite(found[1]) else []
+        now = _better(now, followed(np.asarray(unknowns.theta)[None], unknowns.starts))
+    champion, still, attempts, last = now, 0, 1, rounds // _LAST
+    for left in range(rounds - 1, 0, -1):
+        if left == last:
+            now = champion
+        if still >= _PATIENCE and left > last:
+            # In turn near the plant's values and far from them.
+            theta = _drawn(plant, len(points), draw, _REACH ** (1 + attempts % 2))
+            now, still, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
+        else:
+            theta = np.array(plant.theta, dtype=float)
+            theta[free] = np.asarray(now.unknowns.theta)
+            along = np.zeros((len(theta), len(theta)))
+            along[np.ix_(free, free)] = _standard_steps(problem, now.unknowns)
+            varied = _varied(plant, theta, along, len(points), draw)
+            found = followed(varied[:, free], now.unknowns.starts)
+            still = 0 if found.cost < (1.0 - _GAIN) * now.cost else still + 1
+            now = _better(now, found)
+        champion = _better(champion, now)
+    return [champion.unknowns] if np.isfinite(champion.cost) else []
+
+
+def _better(one: _Found, other: _Found) -> _Found:
+    return min(one, other, key=lambda found: found.cost)
 
 
 def _tournament(
-    problem: Problem, theta: Float[np.ndarray, "points free"], own: Any
-) -> tuple[Unknowns, float]:
-    """All points followed a few steps, the better ones some more: the best, and its cost.
+    problem: Problem, theta: Float[np.ndarray, "points free"], own: Any, stages: tuple[int, ...]
+) -> _Found:
+    """All points followed a few steps, the better ones some more: the best.
 
     Args:
         problem: the runs.
         theta: the points.
         own: initial states at which all begin.
+        stages: steps of the solver, before each of which all but one of `_SHARE` are dropped.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve_many
 
     starts = jnp.broadcast_to(own, (len(theta), *own.shape))
     several, cost = Unknowns(jnp.asarray(theta), starts), np.full(len(theta), np.inf)
-    for steps in _TOURNAMENT:
+    for steps in stages:
         found = solve_many(problem, several, steps)
         cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
         kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
         several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)
-    return jax.tree.map(lambda leaf: leaf[0], several), float(np.min(cost))
+    return _Found(jax.tree.map(lambda leaf: leaf[0], several), float(np.min(cost)))

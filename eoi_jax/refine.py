@@ -77,8 +77,10 @@ def refine(
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
             ones more, the best one the rest; the answer is never worse than without them.
         rounds: how often so many points are followed. From the second time on they are drawn
-            around the best one so far: some parameters anew, the others moved a little. For models
-            of several parts (a start far off in all of them needs tens of rounds) and rugged costs.
+            around the best one so far: some parameters anew, the others moved a little, each by
+            itself or along what the records hardly tell. Where that stands still for five rounds
+            the search begins anew; the last fifth of the rounds is again the best one's. For models
+            of several parts (a start far off in all of them needs a hundred) and rugged costs.
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.

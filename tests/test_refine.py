@@ -323,11 +323,11 @@ def test_rounds_are_drawn_around_the_best_so_far_within_the_bounds():
     values = VALUES | {"cubic": 0.0}
     plant = eoi.Plant(hardening, values, 2, ("u",), ("y",), bounds=bounds, fixed=("offset",))
     best = np.array([1.5, 1.0, 1e9, 3.0, 0.1])
-    points = _varied(plant, best, 500, np.random.default_rng(0))
+    points = _varied(plant, best, np.zeros((5, 5)), 500, np.random.default_rng(0))
     assert np.all((points >= plant.lower) & (points <= plant.upper))
     np.testing.assert_array_equal(points[:, 4], 0.1)  # fixed
     assert np.max(np.abs(points[:, 2])) <= 8.0 * abs(VALUES["stiffness"])  # had run away
-    assert 0.1 < np.mean(points[:, 0] == 1.5) < 0.6
+    assert 0.3 < np.mean(points[:, 0] == 1.5) < 0.7  # those moved along nothing stay too
     assert np.all(points[:, 3] > 0.0)  # began at zero, where nothing is to be drawn around
     for wrong in (0, -1):
         with pytest.raises(ValueError, match=rf"`rounds` must be an integer ≥ 1, got {wrong}"):

@@ -1,0 +1,123 @@
+"""The search from several starts: where it goes next, and that it begins anew where it is stuck."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import multistart
+from eoi_jax.multistart import _standard_steps, _varied, best
+from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
+
+PERIOD, NOISE = 0.02, 1e-3
+
+
+def swinging(t, x, u, p):
+    position, rate = x.y
+    return p.gain * u - p.damping * rate - p.stiffness * position + p.idle * 0.0
+
+
+VALUES = {"gain": 1.2, "damping": 0.5, "stiffness": 9.0, "idle": 2.0}
+PLANT = eoi.Plant(swinging, VALUES, 2, ("u",), ("y",))
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Two windows of ten seconds, noise of a few thousandths."""
+    time = PERIOD * np.arange(1001)
+    record = eoi.simulate(PLANT, time, np.sin(2.0 * time) + np.cos(7.0 * time), [0.02, -0.1])
+    error = NOISE * np.random.default_rng(0).standard_normal((1001, 1))
+    record = eoi.Record(time, record.inputs, record.outputs + error, hold=record.hold)
+    spans = spans_of([record], 10.0)
+    problem = problem_of(PLANT, [record], spans, 2)
+    starts = jnp.asarray(guessed_starts(problem, [record], spans))
+    return problem, Unknowns(jnp.asarray(PLANT.theta), starts)
+
+
+def least(problem, unknowns, theta):
+    """Sum of squares once the initial states have followed θ: the model is linear in them."""
+    moved = Unknowns(jnp.asarray(theta), unknowns.starts)
+    total = 0.0
+    for one in signals(moved, problem):
+        rows = one.reshape(-1, one.shape[-1])
+        own = rows[:, : unknowns.starts.shape[1]]
+        total += np.sum((rows[:, -1] - own @ np.linalg.lstsq(own, rows[:, -1])[0]) ** 2)
+    return total
+
+
+def test_errors_grow_alike_along_steps_of_one_standard_error(problem):
+    runs, unknowns = problem
+    steps, theta = _standard_steps(runs, unknowns), np.asarray(unknowns.theta)
+    np.testing.assert_array_equal(steps[3], 0.0)  # leaves no trace
+    count, lowest = np.sum(runs.use), least(runs, unknowns, theta)
+    for step in steps.T[:3]:
+        around = [least(runs, unknowns, theta + sign * 0.1 * step) for sign in (1.0, -1.0)]
+        # 0.1² of the variance of one error, to the second order.
+        assert np.mean(around) - lowest == pytest.approx(0.01 * lowest / count, rel=0.05)
+
+
+def test_no_step_of_one_standard_error_more_than_doubles_a_parameter(problem):
+    runs, unknowns = problem
+    far = Unknowns(unknowns.theta * jnp.asarray([1.0, 1.0, 5.0, 1.0]), unknowns.starts + 10.0)
+    steps = _standard_steps(runs, far)
+    assert np.max(np.abs(steps) / np.abs(np.asarray(far.theta))[:, None]) <= 1.0 + 1e-12
+
+
+def test_a_run_that_diverges_tells_no_direction(problem):
+    runs, unknowns = problem
+    lost = Unknowns(unknowns.theta * jnp.asarray([1.0, -1e5, 1.0, 1.0]), unknowns.starts)
+    np.testing.assert_array_equal(_standard_steps(runs, lost), np.zeros((4, 4)))
+
+
+def test_points_move_along_what_is_given_and_stay_finite():
+    along = np.zeros((4, 4))
+    along[:2, 0] = 1.0, -1.0
+    draw = np.random.default_rng(0)
+    points = _varied(PLANT, np.asarray(PLANT.theta), along, 2000, draw)
+    moved = points - np.asarray(PLANT.theta)
+    both = (moved[:, 0] != 0.0) & (np.abs(moved[:, 0] + moved[:, 1]) < 1e-9)
+    assert 0.1 < np.mean(both) < 0.4
+    assert np.max(np.abs(moved[both, 0])) > 5.0
+    wild = _varied(PLANT, np.asarray(PLANT.theta), np.full((4, 4), 1e308), 200, draw)
+    assert np.all(np.isfinite(wild))
+
+
+def test_a_search_that_stands_still_begins_anew_and_ends_at_the_best_one(problem, monkeypatch):
+    """Valleys made up, one for each attempt, that no search leaves: the third is the deepest."""
+    runs, unknowns = problem
+    depth, around, reach = {1.2: 5.0, 10.0: 6.0, 20.0: 3.0, 30.0: 4.0}, [], []
+
+    def drawn(plant, count, draw, ratio):
+        reach.append(ratio)
+        return np.tile([10.0 * len(reach), 0.5, 9.0, 2.0], (count, 1))
+
+    def varied(plant, now, along, count, draw):
+        around.append(now[0])
+        return np.tile(now, (count, 1))
+
+    def tournament(problem, theta, starts, stages):
+        cost = depth.get(float(theta[0, 0]), 9.0)
+        return multistart._Found(Unknowns(jnp.asarray(theta[0]), unknowns.starts), cost)
+
+    monkeypatch.setattr(multistart, "_drawn", drawn)
+    monkeypatch.setattr(multistart, "_varied", varied)
+    monkeypatch.setattr(multistart, "_tournament", tournament)
+    points = np.tile(np.asarray(PLANT.theta), (7, 1))
+    (found,) = best(runs, unknowns, points, 40)
+    assert float(found.theta[0]) == 20.0
+    assert around[:5] == [1.2] * 5  # five rounds without a gain
+    assert around[5:15] == [10.0] * 5 + [20.0] * 5
+    assert around[-8:] == [20.0] * 8  # the last fifth
+    assert reach[:3] == [64.0, 8.0, 64.0]
+    assert len(around) + len(reach) == 39
+    around.clear()
+    assert float(best(runs, unknowns, points, 6)[0].theta[0]) == pytest.approx(1.2)
+    assert around == [1.2] * 5  # too few rounds for another attempt
+
+
+def test_where_all_points_diverge_there_is_none(problem):
+    runs, unknowns = problem
+    lost = Unknowns(unknowns.theta * jnp.asarray([1.0, -1e5, 1.0, 1.0]), unknowns.starts)
+    points = np.tile([1.2, -1e5, 9.0, 2.0], (3, 1))
+    assert best(runs, lost, points) == []
+    assert best(runs, lost, points[:0], 3) == []
