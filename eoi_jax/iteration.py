@@ -81,8 +81,9 @@ class Pass(eqx.Module):
 
     @property
     def settled(self) -> Bool[np.ndarray, " lanes"]:
-        """Whether Δθ moves F[f] by less than rounding shows in F[y^(r)]."""
-        moved = np.abs(self.increment) * self.solution.scale
+        """Whether Δθ moves F[f] by less than rounding shows in F[y^(r)]; no lost lane's."""
+        with np.errstate(invalid="ignore"):  # a regressor without bound and no step
+            moved = np.abs(self.increment) * self.solution.scale
         size = np.sqrt(np.einsum("lj,lj->l", self.weights, self.sums.observed_square))
         return np.all(moved <= _ROUNDING * size[:, None], axis=1)
 
