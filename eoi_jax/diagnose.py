@@ -10,7 +10,7 @@ West), and what is found must be beyond both.
 (residual tests, feedback); those of `regression.coloured`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from jaxtyping import Float
 from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.data.saturation import saturations
-from eoi_jax.diagnosis import Confounded, Cross, Diagnosis, Map, PerOutput, Window
+from eoi_jax.diagnosis import Confounded, Cross, Diagnosis, Line, Map, PerOutput, Window
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records
@@ -41,6 +41,7 @@ from eoi_jax.regression.coloured import (
 )
 from eoi_jax.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.residual import View, raw_noise, variable_names, views_of
+from eoi_jax.tuning import foreign_lines
 
 _LEVEL = 0.01
 _MARGIN = 1.05  # residual over floor (rms) below which the noise estimate itself is in doubt
@@ -54,6 +55,7 @@ _ALIKE = 0.95  # correlation of two estimates from which they are called confoun
 _POOR = 0.01  # of the regressors' mean power, below which a window has no excitation
 _UNEVEN = 100.0  # standard error of the worst combination over that of the best
 _SLIDING = 0.9
+_HELD = 0.1  # share of the residual's power from which a line is told
 
 
 def diagnose(
@@ -102,6 +104,7 @@ def diagnose(
         saturation=tuple(one for record in measured for one in saturations(record)),
         noise=np.max([raw_noise(record) for record in measured], axis=0),
         quantum=np.max([record.quantum for record in measured], axis=0),
+        lines=tuple(_foreign_lines(plant, views)),
     )
     from eoi_jax.report.diagnosis import findings
 
@@ -109,6 +112,20 @@ def diagnose(
 
 
 # -- tests -----------------------------------------------------------------------------------
+
+
+def _foreign_lines(plant: Plant, views: Sequence[View]) -> Iterator[Line]:
+    """Lines from elsewhere that hold much of the residual, each by a sine and a cosine."""
+    for view in views:
+        for j, output in enumerate(plant.outputs):
+            scored = np.isfinite(view.residual[:, j])
+            residual, time = view.residual[scored, j], view.record.time[scored]
+            for frequency, rms in foreign_lines(view.record, j):
+                waves = np.stack([np.cos(frequency * time), np.sin(frequency * time)], axis=1)
+                fit = waves @ np.linalg.lstsq(waves, residual)[0]
+                share = float(np.sum(fit**2) / max(np.sum(residual**2), np.finfo(float).tiny))
+                if share > _HELD:
+                    yield Line(output, view.record.name, frequency, rms, share)
 
 
 def _residual_tests(

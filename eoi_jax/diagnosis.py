@@ -94,6 +94,24 @@ class Confounded:
 
 
 @dataclass(frozen=True)
+class Line:
+    """A line in the spectrum of an output that comes from elsewhere: hum, vibration.
+
+    Attributes:
+        output, record: names.
+        frequency: [rad/s].
+        rms: of the line [unit of y].
+        share: of the residual's power.
+    """
+
+    output: str
+    record: str
+    frequency: float
+    rms: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What the residual of an estimate tells.
 
@@ -121,6 +139,7 @@ class Diagnosis:
         sliding_fraction: share of scored steps in sliding.
         saturation: of inputs and outputs.
         noise, quantum: of each output, the largest over the records [unit of y].
+        lines: of outputs that no input drives and that hold much of the residual.
     """
 
     findings: tuple[str, ...]
@@ -150,6 +169,7 @@ class Diagnosis:
     saturation: tuple[Saturation, ...]
     noise: PerOutput
     quantum: PerOutput
+    lines: tuple[Line, ...] = ()
 
     def __str__(self) -> str:
         from eoi_jax.report.diagnosis import diagnosis_text

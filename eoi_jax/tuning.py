@@ -254,19 +254,49 @@ class Spectrum:
 
 def spectrum(record: Record, output: int, degree: int) -> Spectrum:
     """Spectrum of the derivative of one output, over the longest run of valid samples."""
-    start, stop = max(record.segments(), key=lambda one: one[1] - one[0])
-    n, window = stop - start, np.hanning(stop - start)
-    power = _power(record.outputs[start:stop, output], window)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(n, record.sample_period)
+    omega, power, foreign, window = _periodogram(record, output)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
     derivative = omega ** (2 * degree)
-    moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
-    inputs = [_power(u, window) for u in moving]
-    driven = np.where(_foreign(power, inputs), 0.0, power) if inputs else power
     signal, own = (
-        np.where(_above(one, floor, n), one, 0.0) * derivative for one in (power, driven)
+        np.where(_above(one, floor, len(window)), one, 0.0) * derivative
+        for one in (power, np.where(foreign, 0.0, power))
     )
     return Spectrum(omega, signal, own, floor * derivative)
+
+
+def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
+    """Lines of an output that no input drives and that are no part of the motion.
+
+    Args:
+        record: of which the longest run of valid samples counts.
+        output: its index.
+
+    Returns:
+        Frequency [rad/s] and rms [unit of y] of each, in their order; none where no input moves.
+    """
+    omega, power, foreign, window = _periodogram(record, output)
+    floor = np.sum(window**2) * float(record.noise[output]) ** 2
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], foreign.astype(int), [0]])))
+    found = []
+    for first, last in edges.reshape(-1, 2):
+        held = power[first:last]
+        size = max(np.sum(held) - len(held) * floor, 0.0)
+        rms = np.sqrt(2.0 * size / (len(window) * np.sum(window**2)))
+        found.append((float(held @ omega[first:last] / np.sum(held)), float(rms)))
+    return found
+
+
+def _periodogram(
+    record: Record, output: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies, |FFT|² of an output, which bins are lines from elsewhere, and the window."""
+    start, stop = max(record.segments(), key=lambda one: one[1] - one[0])
+    window = np.hanning(stop - start)
+    power = _power(record.outputs[start:stop, output], window)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(stop - start, record.sample_period)
+    moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
+    inputs = [_power(u, window) for u in moving]
+    return omega, power, _foreign(power, inputs) & bool(inputs), window
 
 
 def _power(

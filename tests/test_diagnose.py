@@ -15,6 +15,7 @@ from eoi_jax.diagnose import diagnose
 from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.regression.coloured import ljung_box, prediction_from, whitened
 from eoi_jax.report.diagnosis import findings
+from eoi_jax.report.health import health
 
 TRUE = {"k": 900.0, "d": 12.0, "b": 50.0}
 NOMINAL = {"k": 800.0, "d": 10.0, "b": 40.0}
@@ -236,6 +237,23 @@ def test_a_coarse_sensor_is_called_quantised():
     diagnosis = found(eoi.Record(TIME, DRIVE, y, hold="smooth"))
     assert diagnosis.quantum[0] == pytest.approx(step, rel=1e-6)
     assert said(diagnosis, "y is quantised in steps of")
+
+
+def test_a_hum_of_the_sensor_is_named_with_its_frequency_and_size(clean, coulomb):
+    measured = record()
+    rms = 3e-3 * np.std(measured.outputs)
+    hum = np.sqrt(2.0) * rms * np.sin(2.0 * np.pi * 33.3 * TIME + 0.4)[:, None]
+    diagnosis = found(eoi.Record(TIME, DRIVE, measured.outputs + hum, "run", hold="smooth"))
+    (line,) = diagnosis.lines
+    assert (line.output, line.record) == ("y", "run")
+    assert line.frequency == pytest.approx(2.0 * np.pi * 33.3, rel=1e-3)
+    assert line.rms == pytest.approx(rms, rel=0.05)
+    assert line.share > 0.5
+    (told,) = said(diagnosis, "y of run holds a line at 209.2 rad/s (33.3 Hz) of ")
+    assert told.endswith(f"It makes {line.share:.0%} of the residual.")
+    (look,) = [one for one in health(diagnosis) if one.name == "Noise"]
+    assert not look.good
+    assert clean.lines == coulomb.lines == ()
 
 
 def test_two_parameters_that_do_the_same_are_called_confounded():

@@ -16,6 +16,7 @@ from eoi_jax.tuning import (
     default_lowpass,
     default_observer,
     default_substeps,
+    foreign_lines,
     spectrum,
 )
 
@@ -59,6 +60,11 @@ def test_a_line_that_no_input_drives_does_not_widen_the_band():
     assert cutoff_of(alone, plant=FREE) > 3.0 * cutoff_of(record)
     assert cutoff_of(stirred) > 3.0 * cutoff_of(record)
     assert cutoff_of(driven) == pytest.approx(cutoff_of(record), rel=0.1)
+    ((frequency, rms),) = foreign_lines(loud, 0)
+    assert frequency == pytest.approx(100.0 * np.pi, rel=1e-3)
+    assert rms == pytest.approx(5e-3 * size / np.sqrt(2.0), rel=0.2)  # noise of 1e-3 beside it
+    for other in (record, alone, stirred):
+        assert foreign_lines(other, 0) == []
 
 
 def test_a_record_in_short_pieces_has_a_spectrum():

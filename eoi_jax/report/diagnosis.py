@@ -47,6 +47,7 @@ def findings(diagnosis: Diagnosis, status: Status) -> tuple[str, ...]:
         feedback,
         confounding,
         windows,
+        lines,
         quantisation,
         colour,
     ):
@@ -234,6 +235,18 @@ def windows(diagnosis: Diagnosis) -> Iterator[str]:
         yield (
             f"Without excitation in {share} ({shown}{more}): the plant hardly moves, and "
             "they say next to nothing."
+        )
+
+
+def lines(diagnosis: Diagnosis) -> Iterator[str]:
+    """Outputs with a hum."""
+    for one in diagnosis.lines:
+        unit = spaced(diagnosis.units.get(one.output, ""))
+        yield (
+            f"{one.output} of {one.record} holds a line at {one.frequency:.4g} rad/s "
+            f"({one.frequency / (2.0 * np.pi):.4g} Hz) of {one.rms:.2g}{unit} rms that no input "
+            "drives: a hum of its sensor, or a vibration. It makes "
+            f"{one.share:.0%} of the residual."
         )
 
 

@@ -54,8 +54,9 @@ _RESIDUAL = _Look(
 )
 _NOISE = _Look(
     "Noise",
-    (said.quantisation,),
-    "Use a finer sensor, or a slower and larger motion.",
+    (said.lines, said.quantisation),
+    "Use a finer sensor, shield it from hum, or record a slower and larger motion; a cut-off of "
+    "the low-pass filter below a line keeps it out.",
 )
 _SATURATION = _Look(
     "Saturation",
