@@ -112,7 +112,8 @@ def _varied(
     lost = np.abs(best) > _LOST * nominal
     away = lost | ~np.isfinite(points)
     points = np.where((chosen | away) & (nominal > 0), anew, points)
-    return np.where(np.asarray(plant.free), np.clip(points, plant.lower, plant.upper), best)
+    stays = (np.asarray(plant.free) == 0) | ~np.isfinite(points)
+    return np.where(stays, best, np.clip(points, plant.lower, plant.upper))
 
 
 def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "free free"]:
@@ -120,18 +121,21 @@ def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "
 
     The errors grow alike along all of them: they are long where the runs hardly tell parameters
     apart, so that an optimum lies far along a valley; but no longer than what doubles a parameter.
-    Zeros where a run diverges.
+    Zeros where a run diverges, or no parameter leaves a trace.
     """
     shown, theta = signals(unknowns, problem), np.asarray(unknowns.theta)
     own, error = shown.shape[-1] - 1 - len(theta), shown[..., -1]
     with np.errstate(over="ignore"):
         sigma = np.sqrt(np.sum(error**2) / np.sum(problem.use))
+    nowhere = np.zeros((len(theta), len(theta)))
     if not np.all(np.isfinite(shown)) or not np.isfinite(sigma):
-        return np.zeros((len(theta), len(theta)))
+        return nowhere
     # What the columns of a run's initial state leave of the others: the corner of its triangle.
     roots = [np.linalg.qr(one.reshape(-1, one.shape[-1])).R[own:, own:-1] for one in shown]
     rows = np.concatenate(roots)
     lengths = np.linalg.norm(rows, axis=0)
+    if not np.any(lengths > 0.0):
+        return nowhere
     lengths = np.where(lengths > 0.0, lengths, np.inf)  # what leaves no trace stays
     _, values, across = np.linalg.svd(rows / lengths, full_matrices=False)
     steps = sigma * (across.T / np.maximum(values, _FLAT * values[0])) / lengths[:, None]

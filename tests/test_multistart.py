@@ -69,6 +69,16 @@ def test_a_run_that_diverges_tells_no_direction(problem):
     np.testing.assert_array_equal(_standard_steps(runs, lost), np.zeros((4, 4)))
 
 
+def test_parameters_without_a_trace_tell_no_direction():
+    """A mass at rest that nothing pushes."""
+    time = PERIOD * np.arange(101)
+    record = eoi.Record(time, np.zeros(101), np.zeros(101))
+    spans = spans_of([record], None)
+    runs = problem_of(PLANT, [record], spans, 1)
+    still = Unknowns(jnp.asarray(PLANT.theta), jnp.zeros((1, 2)))
+    np.testing.assert_array_equal(_standard_steps(runs, still), np.zeros((4, 4)))
+
+
 def test_points_move_along_what_is_given_and_stay_finite():
     along = np.zeros((4, 4))
     along[:2, 0] = 1.0, -1.0
@@ -78,7 +88,8 @@ def test_points_move_along_what_is_given_and_stay_finite():
     both = (moved[:, 0] != 0.0) & (np.abs(moved[:, 0] + moved[:, 1]) < 1e-9)
     assert 0.1 < np.mean(both) < 0.4
     assert np.max(np.abs(moved[both, 0])) > 5.0
-    wild = _varied(PLANT, np.asarray(PLANT.theta), np.full((4, 4), 1e308), 200, draw)
+    zero = PLANT.with_parameters({"damping": 0.0})  # nothing to be drawn around
+    wild = _varied(zero, np.asarray(PLANT.theta), np.full((4, 4), 1e308), 200, draw)
     assert np.all(np.isfinite(wild))
 
 
