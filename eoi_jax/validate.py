@@ -7,14 +7,14 @@ scored.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
@@ -292,23 +292,24 @@ def _descend(
     costs, errors = fit.errors(starts)
     best = np.argmin(costs, axis=1)
     cost, error, values = costs[runs, best], errors[runs, best], starts[runs, best]
-    going = np.isfinite(cost)
+    left = np.flatnonzero(np.isfinite(cost))  # those that are not at their end
     for _ in range(_ROUNDS):
-        slopes = fit.slopes(values, error, free)
-        going &= np.all(np.isfinite(slopes), axis=(1, 2))
-        if not going.any():
+        if not len(left):
             break
-        step = np.zeros_like(values)
-        for i in np.flatnonzero(going):
-            step[i, free] = _least_squares(slopes[i], error[i])
-        trials = values[:, None] + step[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
-        costs, errors = fit.errors(trials)
-        best = np.argmax(costs < cost[:, None], axis=1)  # the longest step that helps
-        new = costs[runs, best]
-        helps = going & (new < cost)
-        going = helps & (cost - new > _ENOUGH * cost)
+        some = fit.part(left)
+        slopes = some.slopes(values[left], error[left], free)
+        step = np.zeros_like(values[left])  # where the slopes are not known nothing helps
+        for i in np.flatnonzero(np.all(np.isfinite(slopes), axis=(1, 2))):
+            step[i, free] = _least_squares(slopes[i], error[left[i]])
+        trials = values[left, None] + step[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
+        costs, errors = some.errors(trials)
+        best = np.argmax(costs < cost[left, None], axis=1)  # the longest step that helps
+        at = np.arange(len(left)), best
+        fall = cost[left] - costs[at]
+        helps, further = fall > 0.0, fall > _ENOUGH * cost[left]
         for old, several in ((cost, costs), (error, errors), (values, trials)):
-            old[helps] = several[runs, best][helps]
+            old[left[helps]] = several[at][helps]
+        left = left[further]
     return cost, values
 
 
@@ -322,6 +323,12 @@ class _Heads:
     y: Float[np.ndarray, "runs time ny"]
     valid: Bool[np.ndarray, "runs time"]
     period: float
+
+    def part(self, which: Int[np.ndarray, " some"]) -> "_Heads":
+        """Of some runs alone."""
+        heads = self.heads
+        some = Drive(heads.time[which], heads.step[which], heads.inputs[which], heads.substeps)
+        return replace(self, heads=some, y=self.y[which], valid=self.valid[which])
 
     def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
         """Squared error of each trial, infinite where it diverges, and the errors."""
