@@ -326,9 +326,15 @@ class _Heads:
 
     def part(self, which: Int[np.ndarray, " some"]) -> "_Heads":
         """Of some runs alone."""
+        return replace(self, heads=self._driving(which), y=self.y[which], valid=self.valid[which])
+
+    def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
+        """What drives some of the runs; on the host, where another number is no compilation."""
         heads = self.heads
-        some = Drive(heads.time[which], heads.step[which], heads.inputs[which], heads.substeps)
-        return replace(self, heads=some, y=self.y[which], valid=self.valid[which])
+        time, step, inputs = (
+            np.asarray(one)[runs] for one in (heads.time, heads.step, heads.inputs)
+        )
+        return Drive(time, step, inputs, heads.substeps)
 
     def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
         """Squared error of each trial, infinite where it diverges, and the errors."""
@@ -362,15 +368,14 @@ class _Heads:
         return _DIFFERENCE * np.concatenate([own, np.where(z > 0, z, 1.0)], axis=1)
 
     def _simulated(self, values: Trials) -> Float[np.ndarray, "runs trials time ny"]:
-        run, heads = self.run, self.heads
+        run = self.run
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
         parts = []
         # Always so many runs at once, whatever the number of windows: one kernel for each plant.
         for first in range(0, len(lanes), _LANES):
             index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
-            of = owner[index]
-            drives = Drive(heads.time[of], heads.step[of], heads.inputs[of], heads.substeps)
+            drives = self._driving(owner[index])
             out = _runs(run.plant, self.theta, drives, lanes[index], run.friction)
             parts.append(np.asarray(out))
         out = np.concatenate(parts)[: len(lanes)]
