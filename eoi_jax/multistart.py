@@ -22,8 +22,8 @@ from eoi_jax.prepare import starting_points
 
 _REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
 _TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
+_SEARCH = (16, 8, 24)  # likewise, where further rounds begin at the best one
 _SHARE = 8  # one of so many is kept
-_CLIMB = 24  # more steps for what is left then, where further rounds begin at the best one
 # Of further rounds: shares of the parameters that are drawn anew; spread of the logarithm of the
 # others, at random between; ratio to the plant's values from which on one has run away.
 _ANEW, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
@@ -151,12 +151,13 @@ class _Found(NamedTuple):
 
 
 def best(
-    problem: Problem, unknowns: Unknowns, points: np.ndarray, rounds: int = 1
+    problem: Problem, rough: Problem, unknowns: Unknowns, points: np.ndarray, rounds: int = 1
 ) -> list[Unknowns]:
     """Where the best of several points leads; none where all diverge.
 
     Args:
         problem: the runs; further points are drawn around the values of its plant.
+        rough: the same in longer steps, or itself: where all points take their first steps.
         unknowns: of which the initial states are where all points begin. With further rounds its
             parameters are a point too.
         points: parameters, shape (points, np).
@@ -166,11 +167,11 @@ def best(
         return []
     plant, free = problem.kernel.plant, list(problem.free)
     draw = np.random.default_rng(_SEED + 1)
-    stages = _TOURNAMENT if rounds == 1 else (*_TOURNAMENT, _CLIMB)
+    stages = _TOURNAMENT if rounds == 1 else _SEARCH
 
     def followed(theta: np.ndarray, starts: Any) -> _Found:
         nothing = _Found(unknowns, np.inf)  # stays the best one where all diverge
-        return _better(nothing, _tournament(problem, theta, starts, stages))
+        return _better(nothing, _tournament(problem, rough, theta, starts, stages))
 
     now = followed(points[:, free], unknowns.starts)
     if rounds > 1:
@@ -201,23 +202,28 @@ def _better(one: _Found, other: _Found) -> _Found:
 
 
 def _tournament(
-    problem: Problem, theta: Float[np.ndarray, "points free"], own: Any, stages: tuple[int, ...]
+    problem: Problem,
+    rough: Problem,
+    theta: Float[np.ndarray, "points free"],
+    own: Any,
+    stages: tuple[int, ...],
 ) -> _Found:
     """All points followed a few steps, the better ones some more: the best.
 
     Args:
         problem: the runs.
+        rough: of the first stage.
         theta: the points.
         own: initial states at which all begin.
-        stages: steps of the solver, before each of which all but one of `_SHARE` are dropped.
+        stages: steps of the solver, after each of which all but one of `_SHARE` are dropped.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve_many
 
     starts = jnp.broadcast_to(own, (len(theta), *own.shape))
     several, cost = Unknowns(jnp.asarray(theta), starts), np.full(len(theta), np.inf)
-    for steps in stages:
-        found = solve_many(problem, several, steps)
+    for stage, steps in enumerate(stages):
+        found = solve_many(problem if stage else rough, several, steps)
         cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
         kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
         several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)

@@ -47,6 +47,7 @@ _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one befor
 _SETTLED = 0.02  # relative change of these weights that is none
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
+_LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the residual
 
 
 def refine(
@@ -124,12 +125,12 @@ def refine(
         jnp.asarray(guessed_starts(problem, several, spans)),
     )
     before = _unweighed(problem, signals(unknowns, problem))
-    own = [unknowns] if np.all(np.isfinite(before)) else []
+    begun = [unknowns] if np.all(np.isfinite(before)) else []
     effort = _Effort(max_steps, _watch(callback, max_steps))
-    fits = [
-        _fitted(problem, start, before, effort, huber)
-        for start in (*own, *best(problem, unknowns, points, rounds))
-    ]
+    if len(points):
+        rough = _rougher(problem, several, spans, unknowns, before)
+        begun += best(problem, rough, unknowns, points, rounds)
+    fits = [_fitted(problem, start, before, effort, huber) for start in begun]
     if not fits:
         reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
         return _unanswered(nominal, several, window, Status("diverged", reason))
@@ -187,6 +188,26 @@ def _fitted(
             break
         problem = weighed(problem, sigma, np.inf if huber is None else huber)
     return fit
+
+
+def _rougher(
+    problem: Problem,
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    unknowns: Unknowns,
+    before: Float[np.ndarray, "runs time ny"],
+) -> Problem:
+    """Longer steps, by which most starts are sorted out, if their error hardly shows at the first.
+
+    Itself where they do not do, or the first start, whose errors `before` are, diverges.
+    """
+    if problem.substeps == 1 or not np.all(np.isfinite(before)):
+        return problem
+    substeps = max(problem.substeps // _LONGER, 1)
+    rough = problem_of(problem.kernel.plant, records, spans, substeps)
+    apart = _unweighed(rough, signals(unknowns, rough)) - before
+    near = _rms(apart, problem.use) <= _NEAR * _rms(before, problem.use)
+    return rough if np.all(near) else problem
 
 
 def _finer(

@@ -1,5 +1,7 @@
 """The search from several starts: where it goes next, and that it begins anew where it is stuck."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import eoi_jax as eoi
 from eoi_jax import multistart
 from eoi_jax.multistart import _standard_steps, _varied, best
 from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
+from eoi_jax.refine import _rougher
 
 PERIOD, NOISE = 0.02, 1e-3
 
@@ -106,7 +109,7 @@ def test_a_search_that_stands_still_begins_anew_and_ends_at_the_best_one(problem
         around.append(now[0])
         return np.tile(now, (count, 1))
 
-    def tournament(problem, theta, starts, stages):
+    def tournament(problem, rough, theta, starts, stages):
         cost = depth.get(float(theta[0, 0]), 9.0)
         return multistart._Found(Unknowns(jnp.asarray(theta[0]), unknowns.starts), cost)
 
@@ -114,7 +117,7 @@ def test_a_search_that_stands_still_begins_anew_and_ends_at_the_best_one(problem
     monkeypatch.setattr(multistart, "_varied", varied)
     monkeypatch.setattr(multistart, "_tournament", tournament)
     points = np.tile(np.asarray(PLANT.theta), (7, 1))
-    (found,) = best(runs, unknowns, points, 40)
+    (found,) = best(runs, runs, unknowns, points, 40)
     assert float(found.theta[0]) == 20.0
     assert around[:5] == [1.2] * 5  # five rounds without a gain
     assert around[5:15] == [10.0] * 5 + [20.0] * 5
@@ -122,7 +125,7 @@ def test_a_search_that_stands_still_begins_anew_and_ends_at_the_best_one(problem
     assert reach[:3] == [64.0, 8.0, 64.0]
     assert len(around) + len(reach) == 39
     around.clear()
-    assert float(best(runs, unknowns, points, 6)[0].theta[0]) == pytest.approx(1.2)
+    assert float(best(runs, runs, unknowns, points, 6)[0].theta[0]) == pytest.approx(1.2)
     assert around == [1.2] * 5  # too few rounds for another attempt
 
 
@@ -130,5 +133,55 @@ def test_where_all_points_diverge_there_is_none(problem):
     runs, unknowns = problem
     lost = Unknowns(unknowns.theta * jnp.asarray([1.0, -1e5, 1.0, 1.0]), unknowns.starts)
     points = np.tile([1.2, -1e5, 9.0, 2.0], (3, 1))
-    assert best(runs, lost, points) == []
-    assert best(runs, lost, points[:0], 3) == []
+    assert best(runs, runs, lost, points) == []
+    assert best(runs, runs, lost, points[:0], 3) == []
+
+
+def errors_at(runs, unknowns):
+    return signals(unknowns, runs)[..., -1] / np.asarray(runs.scale)
+
+
+def test_longer_steps_sort_starts_out_where_their_error_hardly_shows():
+    """A quarter of the steps; not where these go unstable, nor where the first start diverges."""
+    time = PERIOD * np.arange(501)
+    record = eoi.simulate(PLANT, time, np.sin(2.0 * time), [0.02, -0.1])
+    spans = spans_of([record], None)
+
+    def steps(stiffness, start=0.0):
+        plant = PLANT.with_parameters({"stiffness": stiffness})
+        runs = problem_of(plant, [record], spans, 8)
+        unknowns = Unknowns(jnp.asarray(plant.theta), jnp.full((1, 2), start))
+        return _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns)).substeps
+
+    assert steps(20.0) == 2
+    assert steps(2e5) == 8  # 4.5 rad of its resonance in a longer step, 1.1 in a short one
+    assert steps(-1e6) == 8
+
+
+def test_one_step_a_sample_is_not_made_longer():
+    time = PERIOD * np.arange(101)
+    record = eoi.simulate(PLANT, time, np.sin(2.0 * time))
+    spans = spans_of([record], None)
+    runs = problem_of(PLANT, [record], spans, 1)
+    unknowns = Unknowns(jnp.asarray(PLANT.theta), jnp.zeros((1, 2)))
+    assert _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns)) is runs
+
+
+def test_points_take_their_first_steps_in_longer_ones_and_end_in_short_ones(problem, monkeypatch):
+    from eoi_jax import levenberg_marquardt
+
+    runs, unknowns = problem
+    rough, seen, solve_many = replace(runs), [], levenberg_marquardt.solve_many
+
+    def watched(one, several, steps):
+        seen.append((one is rough, len(several.theta), steps))
+        return solve_many(runs, several, steps)
+
+    monkeypatch.setattr(levenberg_marquardt, "solve_many", watched)
+    points = np.tile(np.asarray(PLANT.theta), (20, 1))
+    best(runs, rough, unknowns, points)
+    assert seen == [(True, 20, 8), (False, 3, 8)]
+    seen.clear()
+    best(runs, rough, unknowns, points, 2)
+    assert seen[3:6] == [(True, 1, 16), (False, 1, 8), (False, 1, 24)]  # where all begin
+    assert [one for one in seen if one[1] > 1] == 2 * [(True, 20, 16), (False, 3, 8)]
