@@ -85,7 +85,7 @@ OPTIMA = {
 
 
 # Most starts have no estimate: points that `refine` draws around one by itself, and how often.
-DRAWN = {"cascaded_tanks without overflow": (200, 1), "cascaded_tanks": (100, 120)}
+DRAWN = {"cascaded_tanks without overflow": (200, 2), "cascaded_tanks": (100, 180)}
 TANKS = {"lowpass": eoi.LowPass(0.05, 2), "passes": 30}  # as in their config
 
 
