@@ -32,6 +32,7 @@ from eoi_jax.effects.effect import (
 from eoi_jax.modes import (
     Stretch,
     Values,
+    each_of,
     integrated,
     internal_along,
     model_rows,
@@ -271,7 +272,7 @@ def _term_along(
         along = jax.vmap(instant)(time, y, v, u, z).T * push
         return thinned(averaged(degree, along), *thin)
 
-    return jax.vmap(one)(jnp.asarray(shapes))
+    return each_of(one, jnp.asarray(shapes), bool(effect.states))
 
 
 def _signals(one: Stretch, placed: Placed) -> tuple[tuple, tuple]:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import candidates
@@ -131,6 +132,8 @@ def _untold(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
+# Its matrices are small, and beside other work the threads of BLAS wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     """Rounds of search and refit, then the free runs.
 

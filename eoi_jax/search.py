@@ -30,7 +30,7 @@ from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom
 from eoi_jax.fit import Base, Fit, Make, Span, Spans, fitted, refined, system
 from eoi_jax.noise_model import fitted_power
-from eoi_jax.projections import Terms, changes
+from eoi_jax.projections import Beside, Terms, changes
 
 _BEAM = 5  # sets of one size that are refined
 # Sets that are refined once more under the power that the answer leaves: so many at most, none
@@ -71,6 +71,7 @@ class Search:
     lacking: float
     power: Rows = field(init=False)
     _columns: Terms = field(init=False)
+    _alone: Beside = field(init=False)
     _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
     spans: Spans = field(init=False, default_factory=dict)
 
@@ -154,13 +155,14 @@ class Search:
     def known(self, placed: Placed) -> bool:
         """Whether an effect is in the span of the declared model already."""
         own = [i for i, one in enumerate(self._terms) if one.placed == placed]
-        kept = self._columns.beside(self.base.columns, self.base.target).kept
+        kept = self._alone.kept
         return bool(own) and not any(kept[self._columns.part(i)].any() for i in own)
 
     def _weigh(self, residual: Rows) -> None:
         base = self.base
         self.power = fitted_power(residual, base.noise, base.local, base.output)
         self._columns = Terms(self._terms, self.power)
+        self._alone = self._columns.beside(base.columns, base.target)
         self._changes = changes(self._changing, base, self.power)
 
     # -- sets that are worth a look -------------------------------------------------------------
@@ -203,7 +205,8 @@ class Search:
         """The set with one more effect, at its best point of the grid; best first."""
         keys = {one.key for one in fit.atoms}
         target, matrix = system(self.base, fit.atoms)
-        by_atom = self._columns.by_atom(self._columns.beside(matrix, target))
+        beside = self._columns.beside(matrix, target) if keys else self._alone
+        by_atom = self._columns.by_atom(beside)
         best: dict[Placed, Atom] = {}
         for i in np.argsort(by_atom)[::-1]:
             one = self._terms[i]
@@ -220,10 +223,9 @@ class Search:
     def _pairs(self) -> list[Fit]:
         """Sets of two that gain most on the grid, all of them tried."""
         terms, owner = self._terms, self._columns.owner
-        alone = self._columns.beside(self.base.columns, self.base.target)
         found = [
             (gain, (terms[owner[i]], terms[owner[k]]))
-            for gain, i, k in self._columns.pairs(alone, _PAIRS)
+            for gain, i, k in self._columns.pairs(self._alone, _PAIRS)
         ]
         declared = float(self.fit([]).cost)
         for several in self._changes:
