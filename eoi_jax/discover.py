@@ -67,6 +67,9 @@ def discover(
 ) -> Discovery:
     """Find what a model lacks, and add it.
 
+    While it searches, NumPy's BLAS has one thread in this process: its matrices are small, and
+    beside other work the threads would wait for each other.
+
     Args:
         plant: the declared model, with nominal parameters.
         records: to fit and to search; all of them together.
@@ -132,7 +135,6 @@ def _untold(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-# Its matrices are small, and beside other work the threads of BLAS wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     """Rounds of search and refit, then the free runs.
