@@ -121,7 +121,7 @@ def refine(
     count = _COARSE if substeps is None else substeps
     problem = problem_of(nominal, several, spans, count)
     unknowns = Unknowns(
-        jnp.asarray(nominal.theta)[np.asarray(problem.free)],
+        jnp.asarray(np.asarray(nominal.theta)[list(problem.free)]),
         jnp.asarray(guessed_starts(problem, several, spans)),
     )
     before = _unweighed(problem, signals(unknowns, problem))

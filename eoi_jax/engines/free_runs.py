@@ -84,8 +84,10 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     plant = kernel.plant
     if plant.actuator is not None:
         return "inputs behind an actuator"
-    theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
-    own = len(kernel.rows) + jax.eval_shape(plant.internal_start, theta).shape[0]
+    own = len(kernel.rows)
+    if plant.internal is not None:
+        theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
+        own += jax.eval_shape(plant.internal_start, theta).shape[0]
     try:
         _code(kernel, own, lanes)
     except Untranslatable as reason:
