@@ -48,6 +48,9 @@ _SETTLED = 0.02  # relative change of these weights that is none
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
 _LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the residual
+# Share of the cost that least squares promises where the solver stalls, from which on it is looked
+# for; points and rounds of that search.
+_PROMISED, _POINTS, _AROUND = 0.01, 64, 4
 
 
 def refine(
@@ -76,7 +79,9 @@ def refine(
         starts: further points to start from, run side by side: dicts of parameters, rows
             (starts, np), or how many are drawn around the plant's values: each times a factor of
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
-            ones more, the best one the rest; the answer is never worse than without them.
+            ones more, the best one the rest; the answer is never worse than without them. None:
+            the plant's values, and four rounds of 64 points around where they lead, if the solver
+            stalls there and least squares promises a hundredth of the cost or more.
         rounds: how often so many points are followed. From the second time on they are drawn
             around the best one so far: some parameters anew, the others moved a little, each by
             itself or along what the records hardly tell. Where that stands still for five rounds
@@ -136,6 +141,8 @@ def refine(
         return _unanswered(nominal, several, window, Status("diverged", reason))
     if substeps is None:
         fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
+    if starts is None:
+        fits += _beyond(fits[0], several, spans, effort, huber)
     fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     return _refinement(fit, several, spans, window)
 
@@ -208,6 +215,26 @@ def _rougher(
     apart = _unweighed(rough, signals(unknowns, rough)) - before
     near = _rms(apart, problem.use) <= _NEAR * _rms(before, problem.use)
     return rough if np.all(near) else problem
+
+
+def _beyond(
+    fit: "_Fit",
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    effort: _Effort,
+    huber: float | None,
+) -> list["_Fit"]:
+    """From points around a fit that stalled at a kink, far above what least squares promises."""
+    outcome, problem = fit.outcome, fit.problem
+    if float(outcome.promise) < _PROMISED or bool(outcome.exhausted) or not fit.differentiable:
+        return []
+    theta = np.array(problem.theta)
+    theta[list(problem.free)] = np.asarray(outcome.unknowns.theta)
+    points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
+    rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
+    found = best(problem, rough, outcome.unknowns, points, _AROUND)
+    more = [_fitted(problem, one, fit.before, effort, huber) for one in found]
+    return [replace(one, steps=fit.steps + one.steps) for one in more]
 
 
 def _finer(

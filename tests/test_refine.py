@@ -1,5 +1,6 @@
 """Output-error refinement: derivatives, exact recovery, bounds, windows, failures."""
 
+import importlib
 from typing import Any
 
 import jax.numpy as jnp
@@ -187,6 +188,31 @@ def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
     assert again.rmse**2 >= 0.999 * found.rmse**2
 
 
+def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(monkeypatch):
+    """All do as long as they are told so: the search begins where the fit has ended."""
+    module, asked = importlib.import_module("eoi_jax.refine"), []
+    record, start = run(OSCILLATOR, [0.02, -0.1]), OSCILLATOR.with_parameters({"damping": 0.6})
+
+    def best(problem, rough, unknowns, points, rounds):
+        asked.append((unknowns.theta, points))
+        return [Unknowns(1.01 * unknowns.theta, unknowns.starts)]
+
+    monkeypatch.setattr(module, "best", best)
+    alone = refine(start, record)
+    assert not asked  # it converged
+    monkeypatch.setattr(module, "_PROMISED", -1.0)
+    found = refine(start, record)
+    ((where, points),) = asked
+    np.testing.assert_allclose(where, alone.plant.theta)
+    ratio = np.abs(points / alone.plant.theta)
+    assert np.all((ratio >= 1.0 / 8.0) & (ratio <= 8.0))
+    assert found.rmse[0] <= alone.rmse[0]
+    refine(start, record, max_steps=1)
+    assert len(asked) == 1  # time was up before it could stall
+    refine(start, record, starts=[start.parameters])
+    assert len(asked) == 2  # for the points that were given, and no more
+
+
 def test_the_step_is_halved_while_its_error_shows_in_the_estimate():
     """Four steps a radian of its resonance."""
     stiff = OSCILLATOR.with_parameters(STIFF)
@@ -285,10 +311,12 @@ def test_so_many_starts_are_drawn_around_a_plant_where_a_wrong_sign_leaves_no_tr
     pump = np.repeat(draw.uniform(1.0, 5.0, 76), 8)[:601, None]
     record = eoi.simulate(true, time, pump, initial=[5.0])
     lost = true.with_parameters({"k1": 0.03, "k3": 0.2, "k4": -0.1, "upper_initial": 4.0})
-    assert refine(lost, record, substeps=1).rmse[0] > 0.1 * np.std(record.outputs)
-    found = refine(lost, record, substeps=1, starts=100)
-    np.testing.assert_allclose(found.plant.theta, true.theta, rtol=1e-4)
-    np.testing.assert_array_equal(found.nominal.theta, lost.theta)  # the plant as given
+    stuck = refine(lost, record, substeps=1, starts=[lost.parameters])
+    assert stuck.rmse[0] > 0.1 * np.std(record.outputs)
+    for starts in (100, None):  # without any it searches where it stalls, far above its promise
+        found = refine(lost, record, substeps=1, starts=starts)
+        np.testing.assert_allclose(found.plant.theta, true.theta, rtol=1e-4)
+        np.testing.assert_array_equal(found.nominal.theta, lost.theta)  # the plant as given
 
 
 def spring_with_stops(t, x, u, p):
