@@ -185,8 +185,7 @@ def best(
             theta = _drawn(plant, len(points), draw, _REACH ** (1 + attempts % 2))
             now, still, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
         else:
-            theta = np.array(plant.theta, dtype=float)
-            theta[free] = np.asarray(now.unknowns.theta)
+            theta = problem.completed(now.unknowns.theta)
             along = np.zeros((len(theta), len(theta)))
             along[np.ix_(free, free)] = _standard_steps(problem, now.unknowns)
             varied = _varied(plant, theta, along, len(points), draw)

@@ -107,6 +107,12 @@ class Problem(eqx.Module):
         """Numbers of the parameters that are unknown."""
         return self.kernel.free
 
+    def completed(self, free: Any) -> Float[np.ndarray, " np"]:
+        """All parameters, with these values of the unknown ones."""
+        theta = np.array(self.kernel.plant.theta, dtype=float)
+        theta[list(self.free)] = np.asarray(free)
+        return theta
+
     @property
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
         """Which samples are scored."""
@@ -323,8 +329,7 @@ def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
 
 def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:
     """c of every sample: derivatives of the weighed errors, start first, and the errors."""
-    theta = np.array(problem.theta)
-    theta[list(problem.free)] = np.asarray(unknowns.theta)
+    theta = problem.completed(unknowns.theta)
     if not problem.compiled:
         shown = _shown(problem, jnp.asarray(theta), unknowns.starts)
         return np.asarray(shown)[:, :: problem.substeps]

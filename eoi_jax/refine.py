@@ -211,10 +211,18 @@ def _rougher(
     if problem.substeps == 1 or not np.all(np.isfinite(before)):
         return problem
     substeps = max(problem.substeps // _LONGER, 1)
-    rough = problem_of(problem.kernel.plant, records, spans, substeps)
+    rough = _stepped(problem, records, spans, substeps)
     apart = _unweighed(rough, signals(unknowns, rough)) - before
     near = _rms(apart, problem.use) <= _NEAR * _rms(before, problem.use)
     return rough if np.all(near) else problem
+
+
+def _stepped(
+    problem: Problem, records: Sequence[Record], spans: Sequence[Span], substeps: int
+) -> Problem:
+    """The same runs and weights with other steps."""
+    other = problem_of(problem.kernel.plant, records, spans, substeps)
+    return weighed(other, 1.0 / np.asarray(problem.scale), float(problem.threshold))
 
 
 def _beyond(
@@ -228,8 +236,7 @@ def _beyond(
     outcome, problem = fit.outcome, fit.problem
     if float(outcome.promise) < _PROMISED or bool(outcome.exhausted) or not fit.differentiable:
         return []
-    theta = np.array(problem.theta)
-    theta[list(problem.free)] = np.asarray(outcome.unknowns.theta)
+    theta = problem.completed(outcome.unknowns.theta)
     points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
     found = best(problem, rough, outcome.unknowns, points, _AROUND)
@@ -252,8 +259,7 @@ def _finer(
     """
     while fit.differentiable and fit.problem.substeps < _FINEST:
         old, unknowns = fit.problem, fit.outcome.unknowns
-        problem = problem_of(old.kernel.plant, records, spans, 2 * old.substeps)
-        problem = weighed(problem, 1.0 / np.asarray(old.scale), float(old.threshold))
+        problem = _stepped(old, records, spans, 2 * old.substeps)
         apart = _unweighed(problem, signals(unknowns, problem)) - fit.error
         count, rms = np.sqrt(np.sum(fit.use, axis=(0, 1))), _rms(fit.error, fit.use)
         if np.all(count * _rms(apart, fit.use) <= rms):
@@ -326,8 +332,7 @@ def _refinement(
     fit: _Fit, records: Sequence[Record], spans: Sequence[Span], window: float | None
 ) -> Refinement:
     problem, nominal = fit.problem, fit.problem.kernel.plant
-    theta = np.array(nominal.theta, dtype=float)
-    theta[list(problem.free)] = np.asarray(fit.outcome.unknowns.theta)
+    theta = problem.completed(fit.outcome.unknowns.theta)
     plant, error = nominal.with_parameters(theta), fit.error
     rmse, before = _rms(error, fit.use), _rms(fit.before, fit.use)
     bound = [name for i, name in enumerate(plant.names) if i in problem.free

@@ -9,7 +9,14 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import multistart
 from eoi_jax.multistart import _standard_steps, _varied, best
-from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
+from eoi_jax.output_error import (
+    Unknowns,
+    guessed_starts,
+    problem_of,
+    signals,
+    spans_of,
+    weighed,
+)
 from eoi_jax.refine import _rougher
 
 PERIOD, NOISE = 0.02, 1e-3
@@ -156,6 +163,18 @@ def test_longer_steps_sort_starts_out_where_their_error_hardly_shows():
     assert steps(20.0) == 2
     assert steps(2e5) == 8  # 4.5 rad of its resonance in a longer step, 1.1 in a short one
     assert steps(-1e6) == 8
+
+
+def test_longer_steps_weigh_the_outputs_as_the_fit_does():
+    """Outliers too: else the points would be sorted out by another cost."""
+    time = PERIOD * np.arange(101)
+    record = eoi.simulate(PLANT, time, np.sin(2.0 * time), [0.02, -0.1])
+    spans = spans_of([record], None)
+    runs = weighed(problem_of(PLANT, [record], spans, 8), np.array([0.05]), 1.345)
+    unknowns = Unknowns(jnp.asarray(PLANT.theta), jnp.zeros((1, 2)))
+    rough = _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns))
+    assert rough.substeps == 2
+    assert (rough.scale[0], rough.threshold) == (pytest.approx(20.0), 1.345)
 
 
 def test_one_step_a_sample_is_not_made_longer():
