@@ -37,9 +37,9 @@ from eoi_jax.regression.long_run import long_run
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer, default_transient
 
-# Up to so many values every pass stores its signals, which the first and the best need anyway:
-# tracing a second kernel that stores nothing would take longer than that saves.
-_SHORT = 2_000_000
+# Up to so many values every pass stores its signals, which are wanted of the first and the best:
+# a second kernel that stores nothing, and the best pass once more, would take longer.
+_SHORT = 10_000_000
 # The injection over time is shown where the filter's memory holds at least this share that counts.
 _SHARE = 0.5
 
@@ -247,7 +247,7 @@ class _Driver:
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
-        done, first = self._iterate()
+        done, first, trace = self._iterate(records)
         one, number, status = done.best, int(done.best_pass[0]), self._status(done, records)
         theta, increment = one.theta[0], one.increment[0]
         better = None
@@ -256,9 +256,13 @@ class _Driver:
             reasons += why
         if better is not None:
             theta, increment = better.theta, np.zeros_like(theta)
-        sums, trace = self._pass(theta, "regressors" if better is None else "signals", increment)
+        if trace is None or better is not None:
+            sums, trace = self._pass(theta, "signals")
+        else:
+            sums = jax.tree.map(lambda leaf: leaf[0], one.sums)
+        left = np.asarray(trace.injection - trace.Phi @ increment)
         if better is None:
-            covariance, freedom = self._covariance(one, trace)
+            covariance, freedom = self._covariance(one, trace.Phi, left)
         else:
             covariance, freedom = better.covariance, better.degrees_of_freedom
         plant = self.plant.with_parameters(theta)
@@ -276,8 +280,8 @@ class _Driver:
             plant=plant,
             nominal=self.plant,
             injection=self._per_sample(trace.injection, trace.weight, records),
-            first_injection=self._per_sample(first.injection, first.weight, records),
-            residual=self._per_sample(trace.injection - trace.explained, trace.weight, records),
+            first_injection=first,
+            residual=self._per_sample(left, trace.weight, records),
             sliding_fraction=sliding,
             unexplained=np.sqrt(power / np.where(observed > 0, observed, 1.0)),
             covariance=covariance,
@@ -291,39 +295,44 @@ class _Driver:
             degrees_of_freedom=freedom,
         )
 
-    def _covariance(self, one: Pass, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    def _covariance(self, one: Pass, Phi: Any, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
         inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
         root = np.sqrt(one.weights[0] * np.asarray(self.steps.score))
-        error = root * np.asarray(trace.injection - trace.explained)
-        rows = root[..., None] * np.asarray(trace.Phi)
-        error, rows = (by_sample(part, self.steps, self.substeps) for part in (error, rows))
+        rows = root[..., None] * np.asarray(Phi)
+        error, rows = (by_sample(part, self.steps, self.substeps) for part in (root * left, rows))
         scores = np.einsum("sj,sja->sa", error, rows)
         if not (np.all(np.isfinite(scores)) and np.any(inverse)):
             return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
         return long_run(scores, rows, inverse)
 
-    def _iterate(self) -> tuple[Iterations, Any]:
-        first = None
+    def _iterate(
+        self, records: tuple[Record, ...]
+    ) -> tuple[Iterations, list[np.ndarray], Trace | None]:
+        """All passes, the injection of the first, and the signals of the best if they were kept."""
+        first: list[np.ndarray] = []
+        last = best = None
+        long = self.steps.use.size * (2 + len(self.plant.names)) > _SHORT
 
         def run(which: Any, theta: np.ndarray, number: int) -> Sums:
-            nonlocal first
+            nonlocal last
             del which
-            store = "nothing" if number and self.steps.use.size > _SHORT else "signals"
-            sums, trace = self._pass(theta[0], store)
-            first = trace if number == 0 else first
+            sums, last = self._pass(theta[0], "nothing" if long and number else "signals")
+            if number == 0:
+                first.extend(self._per_sample(last.injection, last.weight, records))
             return jax.tree.map(lambda leaf: leaf[None], sums)
 
-        def watch(number: int, passes: int, index: np.ndarray) -> None:
+        def watch(number: int, index: np.ndarray, lowest: np.ndarray) -> None:
+            nonlocal best
+            best = last if lowest[0] else best
             if self.callback is not None:
-                self.callback(number, passes, index[0])
+                self.callback(number + 1, self.passes, index[0])
 
         start = np.asarray(self.plant.theta, dtype=float)[None]
-        return iterate(run, self.plant, start, self.passes, watch), first
+        return iterate(run, self.plant, start, self.passes, watch), first, best
 
-    def _pass(self, theta: np.ndarray, store: str, increment: Any = None) -> tuple[Sums, Any]:
-        moved = np.zeros_like(theta) if increment is None else increment
-        sums, trace = self.one_pass(theta, moved, store)
+    def _pass(self, theta: np.ndarray, store: str) -> tuple[Sums, Any]:
+        sums, trace = self.one_pass(theta, store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
     def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:

@@ -35,7 +35,7 @@ _DAMPING = 0.1
 _RETRIES = 5
 
 Thetas = Float[np.ndarray, "lanes np"]
-Watch = Callable[[int, int, np.ndarray], None]
+Watch = Callable[[int, np.ndarray, np.ndarray], None]
 Run = Callable[[Int[np.ndarray, " some"], Float[np.ndarray, "some np"], int], Sums]
 
 
@@ -143,7 +143,8 @@ def iterate(
         plant: whose bounds hold, and whose fixed parameters stay.
         start: θ_0, shape (lanes, np).
         passes: how many at most.
-        watch: called after each pass with its number from 1, `passes` and its index (lanes, ny).
+        watch: called after each pass with its number from 0, its index (lanes, ny), and for which
+            lanes it is the best so far.
     """
     lanes, affine = len(start), plant.is_affine
     every, theta, active = np.arange(lanes), start, np.ones(lanes, bool)
@@ -157,8 +158,6 @@ def iterate(
         one = _solve(plant, theta, now, np.zeros(lanes))
         if reference is None or least is None:
             reference, least, seen = one, one, np.any(sums.count != 0, axis=1)
-        if watch is not None:
-            watch(number + 1, passes, one.index)
         better = active & ((number == 0) | (one.cost < reference.cost - PROGRESS))
         worse = active & ~better & (one.cost > reference.cost) & (not affine)
         stale = np.where(better, 0, stale + active)
@@ -174,6 +173,8 @@ def iterate(
             increment = np.where(damped[:, None], moved, one.increment)
             one = replace(one, increment=increment)
         lower = active & ((number == 0) | (one.cost < least.cost))
+        if watch is not None:
+            watch(number, one.index, lower)
         reference, least = _chosen(better, one, reference), _chosen(lower, one, least)
         best_pass = np.where(lower, number, best_pass)
         count += active

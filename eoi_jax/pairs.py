@@ -104,7 +104,7 @@ class _Pair(eqx.Module):
         # F passes all: L⁻¹ takes its place.
         through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
-        kernel = Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "regressors")
+        kernel = Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "signals")
         h = jnp.asarray(steps.sample_period)[0]
         rows = jax.vmap(kernel.rows)(steps)
         rows = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), rows)

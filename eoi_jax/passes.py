@@ -73,14 +73,13 @@ class Sums(eqx.Module):
 class Trace(eqx.Module):
     """What a pass stores when asked: for each step, at its end.
 
-    All of it is filtered with the mask m inside, F[m u_eq], F[m φ] Δθ, F[m φ]; divided by
-    `weight` = F[m] it is a weighted mean over the filter's memory.
+    All of it is filtered with the mask m inside, F[m u_eq] and F[m φ]; divided by `weight` = F[m]
+    it is a weighted mean over the filter's memory.
     """
 
     injection: Float[Array | np.ndarray, "*steps ny"]
-    explained: Float[Array | np.ndarray, "*steps ny"]
     weight: Float[Array | np.ndarray, "*steps ny"]
-    Phi: Float[Array | np.ndarray, "*steps ny np"] | None
+    Phi: Float[Array | np.ndarray, "*steps ny np"]
 
 
 class Step(eqx.Module):
@@ -139,10 +138,10 @@ def run_pass(
         lowpass: the sampled filter of each record.
         steps: the records, padded to one length with `use` = `score` = 0.
         theta: θ of this pass.
-        increment: Δθ with which `Trace.explained` = F[φ] Δθ and the scores are formed; or zero.
+        increment: Δθ, what least squares explains by which is not in the scores; or zero.
         weights: of each output in the scores, shape (ny,); or one.
-        store: ``"nothing"``, ``"signals"`` (injection and explained part), or
-            ``"regressors"`` (F[φ] too); or ``"scores"``: only their covariance, `Sums.meat`.
+        store: ``"nothing"``, ``"signals"`` (a `Trace`), or ``"scores"``: only their covariance,
+            `Sums.meat`.
 
     Returns:
         Sums and traces, each with the records as leading axis.
@@ -352,13 +351,13 @@ class Kernel(eqx.Module):
     ) -> tuple[Sums, Array, Any]:
         injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
         score = now.score if now.emphasis is None else now.score * now.emphasis
-        explained = phi @ self.increment
         old = carry.sums
         weighted = score[:, None] * phi
         block, meat = carry.block, old.meat
         if self.store == "scores":
             own = now.score[:, None] * phi
-            block = block + now.block_weight * (self.weights * (injection - explained)) @ own
+            error = injection - phi @ self.increment
+            block = block + now.block_weight * (self.weights * error) @ own
             # A block drawn k times counts k times, not as one of k times its size.
             times = 1.0 if now.emphasis is None else now.emphasis
             meat = meat + jnp.where(now.block_end, times * jnp.outer(block, block), 0.0)
@@ -373,13 +372,7 @@ class Kernel(eqx.Module):
             old.sliding + score * seen.sliding,
             meat,
         )
-        shown = {
-            "nothing": None,
-            "scores": None,
-            "signals": Trace(injection, explained, weight, None),
-            "regressors": Trace(injection, explained, weight, phi),
-        }[self.store]
-        return sums, block, shown
+        return sums, block, Trace(injection, weight, phi) if self.store == "signals" else None
 
 
 def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:

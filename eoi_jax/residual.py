@@ -134,7 +134,7 @@ def _regressors(
     sampled = [lowpass.discretise(record.sample_period) for record in fine]
     filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
     sums, trace = run_pass(
-        plant, observer, filters, steps, jnp.asarray(plant.theta), store="regressors"
+        plant, observer, filters, steps, jnp.asarray(plant.theta), store="signals"
     )
     sums = jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)
     arrays = []

@@ -1,5 +1,6 @@
 """The estimator from record to parameters: what it recovers, how it ends, what it refuses."""
 
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -323,6 +324,18 @@ def test_injection_and_residual_are_nan_where_nothing_is_scored(swung):
     assert np.nanmean(got.first_injection[0] ** 2) == pytest.approx(got.index[0, 0], rel=1e-2)
     # Least squares lowers it, but for rounding where nothing is left to lower.
     assert np.nanmean(got.residual[0] ** 2) <= np.nanmean(got.injection[0] ** 2) * (1.0 + 1e-9)
+
+
+def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung):
+    """Then passes in between store nothing, and the best one is run once more."""
+    monkeypatch.setattr(import_module("eoi_jax.identify"), "_SHORT", 0)
+    got, want = identify(NOMINAL, swung.record, OBSERVER, LOWPASS), swung.got
+    assert want.best_pass > 0
+    for name in ("index", "injection", "first_injection", "residual", "covariance", "information"):
+        mine, theirs = (np.asarray(getattr(one, name)) for one in (got, want))
+        np.testing.assert_allclose(
+            mine, theirs, rtol=1e-9, atol=1e-9 * np.nanmax(np.abs(theirs)), err_msg=name
+        )
 
 
 def test_burn_in_of_the_record_is_not_scored():

@@ -224,15 +224,12 @@ def test_nothing_is_stored_unless_asked(three):
     assert max(leaf.size for leaf in jax.tree.leaves(sums)) <= 3 * 9  # no time axis anywhere
     _, trace = passed(NOMINAL, three, store="signals")
     assert trace.injection.shape == (3, 799, 1)
-    assert trace.Phi is None
-    _, trace = passed(NOMINAL, three, store="regressors")
     assert trace.Phi.shape == (3, 799, 1, 3)
 
 
 def test_stored_signals_give_the_sums(three):
-    increment = jnp.asarray([1.0, 0.2, 0.1])
     steps = steps_of(NOMINAL, three, OBSERVER)
-    sums, trace = passed(NOMINAL, three, store="regressors", steps=steps, increment=increment)
+    sums, trace = passed(NOMINAL, three, store="signals", steps=steps)
     score = np.asarray(steps.score)
     weighted = score[..., None] * trace.Phi
     np.testing.assert_allclose(
@@ -241,17 +238,19 @@ def test_stored_signals_give_the_sums(three):
     rhs = np.einsum("rsja,rsj->rja", weighted, trace.injection)
     np.testing.assert_allclose(sums.rhs, rhs, rtol=1e-10)
     np.testing.assert_allclose(sums.square, (score * trace.injection**2).sum(axis=1), rtol=1e-10)
-    np.testing.assert_allclose(trace.explained, trace.Phi @ increment, atol=1e-12)
 
 
 def test_meat_is_the_sum_of_squared_block_scores(three):
     """S = Σ over blocks of s sᵀ with s = Σ weight φᵀ (u_eq - φ Δθ), for the sandwich."""
     record, increment, weight = three[0], jnp.asarray([1.0, 0.2, 0.1]), 3.0
     steps = steps_of(NOMINAL, [record], OBSERVER, memory=0.3)
-    kwargs = {"increment": increment, "weights": jnp.asarray([weight])}
-    _, trace = passed(NOMINAL, [record], store="regressors", steps=steps, **kwargs)
-    sums, _ = passed(NOMINAL, [record], store="scores", steps=steps, **kwargs)
-    phi, r = np.asarray(trace.Phi)[0, :, 0], np.asarray(trace.injection - trace.explained)[0, :, 0]
+    _, trace = passed(NOMINAL, [record], store="signals", steps=steps)
+    weights = jnp.asarray([weight])
+    sums, _ = passed(
+        NOMINAL, [record], store="scores", steps=steps, increment=increment, weights=weights
+    )
+    phi, r = (np.asarray(one)[0, :, 0] for one in
+              (trace.Phi, trace.injection - trace.Phi @ increment))  # fmt: skip
     window = np.asarray(steps.block_weight)[0, :, None]
     scores = weight * np.asarray(steps.score)[0] * phi * r[:, None] * window
     ends = np.flatnonzero(np.asarray(steps.block_end)[0])
@@ -262,7 +261,7 @@ def test_meat_is_the_sum_of_squared_block_scores(three):
 
 def test_recursive_equals_batch_on_the_regressors_of_a_pass(three):
     steps = steps_of(NOMINAL, three, OBSERVER)
-    sums, trace = passed(NOMINAL, three, store="regressors", steps=steps)
+    sums, trace = passed(NOMINAL, three, store="signals", steps=steps)
     counts = np.asarray(steps.score)[..., 0] > 0
     Phi, target = np.asarray(trace.Phi)[counts], np.asarray(trace.injection)[counts]
     history, _ = recursive_least_squares(jnp.asarray(Phi), jnp.asarray(target))
@@ -376,13 +375,13 @@ def test_regressor_through_internal_states_is_the_total_derivative():
     t = grid(500, h)
     record = Record.from_period(h, 2.0 + np.sin(2.0 * t), 1.0 + 0.2 * np.sin(t), hold="linear")
     observer = FirstOrder(2000.0)
-    _, trace = passed(plant, [record], observer, store="regressors")
+    _, trace = passed(plant, [record], observer, store="signals")
     late = slice(50, None)
     step = 1e-5
     for i in range(5):
         shift = step * np.eye(5)[i]
         pair = [
-            passed(plant, [record], observer, plant.theta + sign * shift, "regressors")[1].injection
+            passed(plant, [record], observer, plant.theta + sign * shift, "signals")[1].injection
             for sign in (1.0, -1.0)
         ]
         want = -(pair[0] - pair[1])[0, late, 0] / (2.0 * step)

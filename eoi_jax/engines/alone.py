@@ -23,7 +23,7 @@ from eoi_jax.plants.plant import Plant
 _CHUNK_BYTES = 500_000  # of what is shared of the record, at a time: it stays in the cache
 
 Theta = Float[np.ndarray, " np"]
-OnePass = Callable[[Theta, Theta, str], tuple[Sums, Trace | None]]
+OnePass = Callable[[Theta, str], tuple[Sums, Trace | None]]
 
 
 def alone(
@@ -38,8 +38,8 @@ def alone(
         steps: the records (leading axis), padded to one length with `use` = `score` = 0.
 
     Returns:
-        A function of θ, of Δθ and of `store`, all but ``"scores"``. It gives sums and traces as
-        NumPy arrays, each with the records as leading axis, as `run_pass` does.
+        A function of θ and of `store`, all but ``"scores"``. It gives sums and traces as NumPy
+        arrays, each with the records as leading axis, as `run_pass` does.
     """
     dtype = np.dtype(jnp.result_type(float))
     records = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], (steps, lowpass))
@@ -48,19 +48,18 @@ def alone(
     # An observer of the user's own may hold other things than gains.
     numbers = all(np.asarray(leaf).dtype.kind in "fi" for leaf in jax.tree.leaves(observer))
 
-    def scanned(theta: Theta, increment: Theta, store: str) -> Any:
-        given = map(jnp.asarray, (theta, increment))
-        return run_pass(plant, observer, lowpass, steps, *given, store=store)
+    def scanned(theta: Theta, store: str) -> Any:
+        return run_pass(plant, observer, lowpass, steps, jnp.asarray(theta), store=store)
 
-    def run(theta: Theta, increment: Theta, store: str) -> Any:
+    def run(theta: Theta, store: str) -> Any:
         if not numbers:
-            return scanned(theta, increment, store)
-        lane = _lane(observer, theta, increment, len(plant.outputs), dtype)
+            return scanned(theta, store)
+        lane = _lane(observer, theta, len(plant.outputs), dtype)
         try:
             what, columns = pass_of(plant, lane, records[0][1], records[0][0], store)
             code = translated(what, columns, 1)
         except Untranslatable:
-            return scanned(theta, increment, store)
+            return scanned(theta, store)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
         shown = len(code.program.shown[0])
@@ -81,13 +80,11 @@ def alone(
     return run
 
 
-def _lane(
-    observer: AbstractObserver, theta: Theta, increment: Theta, outputs: int, dtype: Any
-) -> Lanes:
-    """The only one; its outputs have no weights, which only scores ask for."""
-    weights = np.ones(outputs)
+def _lane(observer: AbstractObserver, theta: Theta, outputs: int, dtype: Any) -> Lanes:
+    """The only one; it has neither Δθ nor weights of outputs, which only scores ask for."""
     gains = jax.tree.map(lambda leaf: np.asarray(leaf, dtype)[None], observer)
-    return Lanes(gains, *(np.asarray(one, dtype)[None] for one in (theta, increment, weights)))
+    given = theta, np.zeros_like(theta), np.ones(outputs)
+    return Lanes(gains, *(np.asarray(one, dtype)[None] for one in given))
 
 
 def _counted(steps: Steps, dtype: Any) -> np.ndarray:
@@ -101,6 +98,5 @@ def _trace(signals: Float[np.ndarray, "records S signals"], ny: int) -> Trace | 
     """What each step shows, part by part; zero behind the last one that counts."""
     if not signals.size:
         return None
-    injection, explained, weight, phi = np.split(signals, (ny, 2 * ny, 3 * ny), axis=2)
-    regressors = phi.reshape(*phi.shape[:2], ny, -1) if phi.size else None
-    return Trace(injection, explained, weight, regressors)
+    injection, weight, phi = np.split(signals, (ny, 2 * ny), axis=2)
+    return Trace(injection, weight, phi.reshape(*phi.shape[:2], ny, -1))

@@ -49,9 +49,8 @@ def batch(plant, observer, counts=(400, 250)) -> Any:
 def both(plant, observer, store, steps, filters) -> Any:
     """The pass by `alone`, and by the scan."""
     theta = 1.1 * plant.theta
-    got = alone(plant, observer, filters, steps)(theta, 0.1 * theta, store)
-    given = (jnp.asarray(one) for one in (theta, 0.1 * theta))
-    return got, run_pass(plant, observer, filters, steps, *given, store=store)
+    got = alone(plant, observer, filters, steps)(theta, store)
+    return got, run_pass(plant, observer, filters, steps, jnp.asarray(theta), store=store)
 
 
 def assert_close(got, want, counted: Any = None):
