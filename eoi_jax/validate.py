@@ -293,23 +293,32 @@ def _descend(
     best = np.argmin(costs, axis=1)
     cost, error, values = costs[runs, best], errors[runs, best], starts[runs, best]
     left = np.flatnonzero(np.isfinite(cost))  # those that are not at their end
+    if not len(left):
+        return cost, values
+    slopes = fit.part(left).slopes(values[left], error[left], free)
     for _ in range(_ROUNDS):
+        steps = np.zeros_like(values[left])  # where the slopes are not known nothing helps
+        further = np.zeros(len(left), bool)
+        for i in np.flatnonzero(np.all(np.isfinite(slopes), axis=(1, 2))):
+            steps[i, free], promise = _least_squares(slopes[i], error[left[i]])
+            further[i] = promise > _ENOUGH * cost[left[i]]
+        left, steps = left[further], steps[further]
         if not len(left):
             break
         some = fit.part(left)
-        slopes = some.slopes(values[left], error[left], free)
-        step = np.zeros_like(values[left])  # where the slopes are not known nothing helps
-        for i in np.flatnonzero(np.all(np.isfinite(slopes), axis=(1, 2))):
-            step[i, free] = _least_squares(slopes[i], error[left[i]])
-        trials = values[left, None] + step[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
-        costs, errors = some.errors(trials)
+        trials = values[left, None] + steps[:, None] * 0.5 ** np.arange(_TRIALS)[:, None]
+        costs, errors, slopes = some.tried(trials, free)
         best = np.argmax(costs < cost[left, None], axis=1)  # the longest step that helps
         at = np.arange(len(left)), best
         fall = cost[left] - costs[at]
-        helps, further = fall > 0.0, fall > _ENOUGH * cost[left]
+        further = fall > _ENOUGH * cost[left]
         for old, several in ((cost, costs), (error, errors), (values, trials)):
-            old[left[helps]] = several[at][helps]
-        left = left[further]
+            old[left[fall > 0.0]] = several[at][fall > 0.0]
+        (shorter,) = np.nonzero(further & (best > 0))
+        if len(shorter):
+            which = left[shorter]
+            slopes[shorter] = fit.part(which).slopes(values[which], error[which], free)
+        left, slopes = left[further], slopes[further]
     return cost, values
 
 
@@ -352,11 +361,27 @@ class _Heads:
 
         By differences: a derivative of the simulation would take longer to compile than all else.
         """
-        small = self._small(values)[:, free]
-        moved = np.eye(values.shape[1])[free] * small[..., None]
-        _, errors = self.errors(values[:, None] + moved)
+        _, errors = self.errors(self._moved(values, free))
+        return self._slopes(values, error, errors, free)
+
+    def tried(
+        self, trials: Trials, free: np.ndarray
+    ) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"], np.ndarray]:
+        """`errors` of all trials, and in the same call the slopes at the first of each run."""
+        first, count = trials[:, 0], trials.shape[1]
+        costs, errors = self.errors(np.concatenate([trials, self._moved(first, free)], axis=1))
+        slopes = self._slopes(first, errors[:, 0], errors[:, count:], free)
+        return costs[:, :count], errors[:, :count], slopes
+
+    def _moved(self, values: Starts, free: np.ndarray) -> Trials:
+        return values[:, None] + np.eye(values.shape[1])[free] * self._small(values)[:, None]
+
+    def _slopes(
+        self, values: Starts, error: np.ndarray, errors: np.ndarray, free: np.ndarray
+    ) -> Float[np.ndarray, "runs rows free"]:
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.moveaxis(error[:, None] - errors, 1, 2) / small[:, None]
+            change = np.moveaxis(error[:, None] - errors, 1, 2)
+            return change / self._small(values)[:, None, free]
 
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
@@ -430,11 +455,15 @@ def _polynomial_starts(
 
 def _least_squares(
     jacobian: Float[np.ndarray, "rows unknowns"], error: Float[np.ndarray, " rows"]
-) -> Float[np.ndarray, " unknowns"]:
-    """Least-squares step on scaled columns; what leaves no trace in y is left where it is."""
+) -> tuple[Float[np.ndarray, " unknowns"], float]:
+    """Least-squares step on scaled columns, and the squared error that it promises to take away.
+
+    What leaves no trace in y is left where it is.
+    """
     size = np.linalg.norm(jacobian, axis=0)
     size = np.where(size > 0, size, 1.0)
-    return np.linalg.lstsq(jacobian / size, error, rcond=1e-8)[0] / size
+    step = np.linalg.lstsq(jacobian / size, error, rcond=1e-8)[0] / size
+    return step, float(step @ (jacobian.T @ error))
 
 
 # -- scores -------------------------------------------------------------------------------
