@@ -237,11 +237,9 @@ class Spectrum:
         omega, signal, noise = self._bands()
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
         top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (omega, cutoffs))
-        for cutoff, power in zip(cutoffs[::-1], bottom[::-1], strict=True):
-            gain = power / (power + top)
-            if gain @ noise <= share**2 * (gain @ signal):
-                return float(cutoff)
-        return 0.0
+        gain = bottom[:, None] / (bottom[:, None] + top)
+        quiet = cutoffs[gain @ noise <= share**2 * (gain @ signal)]
+        return float(quiet[-1]) if len(quiet) else 0.0
 
     def _bands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean frequency, motion and noise of bands so narrow that a filter is flat in each."""

@@ -461,7 +461,7 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
 _PROBES = 4
 
 
-def _probes(plant: Plant) -> tuple[Array, Array, Array, Array]:
+def _probes(plant: Plant) -> tuple[Any, ...]:
     """A few fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
     draw = np.random.default_rng(0)
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
@@ -469,7 +469,7 @@ def _probes(plant: Plant) -> tuple[Array, Array, Array, Array]:
     theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (_PROBES, len(plant.names))) + 0.1
     y = draw.uniform(0.1, 1.0, (_PROBES, r, ny))
     u = draw.uniform(0.1, 1.0, (_PROBES, nu))
-    return jnp.full(_PROBES, 0.3), jnp.asarray(y), jnp.asarray(u), jnp.asarray(theta)
+    return np.full(_PROBES, 0.3), y, u, theta
 
 
 @eqx.filter_jit
