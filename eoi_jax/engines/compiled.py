@@ -22,6 +22,8 @@ from eoi_jax.engines.machine_code import Layout, layout, source
 from eoi_jax.engines.scalars import Untranslatable
 
 LINE = 64  # bytes that caches move at a time
+# Of a single lane like operations side by side become vectors: a fifth less time for free runs.
+_OPTIONS = {"slp_vectorization": True}
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,8 @@ def _machine() -> Any:
 def _object_code(text: str, machine: Any) -> bytes:
     """From the disk, or compiled and kept there."""
     cpu = (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
-    name = hashlib.sha256(repr((text, cpu, llvmlite.__version__)).encode()).hexdigest()
+    key = (text, cpu, llvmlite.__version__, _OPTIONS)
+    name = hashlib.sha256(repr(key).encode()).hexdigest()
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     path = Path(folder) / "native" / f"{name}.o" if folder else None
     try:
@@ -124,6 +127,8 @@ def _translate(text: str, machine: Any) -> bytes:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=3)
+    for option, value in _OPTIONS.items():
+        setattr(options, option, value)
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
     return machine.emit_object(module)
