@@ -126,8 +126,9 @@ class Problem(eqx.Module):
     @property
     def _samples(self) -> tuple[np.ndarray, np.ndarray]:
         rows = np.asarray(self.tables)[:, :: self.substeps]
-        ny = len(self.kernel.plant.outputs)
-        return rows[..., -2 * ny : -ny], rows[..., -ny:]
+        plant = self.kernel.plant
+        _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+        return rows[..., y], rows[..., use]
 
 
 def problem_of(
@@ -184,19 +185,24 @@ def _tables(
     records: Sequence[Record], drives: Sequence[Drive], spans: Sequence[Span]
 ) -> Float[np.ndarray, "runs rows columns"]:
     """Rows of every run; a last row scores its last sample."""
-    longest, parts = max(span.count for span in spans), []
-    for span in spans:
+    n, longest = drives[0].substeps, max(span.count for span in spans)
+    nu, ny = records[0].inputs.shape[1], records[0].outputs.shape[1]
+    time, inputs, y, use = free_runs.columns(nu, ny)
+    # Written in place: the tables are the largest arrays of a fit.
+    tables = np.zeros((len(spans), n * longest + 1, use.stop))
+    for table, span in zip(tables, spans, strict=True):
         record, one = records[span.record], drives[span.record]
-        n, part = one.substeps, slice(span.first, span.first + span.count + 1)
-        y, use = (np.zeros((n * longest + 1, record.outputs.shape[1])) for _ in range(2))
-        use[: n * span.count + 1 : n] = span.use[:, None]
-        y[: n * span.count + 1 : n] = np.where(span.use[:, None], record.outputs[part], 0.0)
-        last = n * (span.first + span.count)
-        index = np.minimum(n * span.first + np.arange(n * longest + 1), last)
-        inside = np.minimum(index, len(one.time) - 1)
-        time = np.append(one.time, record.time[-1])[index]
-        parts.append(free_runs.table(time, np.asarray(one.inputs)[inside], y, use))
-    return np.stack(parts)
+        first, count = n * span.first, n * span.count
+        last = min(first + count, len(one.time) - 1)
+        rows, steps = table[:count], slice(first, first + count)
+        rows[:, time] = one.time[steps, None]
+        rows[:, inputs] = np.reshape(one.inputs[steps], (count, 3 * nu))
+        table[count:, time] = one.time[last] if last == first + count else record.time[-1]
+        table[count:, inputs] = np.ravel(one.inputs[last])
+        samples, part = table[: count + 1 : n], slice(span.first, span.first + span.count + 1)
+        samples[:, y] = np.where(span.use[:, None], record.outputs[part], 0.0)
+        samples[:, use] = span.use[:, None]
+    return tables
 
 
 def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "runs rows"]:
@@ -229,12 +235,13 @@ def _heads(problem: Problem, count: int) -> Drive:
     """What drives the beginning of each run, runs first."""
     plant, rows = problem.kernel.plant, slice(problem.substeps * count)
     head = np.asarray(problem.tables)[:, rows]
-    nu = len(plant.inputs)
-    inputs = head[..., 1 : 1 + 3 * nu].reshape(*head.shape[:2], 3, nu)
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    time, inputs, _, _ = free_runs.columns(nu, ny)
+    inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
     if problem.places is not None:
         parts = [np.asarray(behind(plant, problem.theta, one)) for one in problem.whole]
         inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
-    return Drive(head[..., 0], np.asarray(problem.steps), inputs, problem.substeps)
+    return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
 
 
 # -- sums and signals -------------------------------------------------------------------------
@@ -299,7 +306,7 @@ def _scanned(
     kernel = replace(problem.kernel, store=store)
     plant, tables = kernel.plant, problem.tables
     ny, nu = len(plant.outputs), len(plant.inputs)
-    time, inputs, y, use = jnp.split(tables, [1, 1 + 3 * nu, 1 + 3 * nu + ny], axis=2)
+    time, inputs, y, use = (tables[..., one] for one in free_runs.columns(nu, ny))
     inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
     if problem.places is not None:
         inputs, slope = _acted(problem, theta)

@@ -95,10 +95,11 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     return None
 
 
-def table(time: Any, inputs: Any, y: Any, use: Any) -> Float[np.ndarray, "rows columns"]:
-    """Rows of `RunRow` as one matrix, in the order of its parts."""
-    parts = [np.asarray(one, float) for one in (time, inputs, y, use)]
-    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+def columns(nu: int, ny: int) -> tuple[slice, slice, slice, slice]:
+    """Where a table of `RunRow` has its parts: time, inputs at three instants, outputs, weights."""
+    edges = [0, *itertools.accumulate((1, 3 * nu, ny, ny))]
+    time, inputs, y, use = (slice(*pair) for pair in itertools.pairwise(edges))
+    return time, inputs, y, use
 
 
 def summed(

@@ -52,6 +52,12 @@ CASES: dict[str, Any] = {
 }
 
 
+def table_of(inputs, y, use):
+    """Rows of a record in the order of `RunRow`."""
+    parts = (TIME, inputs, y, use)
+    return np.concatenate([part.reshape(len(TIME), -1) for part in parts], axis=1)
+
+
 def case_of(name, lanes=1):
     """Rows of a record that the plant itself did not make, and lanes spread around its values."""
     plant, start = CASES[name]
@@ -61,7 +67,7 @@ def case_of(name, lanes=1):
     y = 0.1 + np.sin(3.0 * TIME)[:, None] * np.ones(ny)
     use = (np.arange(len(TIME)) % 7 > 0).astype(float)[:, None] * np.ones(ny)
     inside = np.minimum(np.arange(len(TIME)), len(TIME) - 2)
-    table = free_runs.table(TIME, np.asarray(driven_by.inputs)[inside], y, use)
+    table = table_of(np.asarray(driven_by.inputs)[inside], y, use)
     draw = np.random.default_rng(0)
     theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (lanes, len(plant.names)))
     starts = np.asarray(start) * draw.uniform(0.9, 1.1, (lanes, len(start)))
@@ -182,7 +188,7 @@ def test_the_start_is_the_plants_own_where_it_declares_one():
 def test_what_has_died_away_is_zero_and_the_caller_s_arithmetic_stays_as_it_was():
     """Derivatives with the initial state, after 800 time constants: below 1e-308 they are slow."""
     damped = Plant(lambda t, x, u, p: u - p.d * x.y[0], {"d": 1000.0}, 1, ("u",), ("y",))
-    table = free_runs.table(TIME, np.zeros((len(TIME), 3)), np.ones(len(TIME)), np.ones(len(TIME)))
+    table = table_of(np.zeros((len(TIME), 3)), np.ones(len(TIME)), np.ones(len(TIME)))
     never, squares = np.asarray(0.0), np.asarray(np.inf)
     lane = RunLane(np.array([1000.0]), np.array([1.0]), never, np.ones(1), squares)
     smallest = np.finfo(float).smallest_normal
