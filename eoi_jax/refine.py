@@ -432,7 +432,8 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
         strict=True,
     )
     rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
-    square = np.einsum("tja,tjb->ab", rows, rows)
+    flat = rows.reshape(-1, len(names))
+    square = flat.T @ flat
     solution = least_squares(jnp.asarray(square), jnp.zeros(len(names)), jnp.asarray(loose))
     small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse))
     freedom[free] = small_freedom

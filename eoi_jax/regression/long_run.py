@@ -65,8 +65,9 @@ def long_run(
     independent = len(scores) / (_PEAKS * correlation_time(scores))
     count = min(max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST), len(scores) - 1)
     estimated = np.any(inverse != 0, axis=0)
-    unit = _orthonormal(rows[..., estimated])
-    squares = _overlaps(rows[..., estimated] @ unit, count)
+    flat = rows[..., estimated].reshape(-1, np.sum(estimated))
+    unit = _orthonormal(flat)
+    squares = _overlaps((flat @ unit).reshape(*rows.shape[:2], -1), count)
     sums = _cosine_sums(scores[:, estimated] @ unit)[1 : count + 1]
     spread = 2.0 / count * sums.T @ sums
     values, vectors = np.linalg.eigh(_expected(squares, count))
@@ -76,9 +77,9 @@ def long_run(
     return moved @ spread @ moved.T, _freedom(squares, moved, count)
 
 
-def _orthonormal(rows: Float[np.ndarray, "time ny np"]) -> Float[np.ndarray, "np k"]:
+def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"]:
     """U such that the columns of `rows` @ U are orthonormal; those without information are gone."""
-    information = np.einsum("tja,tjb->ab", rows, rows)
+    information = rows.T @ rows
     length = np.sqrt(np.diagonal(information))
     length = np.where(length > 0, length, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(length, length))
