@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.data.saturation import saturations
@@ -58,6 +59,7 @@ _SLIDING = 0.9
 _HELD = 0.1  # share of the residual's power from which a line is told
 
 
+@one_thread()
 def diagnose(
     identification: Identification,
     records: Record | Sequence[Record] | None = None,

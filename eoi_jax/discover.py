@@ -16,9 +16,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from eoi_jax.augment import Placed
+from eoi_jax.blas import one_thread
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
 from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
@@ -52,6 +52,7 @@ Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is i
 Told = Callable[[str, int, int], None]
 
 
+@one_thread()
 def discover(
     plant: Plant,
     records: Record | Sequence[Record],
@@ -66,9 +67,6 @@ def discover(
     callback: Told | None = None,
 ) -> Discovery:
     """Find what a model lacks, and add it.
-
-    While it searches, NumPy's BLAS has one thread in this process: its matrices are small, and
-    beside other work the threads would wait for each other.
 
     Args:
         plant: the declared model, with nominal parameters.
@@ -135,7 +133,6 @@ def _untold(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     """Rounds of search and refit, then the free runs.
 

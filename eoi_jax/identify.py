@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.blas import one_thread
 from eoi_jax.checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
@@ -117,6 +118,7 @@ class Identification:
         save(self, path)
 
 
+@one_thread()
 def identify(
     plant: Plant,
     records: Record | Sequence[Record],
@@ -414,7 +416,7 @@ def _precision_note() -> list[str]:
         "runs in single precision: differences of a finely sampled record lose most of its "
         "digits. Call `eoi_jax.configure()` first for double precision"
     )
-    warnings.warn(note, RuntimeWarning, stacklevel=4)
+    warnings.warn(note, RuntimeWarning, stacklevel=5)
     return [note]
 
 

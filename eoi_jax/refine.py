@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
@@ -53,6 +54,7 @@ _LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the
 _PROMISED, _POINTS, _AROUND = 0.01, 64, 4
 
 
+@one_thread()
 def refine(
     plant: Plant | Identification,
     records: Record | Sequence[Record],

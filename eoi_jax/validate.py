@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
@@ -83,6 +84,7 @@ class Validation:
         return validation_figure(self)
 
 
+@one_thread()
 def validate(
     plant: Plant,
     records: Record | Sequence[Record],

@@ -5,7 +5,6 @@ import threading
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 import eoi_jax as eoi
 from eoi_jax.side_by_side import aside, each, waits
@@ -56,29 +55,3 @@ def test_results_come_in_order_and_errors_as_they_are(threads):
     assert all((ident == own) == (threads == 0) for _, ident in got)
     with pytest.raises(ZeroDivisionError):
         each(threads, lambda one: 1 / one, [0])
-
-
-class EnoughError(Exception):
-    """Ends a discovery that has been watched for long enough."""
-
-
-def blas_threads():
-    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-
-def test_blas_has_one_thread_while_a_discovery_searches_and_its_own_after():
-    """Beside other work its threads wait for each other, many times as long as they compute."""
-    seen = []
-
-    def told(stage, done, stages):
-        if stage.startswith("searching"):
-            seen.append(blas_threads())
-            raise EnoughError
-
-    time = 2e-3 * np.arange(1000)
-    plant = eoi.plants.pendulum()
-    record = eoi.simulate(plant, time, np.sin(3.0 * time))
-    with threadpool_limits(2, "blas"):
-        with pytest.raises(EnoughError):
-            eoi.discover(plant, record, callback=told)
-        assert (seen, blas_threads()) == ([{1}], {2})
