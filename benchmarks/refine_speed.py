@@ -87,25 +87,29 @@ def measured(case: Case, rounds: int) -> Measured:
 def turn(case: Case, setting: tuple[str, float]) -> tuple[dict[str, float], dict[str, float]]:
     """Seconds and costs of one round."""
     seconds, cost = {}, {}
-    seconds["identify"], pass_ = timed(
-        lambda: eoi.identify(case.plant, case.record, substeps=case.substeps)
-    )
-    seconds["fine identify"], fine = timed(lambda: eoi.identify(case.plant, case.record))
-    starts = {"": pass_, "fine ": fine, "cold ": case.plant}
-    for name, start in starts.items():
-        seconds[f"{name}refine"], refined = timed(
-            lambda start=start: eoi.refine(start, case.record, substeps=case.substeps)
+    steps = {"": {"substeps": case.substeps}, "fine ": {}}
+    starts = {}
+    for name, fineness in steps.items():  # as one would call them, one right after the other
+        seconds[f"{name}identify"], starts[name] = timed(
+            lambda fineness=fineness: eoi.identify(case.plant, case.record, **fineness)
         )
-        cost[f"{name}refine"] = float(refined.rmse[0]) ** 2
+        seconds[f"{name}refine"], cost[f"{name}refine"] = refined(case, starts[name])
+    seconds["cold refine"], cost["cold refine"] = refined(case, case.plant)
     for name, start, how in (
         ("scipy", case.plant, setting),
         ("own scipy", case.plant, OWN),
-        ("warm scipy", pass_, setting),
+        ("warm scipy", starts[""], setting),
     ):
         values = start.parameters
         fit = rivals.fit(case.run, values, case.record, case.substeps, how)
         seconds[name], cost[name] = fit.seconds, fit.cost
     return seconds, cost
+
+
+def refined(case: Case, start: eoi.Plant | eoi.Identification) -> tuple[float, float]:
+    """Seconds, and mean square error."""
+    seconds, found = timed(lambda: eoi.refine(start, case.record, substeps=case.substeps))
+    return seconds, float(found.rmse[0]) ** 2
 
 
 def timed(call: Callable[[], Any]) -> tuple[float, Any]:

@@ -15,7 +15,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -242,7 +241,8 @@ def by_sample(
     used = np.any(np.asarray(steps.use) > 0, axis=-1)
     ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
     ends = -(-ends // substeps) * substeps
-    whole = np.concatenate([one[:end] for one, end in zip(values, ends, strict=True)])
+    parts = [one[:end] for one, end in zip(values, ends, strict=True)]
+    whole = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return whole.reshape(-1, substeps * values.shape[2], *values.shape[3:])
 
 
@@ -306,7 +306,7 @@ _least_squares = jax.jit(jax.vmap(least_squares, (0, 0, None, 0)))
 
 
 def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]) -> Pass:
-    power = np.asarray(index_of(jnp.asarray(sums.square), jnp.asarray(sums.weight)))
+    power = np.asarray(index_of(sums.square, sums.weight))
     size = mean(sums.observed_square, sums.weight)
     # Rounding bounds how small an index can mean anything; it also keeps weights finite.
     floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
@@ -314,10 +314,7 @@ def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, "
     weights = weights / np.maximum(np.max(weights, axis=1, keepdims=True), np.finfo(float).tiny)
     information = np.einsum("lj,ljab->lab", weights, sums.information)
     rhs = np.einsum("lj,lja->la", weights, sums.rhs)
-    solution = _least_squares(
-        jnp.asarray(information), jnp.asarray(rhs), jnp.asarray(plant.free), jnp.asarray(damping)
-    )
-    solution = jax.tree.map(np.asarray, solution)
+    solution = jax.tree.map(np.asarray, _least_squares(information, rhs, plant.free, damping))
     moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
     return Pass(theta, sums, power, weights, solution, moved - theta)
 

@@ -342,11 +342,12 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
         return np.asarray(shown)[:, :: problem.substeps]
     counts, out = np.asarray(problem.counts), None
     starts, declared = np.asarray(unknowns.starts), np.asarray(problem.declared)
+    tables, steps = np.asarray(problem.tables), np.asarray(problem.steps)
     kernel = replace(problem.kernel, store="signals")
     for i, count in enumerate(counts):
         lane = RunLane(theta, starts[i], declared[i, ...], problem.scale, problem.threshold)
-        rows = np.asarray(problem.tables)[i, :count]
-        part = free_runs.shown(kernel, lane, rows, float(problem.steps[i]), problem.substeps)
+        rows = tables[i, :count]
+        part = free_runs.shown(kernel, lane, rows, float(steps[i]), problem.substeps)
         if out is None:
             out = np.zeros((len(counts), problem.use.shape[1], *part.shape[1:]))
         out[i, : len(part)] = part

@@ -341,6 +341,8 @@ def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarr
     Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
     cuts second differences of the measurement noise apart that would cancel in the filter.
     """
+    if np.all(use > 0):
+        return np.ones_like(use)
     distance = np.stack(
         [np.minimum(_since_zero(one), _since_zero(one[::-1])[::-1]) for one in use.T], axis=1
     )
@@ -362,5 +364,7 @@ def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray
 
 def _pad(array: np.ndarray, length: int, hold: bool) -> np.ndarray:
     """To `length`: signals keep their last value (no model meets a number it never saw)."""
+    if len(array) == length:
+        return array
     width = [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1)
     return np.pad(array, width, mode="edge" if hold else "constant")

@@ -436,7 +436,7 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
     rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
     flat = rows.reshape(-1, len(names))
     square = flat.T @ flat
-    solution = least_squares(jnp.asarray(square), jnp.zeros(len(names)), jnp.asarray(loose))
+    solution = least_squares(square, np.zeros(len(names)), loose)
     small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse))
     freedom[free] = small_freedom
     small[loose == 0] = small[:, loose == 0] = np.nan

@@ -65,7 +65,7 @@ def long_run(
     independent = len(scores) / (_PEAKS * correlation_time(scores))
     count = min(max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST), len(scores) - 1)
     estimated = np.any(inverse != 0, axis=0)
-    flat = rows[..., estimated].reshape(-1, np.sum(estimated))
+    flat = (rows if np.all(estimated) else rows[..., estimated]).reshape(-1, np.sum(estimated))
     unit = _orthonormal(flat)
     squares = _overlaps((flat @ unit).reshape(*rows.shape[:2], -1), count)
     sums = _cosine_sums(scores[:, estimated] @ unit)[1 : count + 1]
