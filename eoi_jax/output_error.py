@@ -31,6 +31,7 @@ from eoi_jax.validate import Run, initial_states, owned
 _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
 _LEAST = 8  # steps of a run, at least
+_MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
 
 
 # -- runs -------------------------------------------------------------------------------------
@@ -112,6 +113,13 @@ class Problem(eqx.Module):
         theta = np.array(self.kernel.plant.theta, dtype=float)
         theta[list(self.free)] = np.asarray(free)
         return theta
+
+    @property
+    def power(self) -> Float[Array, " runs"]:
+        """Sum of squares of the weighed outputs of each run."""
+        plant = self.kernel.plant
+        _, _, y, _ = free_runs.columns(len(plant.inputs), len(plant.outputs))
+        return jnp.sum((self.tables[..., y] * self.scale) ** 2, axis=(1, 2))
 
     @property
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
@@ -386,8 +394,26 @@ def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size
     values, vectors = jnp.linalg.eigh(scaled)
     root = jnp.sqrt(jnp.maximum(values, 0.0))[:, :, None] * jnp.swapaxes(vectors, 1, 2)
     # NaN must stay: the maximum above would hide a run that has diverged.
-    bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2), keepdims=True)
-    return jnp.where(bad, jnp.nan, root * length[:, None, :])
+    bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
+    own = unknowns.starts.shape[1]
+    slopes = jnp.diagonal(square, axis1=1, axis2=2)[:, own:-1]
+    bad |= shaken(slopes, unknowns.theta, problem.power)
+    return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
+
+
+def shaken(slopes: Any, theta: Any, power: Any) -> Any:
+    """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
+
+    So it is where a step is too long for what the model does fast: the errors of the steps are then
+    fed back by its limits, and what is seen of the outputs may still look right.
+
+    Args:
+        slopes: sums of squares of the derivatives with the free parameters, shape (runs, free).
+        theta: these, shape (free,).
+        power: sums of squares of the outputs, shape (runs,).
+    """
+    rounding = np.finfo(theta.dtype).eps * theta
+    return (slopes * rounding**2 > _MOVED**2 * power[:, None]).any(axis=1)
 
 
 def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:

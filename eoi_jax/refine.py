@@ -31,6 +31,7 @@ from eoi_jax.output_error import (
     Unknowns,
     guessed_starts,
     problem_of,
+    shaken,
     signals,
     spans_of,
     weighed,
@@ -75,8 +76,8 @@ def refine(
         window: length of each run [s], about: every record is cut into runs of equal length. The
             state is estimated anew at the start of each. None: whole records.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
-            four, and twice as many as long as their error would show in the estimate and the fit
-            does not suffer.
+            four, more where the plant is too fast for them, and twice as many as long as their
+            error would show in the estimate and the fit does not suffer.
         max_steps: of the solver, each one simulation with its sensitivities.
         starts: further points to start from, run side by side: dicts of parameters, rows
             (starts, np), or how many are drawn around the plant's values: each times a factor of
@@ -125,13 +126,7 @@ def refine(
     spans = spans_of(several, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
-    count = _COARSE if substeps is None else substeps
-    problem = problem_of(nominal, several, spans, count)
-    unknowns = Unknowns(
-        jnp.asarray(np.asarray(nominal.theta)[list(problem.free)]),
-        jnp.asarray(guessed_starts(problem, several, spans)),
-    )
-    before = _unweighed(problem, signals(unknowns, problem))
+    problem, unknowns, before = _begun(nominal, several, spans, substeps)
     begun = [unknowns] if np.all(np.isfinite(before)) else []
     effort = _Effort(max_steps, _watch(callback, max_steps))
     if len(points):
@@ -147,6 +142,29 @@ def refine(
         fits += _beyond(fits[0], several, spans, effort, huber)
     fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
     return _refinement(fit, several, spans, window)
+
+
+def _begun(
+    nominal: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int | None
+) -> tuple[Problem, Unknowns, Float[np.ndarray, "runs time ny"]]:
+    """The free runs at the plant's own values, and their errors.
+
+    Where no number of steps is asked for, so few that these runs have derivatives.
+    """
+    first, count = None, _COARSE if substeps is None else substeps
+    while True:
+        problem = problem_of(nominal, records, spans, count)
+        unknowns = Unknowns(
+            jnp.asarray(np.asarray(nominal.theta)[list(problem.free)]),
+            jnp.asarray(guessed_starts(problem, records, spans)),
+        )
+        shown = signals(unknowns, problem)
+        one = problem, unknowns, _unweighed(problem, shown)
+        first, count = first or one, 2 * count
+        if _smooth(problem, unknowns, shown):
+            return one
+        if substeps is not None or count > _FINEST:
+            return first
 
 
 @dataclass(frozen=True)
@@ -308,8 +326,18 @@ class _Fit:
 
     @property
     def differentiable(self) -> bool:
-        """Whether the free runs have derivatives where the fit ended."""
-        return bool(np.all(np.isfinite(self.shown)))
+        """Whether the free runs have derivatives to speak of where the fit ended."""
+        return _smooth(self.problem, self.outcome.unknowns, self.shown)
+
+
+def _smooth(problem: Problem, unknowns: Unknowns, shown: np.ndarray) -> bool:
+    """Whether free runs have derivatives to speak of; `shown` are their signals."""
+    if not np.all(np.isfinite(shown)):
+        return False
+    theta = np.asarray(unknowns.theta)
+    with np.errstate(over="ignore"):
+        slopes = np.sum(shown[..., -1 - len(theta) : -1] ** 2, axis=(1, 2))
+    return not np.any(shaken(slopes, theta, np.asarray(problem.power)))
 
 
 def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
@@ -493,8 +521,9 @@ _ALL_DIVERGED = (
     "fit shorter runs with `window`, or start nearer to what the plant does"
 )
 _ROUGH = (
-    "the free run has derivatives that are not finite where the fit ended: a function of the model "
-    "has none there (a root at zero). Keep its parameters off that point with `bounds`"
+    "the free run has no derivatives where the fit ended: a function of the model has none there "
+    "(a root at zero), or the steps are too long for what is fast in it, so that the last digit of "
+    "a parameter decides. Keep its parameters off there with `bounds`, or ask for more `substeps`"
 )
 _UNTRACED = (
     "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "

@@ -547,6 +547,51 @@ def test_a_start_without_derivatives_is_said(faded):
     assert np.isnan(result.standard_errors["rate"])
 
 
+def spilling(t, x, u, p):
+    (level,) = x.y[0]
+    return p.gain * u - p.leak * level - p.rate * jnp.maximum(level - p.edge, 0.0)
+
+
+@pytest.fixture(scope="module")
+def spilled():
+    """A tank with an overflow of 1/3 s, sampled once a second; noise of a thousandth."""
+    time, values = 1.0 * np.arange(400), {"gain": 1.0, "leak": 0.1, "rate": 3.0, "edge": 5.0}
+    tank = eoi.Plant(spilling, values, 1, ("u",), ("level",))
+    flow = 1.0 + 0.8 * np.sign(np.sin(0.05 * time))
+    clean = eoi.simulate(tank, time, flow, initial=2.0, hold="zero", substeps=64)
+    noise = 1e-2 * np.random.default_rng(0).standard_normal(clean.outputs.shape)
+    return tank, eoi.Record(time, flow, clean.outputs + noise, hold="zero")
+
+
+@pytest.mark.parametrize(("rate", "edge"), [(15.0, 6.0), (34.0, 6.0), (200.0, 5.0)])
+def test_a_start_that_is_fast_beside_the_steps_gets_shorter_ones(spilled, rate, edge):
+    """Runge-Kutta of order four is unstable from 2.8 steps a time constant on."""
+    tank, record = spilled
+    result = refine(tank.with_parameters({"rate": rate, "edge": edge}), record)
+    assert result.status.ok
+    assert abs(result.parameters["rate"] - 3.0) < 3.0 * result.standard_errors["rate"]
+    assert 0.02 < result.standard_errors["rate"] < 0.1  # 0.043 of a start at the truth
+
+
+def test_where_rounding_decides_over_the_run_there_are_no_derivatives_to_speak_of(spilled):
+    """The outputs are finite, and within a few units of the measured ones."""
+    tank, record = spilled
+    result = refine(tank.with_parameters({"rate": 34.0}), record, substeps=4)
+    assert result.status.code == "diverged"
+    assert "last digit" in result.status.message
+    assert "substeps" in result.status.message
+    assert result.rmse[0] < 1.0
+    assert np.isnan(result.standard_errors["rate"])
+
+
+def test_a_search_keeps_off_where_rounding_decides(spilled):
+    """Along the way, too: what such slopes promise is worth nothing."""
+    tank, record = spilled
+    result = refine(tank.with_parameters({"rate": 15.0, "edge": 4.0}), record, substeps=4)
+    assert result.status.ok
+    assert 0.02 < result.standard_errors["rate"] < 0.1
+
+
 def test_too_few_steps_are_said():
     result = refine(OSCILLATOR.with_parameters({"stiffness": 5.0}), run(OSCILLATOR), max_steps=2)
     assert result.status.code == "passes_exhausted"
