@@ -396,24 +396,24 @@ def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size
     # NaN must stay: the maximum above would hide a run that has diverged.
     bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
     own = unknowns.starts.shape[1]
-    slopes = jnp.diagonal(square, axis1=1, axis2=2)[:, own:-1]
-    bad |= shaken(slopes, unknowns.theta, problem.power)
+    bad |= shaken(jnp.diagonal(square, axis1=1, axis2=2)[:, own:], unknowns.theta, problem.power)
     return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
 
 
-def shaken(slopes: Any, theta: Any, power: Any) -> Any:
+def shaken(squares: Any, theta: Any, power: Any) -> Any:
     """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
 
     So it is where a step is too long for what the model does fast: the errors of the steps are then
     fed back by its limits, and what is seen of the outputs may still look right.
 
     Args:
-        slopes: sums of squares of the derivatives with the free parameters, shape (runs, free).
-        theta: these, shape (free,).
-        power: sums of squares of the outputs, shape (runs,).
+        squares: sums of squares of the derivatives with the free parameters, then of the errors,
+            shape (runs, free + 1).
+        theta: these parameters, shape (free,).
+        power: sums of squares of the measured outputs, shape (runs,).
     """
-    rounding = np.finfo(theta.dtype).eps * theta
-    return (slopes * rounding**2 > _MOVED**2 * power[:, None]).any(axis=1)
+    moved = squares[:, :-1] * (np.finfo(theta.dtype).eps * theta) ** 2
+    return (moved > _MOVED**2 * (power + squares[:, -1])[:, None]).any(axis=1)
 
 
 def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:

@@ -232,9 +232,9 @@ def _rougher(
         return problem
     substeps = max(problem.substeps // _LONGER, 1)
     rough = _stepped(problem, records, spans, substeps)
-    apart = _unweighed(rough, signals(unknowns, rough)) - before
-    near = _rms(apart, problem.use) <= _NEAR * _rms(before, problem.use)
-    return rough if np.all(near) else problem
+    shown = signals(unknowns, rough)
+    near = _rms(_unweighed(rough, shown) - before, problem.use) <= _NEAR * _rms(before, problem.use)
+    return rough if np.all(near) and _smooth(rough, unknowns, shown) else problem
 
 
 def _stepped(
@@ -336,8 +336,8 @@ def _smooth(problem: Problem, unknowns: Unknowns, shown: np.ndarray) -> bool:
         return False
     theta = np.asarray(unknowns.theta)
     with np.errstate(over="ignore"):
-        slopes = np.sum(shown[..., -1 - len(theta) : -1] ** 2, axis=(1, 2))
-    return not np.any(shaken(slopes, theta, np.asarray(problem.power)))
+        sums = np.sum(shown**2, axis=(1, 2))
+    return not np.any(shaken(sums[:, -1 - len(theta) :], theta, np.asarray(problem.power)))
 
 
 def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
