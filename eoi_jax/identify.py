@@ -301,8 +301,8 @@ class _Driver:
         """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
         inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
         root = np.sqrt(one.weights[0] * np.asarray(self.steps.score))
-        rows = root[..., None] * np.asarray(Phi)
-        error, rows = (by_sample(part, self.steps, self.substeps) for part in (root * left, rows))
+        parts = _counted(root, left), _counted(root[..., None], np.asarray(Phi))
+        error, rows = (by_sample(part, self.steps, self.substeps) for part in parts)
         scores = np.einsum("sj,sja->sa", error, rows)
         if not (np.all(np.isfinite(scores)) and np.any(inverse)):
             return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
@@ -403,6 +403,13 @@ _UNTRACED = (
     "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
     "parameters, or excite the plant so that they differ"
 )
+
+
+def _counted(root: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Weighed, and zero where nothing counts, whatever a regressor without bound has left there."""
+    with np.errstate(invalid="ignore"):
+        out = root * values
+    return out if np.all(np.isfinite(out)) else np.where(root > 0, out, 0.0)
 
 
 def _stacked(filters: list[DiscreteFilter]) -> DiscreteFilter:

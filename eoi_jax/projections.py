@@ -78,7 +78,8 @@ class Terms:
         i, k = first[pair], first[pair] + 1
         inside, square, rho = beside.inside, beside.square, beside.rho
         both = self.gram[i, k] - np.sum(inside[..., i] * inside[..., k], axis=-2)
-        correlation = both / np.sqrt(square[..., i] * square[..., k])
+        # Root by root: the product of small squares would be rounded to zero.
+        correlation = both / (np.sqrt(square[..., i]) * np.sqrt(square[..., k]))
         out[..., pair] = _joint(rho[..., i], rho[..., k], correlation)
         return out
 

@@ -338,6 +338,12 @@ def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung
         )
 
 
+def test_a_regressor_without_bound_where_nothing_is_scored_costs_no_standard_error():
+    weights = np.array([[0.0, 1.0, 2.0]]).T
+    got = import_module("eoi_jax.identify")._counted(weights, np.array([[np.inf, 3.0, np.nan]]).T)
+    np.testing.assert_array_equal(got[:, 0], [0.0, 3.0, np.nan])  # where it counts it stays
+
+
 def test_burn_in_of_the_record_is_not_scored():
     got = identify(NOMINAL, swaying(burn_in=1.0), OBSERVER, LOWPASS, passes=1)
     assert np.argmax(~np.isnan(got.injection[0][:, 0])) == round(1.0 / H) + 1
