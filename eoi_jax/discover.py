@@ -190,7 +190,8 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     if isinstance(better, str):
         return replace(found, notes=(*found.notes, better))
     # What was said of the estimate before does not hold any more.
-    notes = [one for one in found.notes if not one.startswith((_SEARCHED, _REFITTED))]
+    stale = (_SEARCHED, _REFITTED, _HARDLY)
+    notes = [one for one in found.notes if not one.startswith(stale)]
     notes.append(f"refined: {better.refinement.status}")
     if better.placed:
         names = " and ".join(one.replace("_", " ") for one in names_of(better.placed))
@@ -207,6 +208,7 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
                     standard_errors={name: result.standard_errors[name] for name in one.parameters})
             for one in found.added]  # fmt: skip
     added = [*kept, *(_added(task.plant, fit, one) for one in better.placed)]
+    notes += _vague(added)
     unseen = found.status.code == "nothing_missing" and better.placed
     return replace(
         found, status=Status("explained", _UNSEEN) if unseen else found.status,
@@ -361,11 +363,11 @@ def _answer(
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _WORSE)
     kept = placed if found is not task.declared else ()
-    notes += _at_ends(found, kept, rounds)
+    added = tuple(_added(task.plant, found, one) for one in kept)
     others = ambiguous(rounds[0], names_of(kept)) if kept else ()
     return Discovery(
         effects=names_of(kept),
-        added=tuple(_added(task.plant, found, one) for one in kept),
+        added=added,
         ranking=ranking(task.plant, rounds, kept),
         ambiguous_with=others,
         advice=advice(rounds[0], others),
@@ -378,12 +380,27 @@ def _answer(
         found=found,
         plant=found.plant,
         status=status,
-        notes=tuple(notes),
+        notes=(*notes, *_at_ends(found, kept, rounds), *_vague(added)),
         in_sample=not task.held,
         held_out=task.held or task.records,
         # What remains unexplained is looked at with the tests that need no hypothesis.
         diagnosis=diagnose(task.declared, task.records) if status.code == "unexplained" else None,
     )
+
+
+def _vague(added: Sequence[Added]) -> list[str]:
+    """Effects of which no parameter is known to half of its size."""
+
+    def vague(one: Added) -> bool:
+        pairs = ((abs(one.parameters[name]), error) for name, error in one.standard_errors.items())
+        return all(error > 0.5 * value for value, error in pairs)
+
+    return [
+        f"{_HARDLY} {one.effect.name.replace('_', ' ')}: every parameter of it has a standard "
+        "error above half of its value"
+        for one in added
+        if vague(one)
+    ]
 
 
 def _by_plain(
@@ -403,6 +420,7 @@ _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it wa
 _SEEN_THERE = ". `refine=True` looks for it in the free runs"
 _REFITTED = "the refit of the augmented model ended as"
 _SEARCHED = "parameters are those of the search: in free runs better than the refit's"
+_HARDLY = "the records hardly tell the size of"
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _WIDER = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"

@@ -60,7 +60,7 @@ def known_power(noise: Rows, local: Rows, output: Int[np.ndarray, " rows"]) -> R
 
 
 def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
-    floor = _floor(local) + 1e-30  # a plant at rest has no power at all
+    floor = _floor(local)
     basis = np.stack([noise, np.ones_like(noise), local])
     basis = basis[np.max(basis, axis=1) > 0]
     level = np.mean(square)
@@ -74,4 +74,5 @@ def _one_output(square: Rows, noise: Rows, local: Rows) -> Rows:
 
 def _floor(local: Rows) -> Rows:
     """ε² Y + δ² Ȳ of one output: the unit of another one is another."""
-    return _FLOOR**2 * local + _FLAT**2 * np.mean(local)
+    # A plant at rest has no power at all.
+    return _FLOOR**2 * local + _FLAT**2 * np.mean(local) + 1e-30

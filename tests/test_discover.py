@@ -1,6 +1,7 @@
 """Discovery from end to end on short records, and how it answers when something is wrong."""
 
 from functools import cache
+from importlib import import_module
 
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -11,6 +12,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.candidates import Atom
+from eoi_jax.discovery import Added
 from eoi_jax.effects.effect import AbstractTerm, Parameter
 from eoi_jax.fit import Base, Fit
 from eoi_jax.rivals import akin, ambiguous
@@ -586,3 +588,16 @@ def test_records_that_show_no_motion_are_said_to_have_no_sample_that_counts():
     assert "no sample of the records counts" in found.status.message
     assert "Give a `lowpass` with a lower cut-off" in str(found)
     assert not found.effects
+
+
+@pytest.mark.parametrize(("errors", "told"), [((0.6, 9.0), True), ((0.6, 0.9), False)])
+def test_an_effect_of_unknown_size_is_said(errors, told):
+    """One parameter that is known to half of its size is enough: the level of an overflow."""
+    names = ("overflow_rate", "overflow_level")
+    one = Added(
+        effects.Overflow(), "level", dict(zip(names, (1.0, -2.0), strict=True)),
+        dict(zip(names, errors, strict=True)), "an overflow",
+    )  # fmt: skip
+    notes = import_module("eoi_jax.discover")._vague([one])
+    assert len(notes) == told
+    assert all("overflow" in note and "half" in note for note in notes)

@@ -9,6 +9,7 @@ from eoi_jax.augment import place
 from eoi_jax.candidates import Atom
 from eoi_jax.fit import Fit
 from eoi_jax.modes import Stretch, stretch
+from eoi_jax.noise_model import known_power
 from eoi_jax.rounds import in_step, read_friction
 
 TIME = np.arange(0.0, 40.0, 0.01)
@@ -59,3 +60,9 @@ def test_friction_beside_an_input_is_read_as_a_level_and_an_offset_there():
         "constant_offset_cart_force": pytest.approx(-0.1),
     }
     assert all(placed.through == 0 for placed in added)
+
+
+def test_an_output_at_rest_has_some_power_all_the_same():
+    """Errors are divided by it."""
+    rest = np.zeros(5)
+    assert np.all(known_power(rest, rest, np.zeros(5, int)) > 0.0)
