@@ -389,10 +389,11 @@ def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size
     r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
     square = sums(unknowns, problem)
     length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
-    length = jnp.where(length > 0, length, 1.0)
-    scaled = square / (length[:, :, None] * length[:, None, :])
+    divisor = jnp.where(length > 0, length, 1.0)
+    scaled = square / (divisor[:, :, None] * divisor[:, None, :])
     values, vectors = jnp.linalg.eigh(scaled)
     root = jnp.sqrt(jnp.maximum(values, 0.0))[:, :, None] * jnp.swapaxes(vectors, 1, 2)
+    # Columns of zeros (the start of a declared internal state) end as zeros, not as rounding.
     # NaN must stay: the maximum above would hide a run that has diverged.
     bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
     own = unknowns.starts.shape[1]

@@ -495,6 +495,32 @@ def test_internal_states_start_as_declared_and_freely_in_later_windows(internals
     np.testing.assert_allclose(z, (1.5 * decay + forced)[::200], rtol=1e-3)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_declared_starts_of_internal_states_do_not_hide_the_minimum(seed):
+    """Their columns are zeros: rounding in their place promised gains that no step could keep."""
+
+    def measured(t, x, u, p):
+        return p.fast * (x.z[0] - x.y[0, 0])
+
+    def before_it(t, x, u, p):
+        return jnp.stack([p.slow * (x.z[1] - x.z[0]), 3.0 * (p.gain * u[0] - x.z[1])])
+
+    cascade = eoi.Plant(
+        measured, {"fast": 15.0, "slow": 2.0, "gain": 2.0}, 1, ("u",), ("y",),
+        internal=before_it, internal_initial=[0.0, 0.0],
+    )  # fmt: skip
+    times = 5e-3 * np.arange(2001)
+    force = np.sin(2.0 * times) + np.cos(7.0 * times)
+    clean = eoi.simulate(cascade, times, force, hold="linear").outputs
+    noise = 1e-2 * np.random.default_rng(seed).standard_normal(clean.shape)
+    start = cascade.with_parameters({"fast": 10.0, "slow": 1.0, "gain": 1.0})
+    result = refine(start, eoi.Record(times, force, clean + noise, hold="linear"))
+    assert result.status.code == "converged"
+    assert result.steps < 20
+    for name, error in result.standard_errors.items():
+        assert abs(result.parameters[name] - cascade.parameters[name]) < 4.0 * error
+
+
 def test_fixed_parameters_are_kept(internals):
     _, result = internals
     assert result.parameters["gain"] == 1.0
