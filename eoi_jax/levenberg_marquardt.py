@@ -55,6 +55,7 @@ class _Arrow(optx.AbstractDescent):
 
     lower: Float[Array, " free"]
     upper: Float[Array, " free"]
+    faintest: Float[Array, " states"]
     scored: Scalar
 
     def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
@@ -77,7 +78,8 @@ class _Arrow(optx.AbstractDescent):
         stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
         columns = columns.at[..., own:].multiply(jnp.where(stuck, 0.0, 1.0))
         power = jnp.sum(columns**2, axis=1)
-        lengths = _length(power[:, :own]), _length(jnp.sum(power[:, own:], axis=0))
+        faintest = jnp.pad(self.faintest, (0, own - len(self.faintest)))
+        lengths = _length(power[:, :own], faintest), _length(jnp.sum(power[:, own:], axis=0))
         scale = jnp.concatenate(
             [lengths[0], jnp.broadcast_to(lengths[1], (len(error), len(y.theta)))], axis=1
         )
@@ -103,8 +105,10 @@ class _Arrow(optx.AbstractDescent):
         return Unknowns(theta, starts), optx.RESULTS.successful
 
 
-def _length(power: Array) -> Array:
-    return jnp.where(power > 0, jnp.sqrt(jnp.where(power > 0, power, 1.0)), 1.0)
+def _length(power: Array, faintest: Any = 0.0) -> Array:
+    """Of columns with these sums of squares; one for those that are no trace."""
+    seen = power > faintest**2
+    return jnp.where(seen, jnp.sqrt(jnp.where(seen, power, 1.0)), 1.0)
 
 
 def _damped(triangles: Array, own: int, damping: Scalar) -> Array:
@@ -198,7 +202,8 @@ def _search(
     problem: Problem, unknowns: Unknowns, most: Int[Array, ""], watch: Watch | None
 ) -> Outcome:
     solver = _LevenbergMarquardt(
-        0.0, 0.0, optx.max_norm, _Arrow(problem.lower, problem.upper, _scored(problem)),
+        0.0, 0.0, optx.max_norm,
+        _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most, watch,
     )  # fmt: skip
     found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)

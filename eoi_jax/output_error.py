@@ -32,6 +32,7 @@ _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
 _LEAST = 8  # steps of a run, at least
 _MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
+_TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
 
 
 # -- runs -------------------------------------------------------------------------------------
@@ -83,6 +84,7 @@ class Problem(eqx.Module):
             with θ, and with all that came before a run. places: rows of these, one record after
             the other, that each run takes.
         declared: 1 where the run starts a record: internal states are then the plant's own.
+        faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
         substeps: rows of a sample.
         compiled: whether runs are compiled by `engines.free_runs`; else they are scans.
@@ -96,6 +98,7 @@ class Problem(eqx.Module):
     whole: tuple[Drive, ...]
     places: Int[Array, "runs rows"] | None
     declared: Float[Array, " runs"]
+    faintest: Float[Array, " states"]
     scale: Float[Array, " ny"]
     threshold: Scalar
     lower: Float[Array, " free"]
@@ -157,6 +160,7 @@ def problem_of(
         whole=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
         places=jnp.asarray(_places(drives, spans)) if acting else None,
         declared=jnp.asarray([float(span.first == 0) for span in spans]),
+        faintest=jnp.zeros(len(kernel.rows)),
         scale=jnp.ones(len(plant.outputs)),
         threshold=jnp.asarray(jnp.inf),
         lower=jnp.asarray(np.asarray(plant.lower)[free]),
@@ -169,7 +173,19 @@ def problem_of(
     count = np.sum(use, axis=(0, 1))
     mean = np.sum(use * y, axis=(0, 1)) / count
     spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
-    return weighed(problem, spread)
+    faintest = _faintest(kernel, spread, min(one.sample_period for one in records))
+    return weighed(replace(problem, faintest=jnp.asarray(faintest)), spread)
+
+
+def _faintest(
+    kernel: RunKernel, spread: Float[np.ndarray, " ny"], period: float
+) -> Float[np.ndarray, " states"]:
+    """Length of a column by which a start of the largest conceivable size leaves no trace.
+
+    Else a start that a burn-in has forgotten is moved by orders of magnitude, after noise.
+    """
+    largest = spread[list(kernel.columns)] / period ** np.asarray(kernel.rows)
+    return _TRACE / np.where(largest > 0, largest, np.inf)
 
 
 def kernel_of(plant: Plant, store: str) -> RunKernel:

@@ -624,6 +624,23 @@ def test_too_few_steps_are_said():
     assert result.rmse[0] < result.before[0]
 
 
+@pytest.mark.parametrize("burn_in", [0.5, 2.0, 4.0])
+def test_a_start_that_is_forgotten_before_scoring_is_left_alone(burn_in):
+    def lag(t, x, u, p):
+        return p.rate * (p.gain * u[0] - x.y[0])
+
+    plant = eoi.Plant(lag, {"rate": 15.0, "gain": 2.0})
+    clean = eoi.simulate(plant, TIME, FORCE, hold="linear").outputs
+    noise = 1e-2 * np.random.default_rng(0).standard_normal(clean.shape)
+    record = eoi.Record(TIME, FORCE, clean + noise, hold="linear", burn_in=burn_in)
+    result = refine(plant.with_parameters({"rate": 10.0, "gain": 1.0}), record)
+    assert result.status.code == "converged"
+    assert result.steps <= 8  # e^-60 of a start is left at the last burn-in: none for its noise
+    assert abs(result.starts[0].y[0, 0]) < 5.0
+    for name, error in result.standard_errors.items():
+        assert abs(result.parameters[name] - plant.parameters[name]) < 4.0 * error
+
+
 def test_records_without_a_scored_sample_are_said():
     record = eoi.Record(TIME, FORCE, run(OSCILLATOR).outputs, hold="linear", burn_in=10.0)
     result = refine(OSCILLATOR, record)
