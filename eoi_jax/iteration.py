@@ -29,8 +29,10 @@ _PATIENCE = 2
 # An increment whose effect is below this share of the observed derivative changes nothing.
 _ROUNDING = 1e-10
 # A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after a pass
-# that went wrong, and how many such passes in a row end the run.
+# that went wrong, the least before the full step is tried again (where it overshot once it mostly
+# does so again), and how many such passes in a row end the run.
 _DAMPING = 0.1
+_LIGHT = 3e-3
 _RETRIES = 5
 
 Thetas = Float[np.ndarray, "lanes np"]
@@ -160,7 +162,7 @@ def iterate(
         better = active & ((number == 0) | (one.cost < reference.cost - PROGRESS))
         worse = active & ~better & (one.cost > reference.cost) & (not affine)
         stale = np.where(better, 0, stale + active)
-        eased = np.where(damping > _DAMPING, damping / 10.0, 0.0)
+        eased = np.where(damping > _LIGHT, damping / 10.0, 0.0)
         damping = np.where(better, eased, damping)
         # Gauss–Newton overshot: from the best pass again, a shorter step.
         damping = np.where(worse, np.maximum(10.0 * damping, _DAMPING), damping)

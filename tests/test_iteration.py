@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax.iteration import _solve
+from eoi_jax.iteration import _solve, iterate
 from eoi_jax.passes import Sums
 
 PLANT = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0] + p.b * u, {"k": 1.0, "b": 2.0}, 1)
@@ -32,3 +32,28 @@ def test_a_lane_without_bound_is_not_settled_and_one_at_rest_is():
     for one in (lost, unbound):  # warnings are errors here
         np.testing.assert_array_equal(one.settled, [False])
         np.testing.assert_array_equal(one.cost, [np.inf])
+
+
+def test_passes_follow_a_bent_valley_in_which_full_steps_overshoot():
+    """Rosenbrock's function: r = (10 (θ₂ − θ₁²), 1 − θ₁), and a power that no θ takes away."""
+    bent = eoi.Plant(lambda t, x, u, p: -p.a * p.b * x.y[0] + p.b * u, {"a": -1.2, "b": 1.0}, 1)
+
+    def run(which, theta, number):
+        del which, number
+        lanes = []
+        for a, b in theta:
+            residual = np.array([10.0 * (b - a**2), 1.0 - a])
+            phi = np.array([[20.0 * a, -10.0], [1.0, 0.0]])  # −∂r/∂θ
+            one = jnp.ones(1)
+            lanes.append(
+                Sums(
+                    jnp.asarray(phi.T @ phi)[None], jnp.asarray(phi.T @ residual)[None],
+                    jnp.asarray([residual @ residual + 1e-3]), one, one, one, one,
+                    jnp.zeros((2, 2)),
+                )
+            )  # fmt: skip
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *lanes)
+
+    found = iterate(run, bent, np.array([[-1.2, 1.0]]), 60)
+    assert found.codes == ["converged"]
+    np.testing.assert_allclose(found.best.theta, [[1.0, 1.0]], atol=1e-3)
