@@ -71,11 +71,12 @@ def plant() -> eoi.Plant:
         "thermal_voltage": 0.1, "offset": 0.0,
     }  # fmt: skip
     positive = [key for key in start if key[:4] in ("pole", "damp", "zero", "ther")]
-    volts = dict.fromkeys(("level", "thermal_voltage", "offset", "drive", "voltage"), "V")
-    rates = dict.fromkeys(("pole_1", "pole_2", "pole_3", "pole_4", "zero"), "kHz")
+    rates: tuple[str, ...] = ("pole_1", "pole_2", "pole_3", "pole_4", "zero")
+    voltages: tuple[str, ...] = ("level", "thermal_voltage", "offset", "drive", "voltage")
+    units: dict[str, str] = dict.fromkeys(rates, "kHz") | dict.fromkeys(voltages, "V")
     return eoi.Plant(
         output, start, relative_degree=1, inputs=("drive",), outputs=("voltage",),
-        internal=inside, internal_initial=[0.0] * 5, units=volts | rates,
+        internal=inside, internal_initial=[0.0] * 5, units=units,
         bounds=dict.fromkeys(positive, (1e-3, np.inf)),
     )  # fmt: skip
 
