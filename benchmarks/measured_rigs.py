@@ -59,8 +59,8 @@ def double_pendulum_with_friction(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
 def dfki_arm(folder: Path, design: str) -> Rig:
     """Published: mass parameters and friction of the design's model."""
     case = dfki_double_pendulum(folder, design)
-    names: tuple[str, ...] = ("damping_1", "damping_2", "friction_1", "friction_2")
-    units = dict.fromkeys(names[:2], "N m s") | dict.fromkeys(names[2:], "N m")
+    names = ("damping_1", "damping_2", "friction_1", "friction_2")
+    units = {key: "N m s" if "damping" in key else "N m" for key in names}
     reference = case.plant.parameters | dict(zip(names, _FRICTION[design], strict=True))
     start = {key: _AWAY * value for key, value in reference.items()}
     plant = _extended(case.plant, double_pendulum_with_friction, start, units)

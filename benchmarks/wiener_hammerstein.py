@@ -71,9 +71,10 @@ def plant() -> eoi.Plant:
         "thermal_voltage": 0.1, "offset": 0.0,
     }  # fmt: skip
     positive = [key for key in start if key[:4] in ("pole", "damp", "zero", "ther")]
-    rates: tuple[str, ...] = ("pole_1", "pole_2", "pole_3", "pole_4", "zero")
-    voltages: tuple[str, ...] = ("level", "thermal_voltage", "offset", "drive", "voltage")
-    units: dict[str, str] = dict.fromkeys(rates, "kHz") | dict.fromkeys(voltages, "V")
+    units = {
+        "pole_1": "kHz", "pole_2": "kHz", "pole_3": "kHz", "pole_4": "kHz", "zero": "kHz",
+        "level": "V", "thermal_voltage": "V", "offset": "V", "drive": "V", "voltage": "V",
+    }  # fmt: skip
     return eoi.Plant(
         output, start, relative_degree=1, inputs=("drive",), outputs=("voltage",),
         internal=inside, internal_initial=[0.0] * 5, units=units,
