@@ -165,26 +165,34 @@ def _silverbox(report: Report, quick: bool) -> None:
     if quick:
         fit, check = fit[:12000], check[:6000]
     report.add(
-        "Rule for cut-off and sub-steps, fixed before looking at held-out records: estimate from "
-        "the first three quarters of the estimation record, take the pair with the smallest "
-        "free-run "
-        "error on its last quarter (*choice*), then estimate once more from all of it. The columns "
-        "behind *choice* are shown and not used."
+        "Rule for cut-off, sub-steps and instruments: estimate from the first three quarters of "
+        "the estimation record, take the three with the smallest free-run error on its last "
+        "quarter (*choice*), then estimate once more from all of it. The columns behind *choice* "
+        "are shown and not used."
     )
-    rows, best = [], (np.inf, 0.0, 0)
+    rows, best = [], (np.inf, 0.0, 0, False)
     cutoffs = (430.0, 860.0) if quick else (215.0, 430.0, 860.0, 1290.0)
-    for cutoff, substeps in itertools.product(cutoffs, (1, 10) if quick else (1, 4, 10)):
-        one = eoi.identify(plant, fit, lowpass=eoi.LowPass(cutoff), substeps=substeps, passes=2)
+    several = itertools.product(cutoffs, (1, 10) if quick else (1, 4, 10), (False, True))
+    for cutoff, substeps, instruments in several:
+        lowpass = eoi.LowPass(cutoff)
+        one = eoi.identify(
+            plant, fit, lowpass=lowpass, substeps=substeps, passes=2, instruments=instruments
+        )
         errors = [float(validate(one.plant, part).rmse[0]) for part in (check, arrow)]
-        best = min(best, (errors[0], cutoff, substeps))
-        rows.append([f"{cutoff:g}", substeps, *(f"{1e3 * value:.3f}" for value in errors)])
-    report.add(table(["cut-off [rad/s]", "sub-steps", "choice [mV]", "arrow [mV]"], rows))
-    _, cutoff, substeps = best
-    chosen = eoi.identify(plant, record, lowpass=eoi.LowPass(cutoff), substeps=substeps)
+        best = min(best, (errors[0], cutoff, substeps, instruments))
+        cured = "yes" if instruments else "no"
+        rows.append([f"{cutoff:g}", substeps, cured, *(f"{1e3 * value:.3f}" for value in errors)])
+    header = ["cut-off [rad/s]", "sub-steps", "instruments", "choice [mV]", "arrow [mV]"]
+    report.add(table(header, rows))
+    _, cutoff, substeps, instruments = best
+    chosen = eoi.identify(
+        plant, record, lowpass=eoi.LowPass(cutoff), substeps=substeps, instruments=instruments
+    )
     default = eoi.identify(plant, record)
     reference = eoi.plants.duffing_oscillator(reference=True).parameters
     report.add(
-        f"Chosen: {cutoff:g} rad/s, {substeps} sub-steps.",
+        f"Chosen: {cutoff:g} rad/s, {substeps} sub-steps, "
+        f"{'with' if instruments else 'without'} instruments.",
         _parameters(chosen, reference, "README", {}),
         _ended(chosen),
     )
