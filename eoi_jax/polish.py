@@ -6,10 +6,13 @@ that always pushes one way is next to nothing in the one, and most of the error 
 1. `refine` the model on the records of the fit.
 2. `remaining`: the most significant effect of those that the free run lacks, or two; add it, refine
    again; as long as there is one and held-out free runs, whole and in windows, get better by it.
+3. `refine` what was kept over short runs: what a model still lacks adds up over a long one and
+   bends its parameters, and a long run that loses its phase tells nothing.
 
 What is kept is the model with the lowest of these errors. The first refinement, which adds nothing,
 must only not be worse than what was discovered: at the noise both are equal, and it is the better
-estimate. What is added must be worth more than a hundredth of these errors.
+estimate. What is added, and short runs in place of whole ones, must be worth more than a hundredth
+of these errors.
 """
 
 from collections.abc import Sequence
@@ -60,12 +63,31 @@ def polished(
         records: to fit to.
         held: to judge on.
         before: free runs of `plant` on these.
-        window: of re-initialised free runs on these [s].
+        window: of re-initialised free runs [s]; None where records are too short for them.
         effects: to try; those of `remaining` by default.
 
     Returns:
         The model that was kept, or why there is none.
     """
+    whole = _over_whole_runs(plant, records, held, before, window, effects)
+    if window is None:
+        return whole
+    start, runs, placed, most = plant, before, (), _SAME
+    if isinstance(whole, Polished):
+        start, runs, placed, most = whole.refinement.plant, whole.runs, whole.placed, -_SAME
+    one = refine(start, records, window=window)
+    short = Polished(one, placed, whole_and_windows(one.plant, held, window))
+    return short if one.status.ok and _better(runs, short.runs, most) else whole
+
+
+def _over_whole_runs(
+    plant: Plant,
+    records: Sequence[Record],
+    held: Sequence[Record],
+    before: FreeRuns,
+    window: float | None,
+    effects: Sequence[AbstractEffect] | None,
+) -> Polished | str:
     kept: Polished | None = None
     placed: tuple[Placed, ...] = ()
     for turn in range(1 + _MOST):

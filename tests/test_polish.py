@@ -108,6 +108,34 @@ def test_what_only_free_runs_show_is_an_answer_where_the_injection_shows_nothing
     assert NOISE * held[1] < error(found.after) < 1.05 * NOISE * held[1]
 
 
+def rolling(t, x, u, p):
+    return (u - p.friction * x.y[1]) / p.mass
+
+
+def test_short_runs_take_the_place_of_whole_ones_where_a_drift_bends_these():
+    """A slow force that is in no record: its effect on an integrating plant adds up."""
+    true = eoi.Plant(rolling, {"mass": 2.0, "friction": 1.0}, 2, ("u",), ("y",))
+    fit, held = (rolled(true, seed, push) for seed, push in ((1, 0.05), (2, 0.0)))
+    whole, _ = whole_and_windows(true, [held], None)
+    loose = replace(whole, rmse=1e3 * whole.rmse), None
+    start = true.with_parameters({"mass": 2.2, "friction": 0.9})
+    answer = polished(start, [fit], [held], loose, 2.0, [effects.QuadraticDrag()])
+    assert not isinstance(answer, str)
+    assert answer.refinement.window == 2.0
+    bent = whole_and_windows(eoi.refine(start, fit).plant, [held], 2.0)
+    for short, long in zip(answer.runs, bent, strict=True):
+        assert error(short) < 0.8 * error(long)
+
+
+def rolled(plant, seed, push):
+    draw = np.random.default_rng(seed)
+    force = eoi.excitation.multisine(TIME, 1.0, (0.1, 2.0), 16, seed=seed)
+    slow = np.convolve(draw.standard_normal(len(TIME) + 800), np.hanning(801), "valid")
+    made = eoi.simulate(plant, TIME, force + push * slow / np.std(slow), hold="linear")
+    noise = 1e-5 * draw.standard_normal(made.outputs.shape)
+    return eoi.Record(TIME, force, made.outputs + noise, f"run {seed}", hold="linear")
+
+
 def test_what_makes_free_runs_worse_is_refused_and_said(fit, held):
     runs = whole_and_windows(PLANT, [held[0]], None)
     perfect = replace(runs[0], rmse=1e-9 * runs[0].rmse), None
