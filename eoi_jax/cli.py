@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from eoi_jax import backend, build, pages, runs
+from eoi_jax import backend, build, pages, runs, summaries
 from eoi_jax import config as configs
 from eoi_jax.batch.best import best
 from eoi_jax.checks import check
@@ -79,7 +79,7 @@ def identify(
     source, given = _given(config, "pendulum", data, output, shown, passes)
     with runs.quiet_records():
         result, validation = _identified(given, shown)
-    summary = runs.identification_summary(given, result, validation)
+    summary = summaries.identification_summary(given, result, validation)
     if not result.status.ok:
         return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / given.settings.name
@@ -111,7 +111,7 @@ def discover(config: Path | None, data: Path | None, output: Path, shown: Shown 
     source, given = _given(config, "hidden_friction", data, output, shown)
     with runs.quiet_records():
         result = _discovered(given, shown)
-    summary = runs.discovery_summary(given, result)
+    summary = summaries.discovery_summary(given, result)
     if not (result.status.ok or result.status.code in _ANSWERS):
         return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / given.settings.name
@@ -143,7 +143,7 @@ def refine(config: Path | None, data: Path | None, output: Path, shown: Shown | 
     with runs.quiet_records():
         start, before = _identified(given, shown)
         if not start.status.ok and given.settings.refine.starts is None:
-            summary = runs.identification_summary(given, start, before)
+            summary = summaries.identification_summary(given, start, before)
             complaint = f"nothing to refine ({start.status})"
             if start.status.code != "no_data":
                 complaint += f". {_MORE_STARTS}"
@@ -151,7 +151,7 @@ def refine(config: Path | None, data: Path | None, output: Path, shown: Shown | 
         if shown is not None:
             shown("step of the free runs' fit", 0, None, "compiling")
         result, after = _refined(given, start, shown)
-    summary = runs.refinement_summary(given, start, before, result, after)
+    summary = summaries.refinement_summary(given, start, before, result, after)
     if not result.status.ok:
         return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / given.settings.name
@@ -196,7 +196,7 @@ def sweep(
         )
         done = bool(result["ok"].any())
         chosen = best(result, given.model, given.held_out or None) if done else None
-    summary = runs.sweep_summary(given, result, chosen)
+    summary = summaries.sweep_summary(given, result, chosen)
     text = sweep_text(result, chosen)
     copy = _with_command(f"eoi sweep{_named(config)}", source)
     runs.write_sweep(folder, result, chosen, summary, text, copy)

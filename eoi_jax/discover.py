@@ -15,8 +15,6 @@ r"""Close the loop: find the residual, trace it to an effect that the model lack
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from eoi_jax.augment import Placed
 from eoi_jax.blas import one_thread
 from eoi_jax.candidates import candidates
@@ -24,7 +22,7 @@ from eoi_jax.checks import check, check_choice
 from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
-from eoi_jax.discovery import Added, Discovery
+from eoi_jax.discovery import Added, Discovery, Lead
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.identify import Identification, estimate
@@ -34,17 +32,16 @@ from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
 from eoi_jax.ranking import ends, ranking
+from eoi_jax.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction
 from eoi_jax.side_by_side import aside
-from eoi_jax.trajectory import frictional
-from eoi_jax.validate import FreeRuns, validate, whole_and_windows
+from eoi_jax.validate import FreeRuns
 from eoi_jax.verdict import answered, explained, judged, names_of
 
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
-_WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
 _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
 _END = 1e-3  # of a range of shapes: as near as this to its end
 
@@ -140,7 +137,7 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     the spare effects are tried too. Not as one patch of several.
     """
     # The search does not wait for the free runs before it.
-    with aside(task.threads, lambda: _free_runs(task, task.declared.plant)) as before:
+    with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
         steps, rounds = _searched(task, told)
         if not rounds[0].base.whole_power > 0.0:
             reason = _NO_SAMPLE.format(task.declared.lowpass.cutoff)
@@ -148,13 +145,15 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
             return _failed(lost, task.held, task.records)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         found = _answer(task, steps, rounds, before())
-    if found.status.code != "unexplained" or not candidates(task.plant, spare):
+    if found.status.code != "unexplained":
         return found
-    wider = replace(task, effects=(*task.effects, *spare))
-    steps, rounds = _searched(wider, told, rounds[0])
-    more = _answer(wider, steps, rounds, before())
-    named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
-    return more if named and more.explained >= _WHOLLY else found
+    if candidates(task.plant, spare):
+        wider = replace(task, effects=(*task.effects, *spare))
+        more = _answer(wider, *_searched(wider, told, rounds[0]), before())
+        named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
+        if named and more.explained >= _WHOLLY:
+            return more
+    return replace(found, lead=_lead(task, steps, rounds, before()))
 
 
 def _searched(
@@ -186,13 +185,15 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     records = task.held or task.records
     assert found.after is not None
     before = found.after, found.windows_after
-    better = polished(found.plant, task.records, records, before, _window(task, records), effects)
+    better = polished(found.plant, task.records, records, before, window_of(task, records), effects)
     if isinstance(better, str):
         return replace(found, notes=(*found.notes, better))
     # What was said of the estimate before does not hold any more.
-    stale = (_SEARCHED, _REFITTED, _HARDLY)
+    stale = (SEARCHED, _REFITTED, _HARDLY)
     notes = [one for one in found.notes if not one.startswith(stale)]
-    notes.append(f"refined: {better.refinement.status}")
+    short = better.refinement.window
+    length = "" if short is None else f" over windows of {short:.3g} s"
+    notes.append(f"refined{length}: {better.refinement.status}")
     if better.placed:
         names = " and ".join(one.replace("_", " ") for one in names_of(better.placed))
         notes.append(f"found in the free run alone: {names}")
@@ -218,65 +219,17 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     )  # fmt: skip
 
 
-def _refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
-    """Everything fitted again by the estimator, from where the search ended.
-
-    Its passes average over a step what the modes treat to fourth order, and smooth the inputs
-    with the outputs where noise asks for it, which an input effect does not commute with. So
-    the better of both in short free runs on the records of the fit is kept.
-    """
-    window = _window(task, task.records)
-    bounded = bool(np.all((model.lower <= model.theta) & (model.theta <= model.upper)))
-    if window is None or not bounded:
-        return estimate(model, task.prepared)
-
-    def error(plant: Plant) -> float:
-        return float(np.sum(np.log(validate(plant, task.records, window=window).rmse + 1e-300)))
-
-    with aside(task.threads, lambda: error(model)) as searched:
-        found = estimate(model, task.prepared)
-        ours, theirs = searched(), error(found.plant)
-    if not ours < theirs:
-        return found
-    notes.append(_SEARCHED)
-    return replace(found, plant=model, parameters=model.parameters)
-
-
 def _plainest(
     task: Task, placed: tuple[Placed, ...], found: Identification, runs: FreeRuns, first: Round
 ) -> tuple[tuple[Placed, ...], Identification, FreeRuns]:
     """With a simpler law in place of one that contains it, where free runs are as good with it."""
     for one, plain, fewer in simpler(task.plant, found, placed, task.effects):
         refit = estimate(plain, task.prepared)
-        theirs = _free_runs(task, refit.plant)
+        theirs = free_runs(task, refit.plant)
         if refit.status.ok and as_good(theirs, runs):
             first.refused[one] = "in free runs no better than a simpler law"
             return _plainest(task, fewer, refit, theirs, first)
     return placed, found, runs
-
-
-def _not_simulated(plant: Plant) -> str:
-    """Why a plant has no free runs; nothing where it has."""
-    try:
-        frictional(plant)
-    except ValueError as error:
-        return str(error)
-    return ""
-
-
-def _window(task: Task, records: Sequence[Record]) -> float | None:
-    """Length of short free runs [s]; None where the records are too short."""
-    if task.window is not None:
-        return task.window
-    shortest = min(len(one) for one in records)
-    samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
-    return None if samples > shortest // 2 else samples * records[0].sample_period
-
-
-def _free_runs(task: Task, plant: Plant) -> FreeRuns:
-    """On the held-out records."""
-    records = task.held or task.records
-    return whole_and_windows(plant, records, _window(task, records))
 
 
 def _held_out(
@@ -340,16 +293,16 @@ def _answer(
         verdict = judged(placed, share, left, quiet, alone)
         if verdict.code != "explained":
             break
-        refusal = _not_simulated(model)
+        refusal = not_simulated(model)
         if refusal:
             notes.append(_UNCHECKED.format(" and ".join(names_of(placed)), share, refusal))
             rounds[0].refused.update(dict.fromkeys(placed, "its free run cannot be simulated"))
             status = Status("unexplained", _NO_RUN)
             continue
-        refit = _refitted(task, model, notes)
+        refit = refitted(task, model, notes)
         if not refit.status.ok:
             notes.append(f"{_REFITTED} {refit.status}")
-        runs = _free_runs(task, refit.plant)
+        runs = free_runs(task, refit.plant)
         if judged(placed, share, left, quiet) != verdict and not confirmed(before, runs):
             break
         if holds(before, runs):
@@ -388,6 +341,22 @@ def _answer(
     )
 
 
+def _lead(
+    task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
+) -> Lead | None:
+    """The last set that free runs get better with, though it takes too little to be an answer."""
+    for model, placed, done in reversed(steps):
+        if not_simulated(model):
+            continue
+        found = refitted(task, model, [])
+        runs = free_runs(task, found.plant)
+        if found.status.ok and holds(before, runs):
+            share, _, _ = explained(rounds if placed is steps[-1][1] else done)
+            added = tuple(_added(task.plant, found, one) for one in placed)
+            return Lead(added, share, found, *runs)
+    return None
+
+
 def _vague(added: Sequence[Added]) -> list[str]:
     """Effects of which no parameter is known to half of its size."""
 
@@ -419,7 +388,6 @@ _NO_SAMPLE = (
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _SEEN_THERE = ". `refine=True` looks for it in the free runs"
 _REFITTED = "the refit of the augmented model ended as"
-_SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 _HARDLY = "the records hardly tell the size of"
 _WORSE = "the effects that fit the records make the free run on other data worse"
 _WIDER = "{} would take {:.1%} of the residual's power, and do no better in free runs"

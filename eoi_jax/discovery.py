@@ -63,6 +63,24 @@ class Added:
 
 
 @dataclass(frozen=True)
+class Lead:
+    """The best set of effects that is no answer: it leaves too much, but free runs get better.
+
+    Attributes:
+        added: the effects, strongest first.
+        explained: share of the residual's power above the noise that they explain, 0 … 1.
+        found: the fit with them; `found.plant` is the plant with them.
+        after, windows_after: its free-run errors, on the records of `Discovery.before`.
+    """
+
+    added: tuple[Added, ...]
+    explained: float
+    found: Identification
+    after: Validation | None
+    windows_after: Validation | None
+
+
+@dataclass(frozen=True)
 class Discovery:
     """What a model lacks, and what adding it is worth.
 
@@ -86,6 +104,8 @@ class Discovery:
         in_sample: whether the free-run errors are on the records of the fit.
         held_out: the records that the free runs are on.
         diagnosis: of the declared model's residual where no effect explains it; else None.
+        lead: where no effect explains it, the set that comes nearest, if free runs get better by
+            it; else None. It may stand for something that the library does not have.
     """
 
     effects: tuple[str, ...]
@@ -106,11 +126,18 @@ class Discovery:
     in_sample: bool
     held_out: tuple[Record, ...]
     diagnosis: Diagnosis | None = None
+    lead: Lead | None = None
 
     def __str__(self) -> str:
         from eoi_jax.report.discovery import discovery_text
 
         return discovery_text(self)
+
+    @property
+    def declared_part(self) -> Plant:
+        """The declared model with its parameters as they are beside the effects."""
+        model = self.declared.nominal
+        return model.with_parameters({name: self.plant.parameters[name] for name in model.names})
 
     @property
     def equation(self) -> str:

@@ -16,8 +16,9 @@ from eoi_jax.report.contents import (
     refinement_contents,
 )
 from eoi_jax.report.page import page
-from eoi_jax.runs import BESIDE, RESULT, SUMMARY_FORMAT, SWEEP
+from eoi_jax.runs import BESIDE, RESULT, SWEEP
 from eoi_jax.store import load
+from eoi_jax.summaries import SUMMARY_FORMAT
 
 REPORT = "report.html"
 _Maker = Callable[[Any, Mapping[str, Any]], Contents]

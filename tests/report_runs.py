@@ -8,7 +8,7 @@ from found import DECLARED, HELD_OUT, discovery, record
 
 import eoi_jax as eoi
 from eoi_jax import config as configs
-from eoi_jax import pages, runs
+from eoi_jax import pages, runs, summaries
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "hidden_friction.toml"
 HOSTILE = "<script>hacked=1</script>"
@@ -20,7 +20,7 @@ def job(model: eoi.Plant, records, held_out=()) -> runs.Job:
 
 def discovered(folder: Path, result: eoi.Discovery) -> Path:
     given = job(DECLARED, [record(1)], [HELD_OUT])
-    summary = runs.discovery_summary(given, result)
+    summary = summaries.discovery_summary(given, result)
     text = "# eoi discover mine.toml\n" + CONFIG.read_text()
     runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
     pages.write_report(folder)
@@ -70,7 +70,7 @@ def hostile_run(folder: Path) -> Path:
     result = eoi.identify(plant, measured, passes=2)
     validation = eoi.validate(result.plant, measured)
     given = job(plant, [measured], [measured])
-    summary = runs.identification_summary(given, result, validation)
+    summary = summaries.identification_summary(given, result, validation)
     text = "# eoi identify </code></pre><script>hacked=5</script>\n</pre><script>hacked=6</script>"
     runs.publish(
         folder,

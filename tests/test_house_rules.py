@@ -71,6 +71,7 @@ LAYERS = (
     ("compare",),
     ("discovery",),
     ("rounds", "polish"),
+    ("refit",),
     ("rivals", "parsimony", "confirm", "verdict", "ranking"),
     ("discover",),
     ("store",),
@@ -79,6 +80,7 @@ LAYERS = (
     ("config", "build"),
     ("draft",),
     ("runs", "finished"),
+    ("summaries",),
     ("pages",),
     ("cli",),
 )

@@ -104,7 +104,7 @@ def discovery_contents(result: Discovery, beside: Mapping[str, Any]) -> Contents
         (*_discovery_shown(result), *_maps(diagnosis)),
         beneath,
         health(diagnosis, searched=True),
-        tuple(result.notes),
+        tuple(filter(None, [discoveries.lead(result), *result.notes])),
         added=bool(result.added),
     )
 

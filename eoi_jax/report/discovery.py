@@ -1,6 +1,7 @@
 """What a discovery found, as text: the answer in one sentence, then the numbers behind it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -34,18 +35,19 @@ def discovery_text(discovery: Discovery) -> str:
     blocks = [
         first,
         "" if str(discovery.status) in first else str(discovery.status),
+        lead(discovery),
         change_table(discovery) if discovery.added else parameter_table(discovery.declared),
         error_table(discovery),
         _explained(discovery),
         _equation(discovery),
         candidate_table(discovery),
-        _leads(discovery),
+        _findings(discovery),
         "\n".join(f"- {note}" for note in discovery.notes),
     ]
     return "\n\n".join(block for block in blocks if block)
 
 
-def _leads(discovery: Discovery) -> str:
+def _findings(discovery: Discovery) -> str:
     """What the residual shows where no effect explains it."""
     if discovery.diagnosis is None:
         return ""
@@ -68,6 +70,19 @@ def answer(discovery: Discovery) -> str:
     else:
         return f"No answer: {discovery.status}"
     return f"{start}: {_free_run_errors(discovery)}."
+
+
+def lead(discovery: Discovery) -> str:
+    """What free runs say of the set that comes nearest to an answer, in one sentence; or ""."""
+    one = discovery.lead
+    if one is None:
+        return ""
+    as_if = replace(
+        discovery, added=one.added, found=one.found, plant=one.found.plant,
+        after=one.after, windows_after=one.windows_after,
+    )  # fmt: skip
+    what = _listed([phrase(as_if, added) for added in one.added])
+    return f"A lead, not an answer: with {what}, {_free_run_errors(as_if)}."
 
 
 def phrase(discovery: Discovery, added: Added) -> str:
@@ -183,12 +198,8 @@ def _explained(discovery: Discovery) -> str:
 
 
 def _equation(discovery: Discovery) -> str:
-    model = discovery.found.plant.with_parameters(discovery.found.parameters)
-    declared = discovery.declared.nominal.with_parameters(
-        {name: model.parameters[name] for name in discovery.declared.nominal.names}
-    )
-    names = equation_text(declared, discovery.added)
-    return f"{names}\n\n{equation_text(declared, discovery.added, numeric=True)}"
+    declared, added = discovery.declared_part, discovery.added
+    return f"{equation_text(declared, added)}\n\n{equation_text(declared, added, numeric=True)}"
 
 
 # -- pieces -----------------------------------------------------------------------------------

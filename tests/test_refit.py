@@ -1,0 +1,65 @@
+"""A set of effects fitted again: by the estimator, or at the parameters of the search."""
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.identify import estimate
+from eoi_jax.prepare import ready
+from eoi_jax.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
+from eoi_jax.rounds import Task
+
+TRUTH = {"stiffness": 20.0, "damping": 0.8, "gain": 2.0}
+
+
+def sprung(t, x, u, p):
+    position, rate = x.y
+    return -p.stiffness * position - p.damping * rate + p.gain * u
+
+
+TRUE = eoi.Plant(sprung, TRUTH, 2, ("force",), ("position",))
+
+
+@pytest.fixture(scope="module")
+def task():
+    """Noise biases the plain passes, so that the truth is better in free runs."""
+    time = np.arange(3000) * 1e-2
+    drive = eoi.excitation.multisine(time, 3.0, (0.1, 3.0), 16, seed=1)
+    clean = eoi.simulate(TRUE, time, drive, hold="linear").outputs
+    noise = 0.03 * np.std(clean) * np.random.default_rng(1).standard_normal(clean.shape)
+    record = eoi.Record(time, drive, clean + noise, "noisy", hold="linear",
+                        input_names=("force",), output_names=("position",))  # fmt: skip
+    prepared = ready(TRUE, (record,))
+    declared = estimate(TRUE, prepared)
+    return Task(TRUE, prepared, (record,), (), (), declared, 0.01, 3, None)
+
+
+def test_parameters_of_the_search_are_kept_where_they_are_better_and_the_fit_is_theirs(task):
+    notes = []
+    found = refitted(task, TRUE, notes)
+    assert notes == [SEARCHED]
+    assert found.parameters == TRUTH
+    assert found.plant.parameters == TRUTH
+    assert np.array_equal(found.parameter_history[found.best_pass], TRUE.theta)
+    assert np.all(found.correction == 0.0)
+    assert found.status.ok
+    assert found.index[0, 0] >= np.min(task.declared.index)  # least squares has the smallest
+
+
+def test_the_estimate_is_kept_where_it_is_better(task):
+    far = TRUE.with_parameters({name: 1.5 * value for name, value in TRUTH.items()})
+    notes = []
+    found = refitted(task, far, notes)
+    assert notes == []
+    for name, value in TRUTH.items():
+        assert found.parameters[name] == pytest.approx(value, rel=0.2)
+
+
+def test_short_runs_are_a_tenth_of_a_record_where_that_is_long_enough(task):
+    (record,) = task.records
+    assert window_of(task, task.records) == pytest.approx(0.1 * len(record) * 1e-2)
+    assert window_of(task, [record[:150]]) is None
+    whole, short = free_runs(task, TRUE)
+    assert short is not None
+    assert len(whole.predictions) == 1
+    assert not_simulated(TRUE) == ""
