@@ -35,8 +35,9 @@ class Refinement:
 
     Attributes:
         parameters: estimate by name.
-        standard_errors: by name; sums of scores over blocks, so that they know that residuals are
-            coloured within a block. NaN for a parameter on its bound, 0 for a fixed one.
+        standard_errors: by name; from the slowest cosines of the scores, so that they know that
+            residuals are coloured (`regression/long_run.py`). NaN for a parameter on its bound, 0
+            for a fixed one.
         covariance: of the parameters, shape (np, np).
         plant: with the estimate; `nominal` is the one it started from.
         starts: estimated initial state of each run.
