@@ -120,6 +120,7 @@ def seen_at(
     stretches: Sequence[Stretch],
     band: float,
     peaks: Float[np.ndarray, " peaks"],
+    lags: Float[np.ndarray, " lags"],
 ) -> Seen:
     """What the records show at the channel of an effect."""
     u = placed.channel if placed.on_input else 0
@@ -138,15 +139,34 @@ def seen_at(
         max(one.original_period for one in stretches),
         band,
         peaks,
+        lags,
     )
 
 
-def atoms(plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretch]) -> list[Atom]:
-    """An effect at several values of its shape parameters, shape (grid, shapes)."""
+def atoms(
+    plant: Plant,
+    placed: Placed,
+    shapes: Grid,
+    stretches: Sequence[Stretch],
+    late: str | None = None,
+) -> list[Atom]:
+    """An effect at several values of its shape parameters.
+
+    Args:
+        plant: the model.
+        placed: the effect.
+        shapes: (grid, shapes).
+        stretches: of the records.
+        late: a parameter of the plant by which it delays the input that the effect delays too. The
+            slopes are taken where both together delay as much as this one did: a delay is far
+            from linear, and what it had taken of the effect it must be able to give back.
+    """
     values = [tuple(float(value) for value in row) for row in shapes]
     if not values:
         return []
-    if placed.on_input:
+    if late is not None:
+        made = [_later(plant, placed, value, stretches, late) for value in values]
+    elif placed.on_input:
         inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
         target, slopes = model_rows(plant, stretches, inputs)
         none = np.zeros((target.shape[1], 0))
@@ -158,6 +178,19 @@ def atoms(plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretc
         made = [Atom(placed, value, columns[i]) for i, value in enumerate(values)]
     # A state that is faster than the steps does not stay finite: that shape cannot be tried.
     return [one for one in made if _finite(one)]
+
+
+def _later(
+    plant: Plant, placed: Placed, shape: tuple[float, ...], stretches: Sequence[Stretch], late: str
+) -> Atom:
+    i, theta = plant.names.index(late), np.array(plant.theta)
+    theta[i] = np.clip(theta[i] - shape[0], plant.lower[i], plant.upper[i])
+    shapes = np.reshape(shape, (1, -1))
+    inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
+    target, slopes = model_rows(plant.with_parameters(theta), stretches, inputs)
+    # f(θ) = f(θ') + ∂f/∂θ (θ - θ'), for increments that count from θ as those of all atoms do.
+    target = target[0] - slopes[0] @ (np.asarray(plant.theta) - theta)
+    return Atom(placed, shape, np.zeros((len(target), 0)), target, slopes[0])
 
 
 def _finite(one: Atom) -> bool:

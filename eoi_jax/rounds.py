@@ -18,10 +18,11 @@ from eoi_jax.effects import (
     CoulombFriction,
     SinusoidalDisturbance,
 )
-from eoi_jax.effects.effect import AbstractEffect, AbstractTerm
+from eoi_jax.effects.effect import AbstractActuator, AbstractEffect, AbstractTerm
 from eoi_jax.effects.products import ModulatedSinusoid, Product
 from eoi_jax.fit import Base, Fit, fitted, settled, system
 from eoi_jax.identify import Identification
+from eoi_jax.lags import lags
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
 from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
@@ -131,7 +132,7 @@ class Round:
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
         looked = {
-            one: seen_at(model, one, self.stretches, cutoff, peaks)
+            one: seen_at(model, one, self.stretches, cutoff, peaks, self._lags(one))
             for one in candidates(model, task.effects)
             if one.site not in present and not (one.on_state and one.effect.name in spilling)
         }
@@ -200,7 +201,8 @@ class Round:
     def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
         key = (placed, shapes.tobytes())
         if key not in self._made:  # sets that share an effect ask for the same shapes
-            self._made[key] = atoms(self.model, placed, shapes, self.stretches)
+            late = self._late(placed)
+            self._made[key] = atoms(self.model, placed, shapes, self.stretches, late)
         return self._made[key]
 
     def _peaks(self) -> Float[np.ndarray, " peaks"]:
@@ -217,6 +219,23 @@ class Round:
         omega = 0.5 * (one.omega[strongest] + one.omega[strongest + 1])
         free = (peak for peak in omega if not in_step(self.stretches, peak))
         return np.asarray(list(islice(free, _PEAKS)))
+
+    def _lags(self, placed: Placed) -> Float[np.ndarray, " lags"]:
+        """Lags at which the residual of the declared model follows an input."""
+        if not isinstance(placed.effect, AbstractActuator):
+            return np.zeros(0)
+        base, (one, *_) = self.base, self.stretches
+        residual = fitted(base, [], np.ones_like(base.target)).residual
+        power = fitted_power(residual, base.noise, base.local, base.output)
+        own = slice(len(self.model.outputs) * len(one.omega))
+        return lags(self.model, one, residual[own], power[own], placed.channel)
+
+    def _late(self, placed: Placed) -> str | None:
+        """The time by which an effect that is in the model delays the same input."""
+        if not isinstance(placed.effect, AbstractActuator):
+            return None
+        own = (one for one in self.placed if isinstance(one.effect, AbstractActuator))
+        return next((one.names[0] for one in own if one.channel == placed.channel), None)
 
     def _first_accepted(self) -> Fit:
         for i, fit in enumerate(self.sets):
@@ -303,7 +322,13 @@ class Round:
         if own_states(self.model) > 0:
             return model_rows(self._grown(fit, values_of(fit)), self.held)[0][0]
         made = [
-            atoms(self.model, one.placed, np.reshape(one.shape, (1, -1)), self.held)[0]
+            atoms(
+                self.model,
+                one.placed,
+                np.reshape(one.shape, (1, -1)),
+                self.held,
+                self._late(one.placed),
+            )[0]
             for one in fit.atoms
         ]
         target, columns = system(base, made)

@@ -47,7 +47,7 @@ def averaging(degree: int) -> Float[np.ndarray, " taps"]:
     return np.convolve(binomial, [-c, 1.0 + 2.0 * c, -c])
 
 
-def averaged(degree: int, values: Array) -> Array:
+def averaged(degree: int, values: Array | np.ndarray) -> Any:
     """Moving average of signals (last axis: steps) as the r-th difference sees them."""
     taps = averaging(degree)
     size = values.shape[-1] - len(taps) + 1

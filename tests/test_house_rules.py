@@ -42,7 +42,7 @@ LAYERS = (
     ("prepare", "tuning"),
     ("thinning",),
     ("modes", "noise_model"),
-    ("candidates",),
+    ("candidates", "lags"),
     ("fit", "side_by_side"),
     ("projections",),
     ("search",),

@@ -458,10 +458,10 @@ def test_columns_of_a_term_are_those_of_its_own_output():
         assert not np.any(made[other][:size])
         assert np.any(made[other][size:])
     assert not np.allclose(made[0], made[2])
-    seen = seen_at(TWO, second, several, 10.0, np.ones(1))
+    seen = seen_at(TWO, second, several, 10.0, np.ones(1), np.zeros(0))
     y = several[0].y[:, 0]
     np.testing.assert_array_equal(seen.y, y[:, 1])
-    apart = seen_at(TWO, joint, several, 10.0, np.ones(1))
+    apart = seen_at(TWO, joint, several, 10.0, np.ones(1), np.zeros(0))
     np.testing.assert_array_equal(apart.y, y[:, 0] - y[:, 1])
     noise = several[0].state_noise
     assert apart.noise == pytest.approx(np.hypot(noise[0], noise[1]))

@@ -18,7 +18,7 @@ A new one is a small class:
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -79,6 +79,7 @@ class Seen:
         sample_period: h [s].
         band: frequency that holds most of y^(r) [rad/s].
         peaks: frequencies at which the residual stands out [rad/s].
+        lags: at which it follows the input [s].
     """
 
     y: Float[np.ndarray, " samples"]
@@ -90,6 +91,7 @@ class Seen:
     sample_period: float
     band: float
     peaks: Float[np.ndarray, " peaks"]
+    lags: Float[np.ndarray, " lags"] = field(default_factory=lambda: np.zeros(0))
 
 
 class AbstractEffect(ABC):

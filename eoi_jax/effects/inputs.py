@@ -123,7 +123,10 @@ class InputDelay(AbstractActuator):
     form = ("{u} → {u}(t - {0})", r"{u} \to {u}(t - {0})")
 
     def grid(self, seen: Seen) -> Grid:
-        return _times(seen)
+        # A cost over delays is narrow, a quarter period of the band: long ones are looked for.
+        times = _times(seen)
+        near = seen.lags[:, None] + np.array([-0.5, 0.0, 0.5]) / seen.band
+        return np.unique(np.concatenate([times, near[near > np.max(times)][:, None]]), axis=0)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Means over steps: of a shifted staircase they are interpolated linearly, exactly.

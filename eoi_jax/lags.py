@@ -1,0 +1,72 @@
+r"""Lags at which what a model lacks follows an input: where a grid of delays should look.
+
+A model that lacks a delay τ leaves r(t) = b (u(t - τ) - u(t)) with b = ∂f/∂u, less what its other
+parameters take of it. Far beyond the band's period no point of a coarse grid is near enough to
+start a descent, but r and b u, both whitened by the power S(ω) of what is left, correlate at
+the lag τ: generalised cross-correlation.
+
+Source:
+    C. H. Knapp, G. C. Carter, IEEE Trans. Acoust., Speech, Signal Process. 24 (1976) 320.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.modes import Rows, Stretch, push_along
+from eoi_jax.plants.plant import Plant
+from eoi_jax.thinning import averaged, thinned
+
+_CLEAR = 6.0  # standard deviations of a correlation of noise, from which on it is a peak
+_LONGEST = 0.25  # of a record
+_PEAKS = 2
+
+
+def lags(
+    plant: Plant, one: Stretch, residual: Rows, power: Rows, channel: int
+) -> Float[np.ndarray, " lags"]:
+    """Where the residual of a record follows an input most clearly [s]; none where it does not.
+
+    Args:
+        plant: the model.
+        one: the record.
+        residual: of the model, modes of one output after the other, shape (ny modes,).
+        power: S of each of them.
+        channel: of the input.
+    """
+    spacing, length = len(one.kernel) * one.sample_period, len(one.highest[0])
+    size = 2 ** int(np.ceil(np.log2(2 * length)))
+    push = np.asarray(push_along(plant, plant.theta, (one.time, one.y, one.u), channel))
+    product, scale = np.zeros(size), 0.0
+    for j, degree in enumerate(plant.degrees):
+        driven = averaged(degree, push[:, j] * one.u[:, channel])
+        driven = one.rows(np.asarray(thinned(driven, one.weight[j], one.kernel)))
+        own = slice(j * len(one.omega), (j + 1) * len(one.omega))
+        late, early = (
+            _signal(one, part / np.sqrt(power[own]), length) for part in (residual[own], driven)
+        )
+        product += np.fft.irfft(np.fft.rfft(late, size) * np.conj(np.fft.rfft(early, size)), size)
+        scale += float(np.linalg.norm(late) * np.linalg.norm(early))
+    if not scale > 0.0:
+        return np.zeros(0)
+    # Of either sign: what an input does is hardly known beside a delay that is not in the model.
+    along = np.abs(product[: max(int(_LONGEST * length), 3)]) / scale
+    return spacing * _peaks(along, _CLEAR / np.sqrt(len(one.omega)))
+
+
+def _signal(one: Stretch, modes: Rows, length: int) -> Float[np.ndarray, " nodes"]:
+    """The part of a signal that its low modes hold, of which none is left out."""
+    from scipy.fft import idct  # only discovery needs it
+
+    low = one.kept == np.arange(len(one.kept))
+    whole = np.zeros(length)
+    whole[: np.sum(low)] = modes[low]
+    return np.asarray(idct(whole, norm="ortho"))
+
+
+def _peaks(along: Float[np.ndarray, " lags"], least: float) -> Float[np.ndarray, " peaks"]:
+    """The largest maxima in the unit of an index, between two of them by a parabola."""
+    inner = along[1:-1]
+    top = 1 + np.flatnonzero((inner > along[:-2]) & (inner >= along[2:]) & (inner > least))
+    top = top[np.argsort(along[top])[::-1][:_PEAKS]]
+    before, at, after = along[top - 1], along[top], along[top + 1]
+    return top + 0.5 * (before - after) / (before - 2.0 * at + after)

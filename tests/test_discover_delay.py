@@ -1,0 +1,80 @@
+"""Dead times far beyond the band's period, and with a lag behind them; rigs of their own."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.lags import lags
+from eoi_jax.modes import model_rows, stretch
+from eoi_jax.noise_model import fitted_power, local_power
+
+PERIOD, FINE = 5e-3, 5
+
+
+def sprung(t, x, u, p):
+    return p.gain * u - p.stiffness * x.y[0] - p.damping * x.y[1]
+
+
+DECLARED = eoi.Plant(
+    sprung, {"gain": 0.8, "stiffness": 3.0, "damping": 0.3}, 2, ("u",), ("y",), name="rig"
+)
+TRUTH = {"gain": 1.0, "stiffness": 4.0, "damping": 0.3}
+
+
+def rate(x, u, lag):
+    drive = x[2] if lag else u
+    return np.array([x[1], drive - 4.0 * x[0] - 0.3 * x[1], (u - x[2]) / lag if lag else 0.0])
+
+
+@cache
+def measured(seed: int, delay: int, lag: float = 0.0, noise: float = 1e-4) -> eoi.Record:
+    """Runge–Kutta; a staircase of 0.4 s drives the rig `delay` samples late, through a lag."""
+    draw = np.random.default_rng(seed)
+    u = np.repeat(draw.uniform(-6.0, 6.0, 51), 80)[:4000]
+    late = np.concatenate([np.full(delay, u[0]), u])[: len(u)]
+    x, h, y = np.array([0.1, 0.0, u[0]]), PERIOD / FINE, []
+    for now in late:
+        y.append(x[0])
+        for _ in range(FINE):
+            a = rate(x, now, lag)
+            b = rate(x + 0.5 * h * a, now, lag)
+            c = rate(x + 0.5 * h * b, now, lag)
+            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + rate(x + h * c, now, lag))
+    outputs = np.array(y) + noise * draw.standard_normal(len(u))
+    time = PERIOD * np.arange(len(u))
+    return eoi.Record(time, u, outputs, f"run {seed}", hold="zero")
+
+
+def found(delay: int, lag: float = 0.0, noise: float = 1e-4) -> eoi.Discovery:
+    return eoi.discover(DECLARED, measured(1, delay, lag, noise), measured(2, delay, lag, noise))
+
+
+@pytest.mark.parametrize(("delay", "noise"), [(16, 0.0), (60, 0.0), (60, 1e-4), (200, 1e-4)])
+def test_a_long_delay_is_named_however_clean_the_record(delay, noise):
+    answer = found(delay, noise=noise)
+    assert answer.effects == ("input_delay",)
+    assert answer.plant.parameters["input_delay"] == pytest.approx(delay * PERIOD, abs=1e-3)
+    for name, value in TRUTH.items():
+        assert answer.plant.parameters[name] == pytest.approx(value, rel=2e-2)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(40, 0.05), (20, 0.2)])
+def test_a_delay_gives_back_what_it_took_of_a_lag(delay, lag):
+    answer = found(delay, lag)
+    assert set(answer.effects) == {"input_delay", "actuator_lag"}
+    assert answer.plant.parameters["input_delay"] == pytest.approx(delay * PERIOD, abs=2e-3)
+    assert answer.plant.parameters["actuator_lag"] == pytest.approx(lag, rel=5e-2)
+
+
+def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
+    one = stretch(DECLARED, measured(1, 60, noise=1e-3), 60.0)
+    residual = model_rows(DECLARED.with_parameters(TRUTH), [one])[0][0]
+    local = local_power(one.rows(one.highest[0]))
+    power = fitted_power(residual, one.noise[:, 0], local, np.zeros(len(residual), int))
+    near = lags(DECLARED, one, residual, power, 0)
+    assert np.min(np.abs(near - 0.3)) < 0.5 / 60.0
+    noise = np.random.default_rng(0).standard_normal(len(residual))
+    assert len(lags(DECLARED, one, noise, np.ones(len(residual)), 0)) == 0
+    assert len(lags(DECLARED, one, 0.0 * noise, power, 0)) == 0
