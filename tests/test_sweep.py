@@ -132,6 +132,15 @@ def test_records_in_one_list_are_estimated_from_together():
     agrees(result.sel(record="both", resample=0).isel(lowpass=0, observer=0, start=0), both)
 
 
+def test_records_of_the_same_values_are_told_apart_by_how_they_are_read():
+    """Steps are kept from one sweep to the next; hold and burn-in are part of them."""
+    for changes in ({"hold": "zero"}, {"hold": "linear"}, {"hold": "linear", "burn_in": 2.0}):
+        record = replaced(**changes)
+        result = sweep(PLANT, record, OBSERVERS[0], FILTERS[0], **SETTINGS)
+        one = eoi.identify(PLANT, record, OBSERVERS[0], FILTERS[0], instruments=False, **SETTINGS)
+        agrees(result.isel(record=0, lowpass=0, observer=0, start=0, resample=0), one)
+
+
 def bent(t, x, u, p):
     """Not affine: the stiffness as a power, so that Gauss–Newton overshoots."""
     y, rate = x.y
@@ -300,11 +309,19 @@ def test_parts_of_one_store_make_the_whole(tmp_path):
     same(eoi.open_sweep(tmp_path / "s"), many())
 
 
+def replaced(**changes):
+    """The values of the short record, read in another way."""
+    one = RECORDS[1]
+    return eoi.Record(one.time, one.inputs, one.outputs, one.name, **{"hold": "smooth", **changes})
+
+
 def test_a_store_of_another_sweep_is_refused(tmp_path):
     quick(store=tmp_path / "s")
     for changes in (
         {"passes": 3},
         {"records": RECORDS[0]},
+        {"records": replaced(hold="zero")},
+        {"records": replaced(burn_in=1.0)},
         {"lowpass": FILTERS[1]},
         {"starts": [{"alpha": 31.0}]},
         {"observers": gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [300.0, 201.0]})},
@@ -321,7 +338,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     root = zarr.open_group(str(tmp_path / "s"), mode="r+")
     for key, value, message in (
         ("version", "0.0.7", "written by this version"),
-        ("format", 99, "format 2"),
+        ("format", 99, "format 3"),
     ):
         labels = json.loads(str(root.attrs["eoi_jax"]))
         root.attrs["eoi_jax"] = json.dumps({**labels, key: value})

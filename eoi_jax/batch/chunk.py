@@ -185,7 +185,7 @@ def _draws(part: Part, source: Source, numbers: range) -> Float[np.ndarray, "dra
 
 
 def _source(part: Part, choices: Choices, taps: int, explicit: bool) -> Source:
-    key = (part.group.data_hash, choices, taps, explicit, _outline(part.plant))
+    key = (part.group.content_hash, choices, taps, explicit, _outline(part.plant))
     return _remembered(key, _Unhashed((part.plant, part.group.records)))
 
 

@@ -48,6 +48,13 @@ class Group:
             return self.records.data_hash
         return "-".join(one.data_hash for one in self.records)
 
+    @cached_property
+    def content_hash(self) -> str:
+        """The same of all that an estimate reads: hold, burn-in and noise too."""
+        if isinstance(self.records, LongRecord):
+            return self.records.content_hash
+        return "-".join(one.content_hash for one in self.records)
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -158,7 +165,7 @@ class Plan:
         digest = hashlib.sha256()
         for part in (
             _equation(self.plant),
-            [(one.name, one.data_hash) for one in self.groups],
+            [(one.name, one.content_hash) for one in self.groups],
             [(one.lowpass, one.transient, one.substeps, one.smoothing) for one in self.choices],
             (self.starts.tolist(), self.settings),
         ):

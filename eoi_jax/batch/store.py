@@ -19,7 +19,7 @@ from eoi_jax.batch.chunk import CODES, OK, Arrays
 from eoi_jax.batch.plan import DIMENSIONS, Plan
 from eoi_jax.checks import check
 
-_FORMAT = 2
+_FORMAT = 3
 _LABELS = "eoi_jax"
 _LEFT = {"f": np.nan, "i": 0}  # what a lane shows that has not run
 

@@ -88,6 +88,12 @@ class LongRecord(Sequence[Record]):
                 digest.update(_read(values, part.start, part.stop).tobytes())
         return digest.hexdigest()[:16]
 
+    @property
+    def content_hash(self) -> str:
+        """The same of all that an estimate reads: the values, and what is to be made of them."""
+        about = f"{self.data_hash} {self.overlap} {self.hold}"
+        return hashlib.sha256(about.encode()).hexdigest()[:16]
+
     def __len__(self) -> int:
         # A rest too short for a piece of its own goes to the last.
         return max((self.samples - 1) // self.piece + (self._rest >= _SHORTEST), 1)

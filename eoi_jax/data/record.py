@@ -6,7 +6,7 @@ A record is plain NumPy on the host; kernels take their arrays from it.
 import copy
 import hashlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -386,11 +386,17 @@ class Record:
     @property
     def data_hash(self) -> str:
         """Sixteen hexadecimal digits that change with any value of time, inputs, outputs, valid."""
-        digest = hashlib.sha256()
-        for array in (self.time, self.inputs, self.outputs, self.valid):
-            digest.update(str(array.shape).encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()[:16]
+        return _digest("", (self.time, self.inputs, self.outputs, self.valid))
+
+    @property
+    def content_hash(self) -> str:
+        """The same of all that an estimate reads: the values, and what is to be made of them.
+
+        That is the hold, the burn-in, and what is known from the samples that this record was made
+        from: their noise and step, and the inputs between them.
+        """
+        about = f"{self.data_hash} {self.sample_period!r} {self.hold} {self.burn_in!r}"
+        return _digest(about, (self._noise, self._quantum, self._middle))
 
     def __repr__(self) -> str:
         return _table(self)
@@ -423,6 +429,14 @@ class Record:
         """The one way around `frozen`, for records that are still being made."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
+
+
+def _digest(about: str, arrays: Iterable[np.ndarray | None]) -> str:
+    digest = hashlib.sha256(about.encode())
+    for array in arrays:
+        digest.update(str(np.shape(array)).encode() if array is not None else b"none")
+        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _quanta(y: Outputs) -> Float[np.ndarray, " ny"]:

@@ -60,6 +60,16 @@ def test_the_hash_sees_length_and_values():
     assert one != eoi.LongRecord(H, u, y + 1e-9).data_hash
 
 
+def test_the_hash_of_the_content_sees_hold_and_overlap_too():
+    u, y = wave(5000)
+    several = [eoi.LongRecord(H, u, y, hold=hold) for hold in ("zero", "linear")]
+    several.append(eoi.LongRecord(H, u, y, overlap=10, hold="zero"))
+    assert len({one.content_hash for one in several}) == 3
+    assert len({one.data_hash for one in several}) == 1
+    again = eoi.LongRecord(H, u.copy(), y.copy(), name="other", hold="zero")
+    assert again.content_hash == several[0].content_hash
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -501,6 +501,24 @@ def test_the_hash_follows_the_data_and_nothing_else():
     assert record[:-1].data_hash != record.data_hash
 
 
+def test_the_hash_of_the_content_follows_how_the_samples_are_read_too():
+    """Each of these is another estimate from the same values."""
+    record = sine_record(hold="zero")
+    assert record.content_hash == sine_record(name="other", hold="zero").content_hash
+    fine = sine_record(hold="smooth").resample(2)
+    others = (
+        sine_record(hold="linear"),
+        sine_record(hold="zero", burn_in=0.5),
+        fine,
+        Record(
+            fine.time, fine.inputs, fine.outputs, hold="smooth"
+        ),  # middles and noise are its own
+    )
+    assert len({one.content_hash for one in (record, *others)}) == 5
+    assert others[0].data_hash == others[1].data_hash == record.data_hash
+    assert others[2].data_hash == others[3].data_hash
+
+
 def test_a_record_prints_its_channels_and_notes():
     shown = str(sine_record(name="run 1", units={"y": "rad"}, burn_in=0.5))
     assert "Record `run 1`: 400 samples, 4 s, every 0.01 s (100 Hz)" in shown
