@@ -8,11 +8,13 @@ from typing import Any, overload
 
 import numpy as np
 
-from eoi_jax.checks import check, check_positive
+from eoi_jax.checks import check, check_choice, check_positive
+from eoi_jax.data.ingest import choose_hold
 from eoi_jax.data.record import Record
+from eoi_jax.data.resample import HOLDS
 
 _SHORTEST = 1000
-_LOOKS = 64  # places whose values enter the hash
+_LOOKS = 64  # places whose values enter the hash, and tell the hold
 
 
 class LongRecord(Sequence[Record]):
@@ -32,10 +34,11 @@ class LongRecord(Sequence[Record]):
         input_names: as of `Record`, like those that follow.
         output_names: as of `Record`.
         units: ``{name: unit}``.
-        hold: the input between two samples.
+        hold: the input between two samples; ``"auto"`` is decided once, for all pieces, from
+            places all along the record.
 
     Raises:
-        ValueError: lengths that differ, a record shorter than a piece can be.
+        ValueError: lengths that differ, a record shorter than a piece can be, an unknown hold.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class LongRecord(Sequence[Record]):
         hold: str = "auto",
     ):
         check_positive("sample_period", sample_period, "It is in seconds.")
+        check_choice("hold", hold, ("auto", *HOLDS))
         lengths = {name: one.shape[0] for name, one in (("u", inputs), ("y", outputs))}
         check(
             lengths["u"] == lengths["y"],
@@ -66,7 +70,8 @@ class LongRecord(Sequence[Record]):
         self.sample_period, self.inputs, self.outputs = float(sample_period), inputs, outputs
         self.piece, self.overlap, self.name = piece, overlap, name
         self.input_names, self.output_names = input_names, output_names
-        self.units, self.hold = units, hold
+        self.units = units
+        self.hold = self._chosen() if hold == "auto" else hold
 
     @property
     def samples(self) -> int:
@@ -82,10 +87,9 @@ class LongRecord(Sequence[Record]):
     def data_hash(self) -> str:
         """Sixteen hexadecimal digits of its length and of values at places all along it."""
         digest = hashlib.sha256(f"{self.samples} {self.sample_period} {self.piece}".encode())
-        for start in np.linspace(0, self.samples - _SHORTEST, _LOOKS).astype(int):
-            part = slice(int(start), int(start) + _SHORTEST)
+        for start, stop in self._looks():
             for values in (self.inputs, self.outputs):
-                digest.update(_read(values, part.start, part.stop).tobytes())
+                digest.update(_read(values, start, stop).tobytes())
         return digest.hexdigest()[:16]
 
     @property
@@ -97,6 +101,19 @@ class LongRecord(Sequence[Record]):
     def __len__(self) -> int:
         # A rest too short for a piece of its own goes to the last.
         return max((self.samples - 1) // self.piece + (self._rest >= _SHORTEST), 1)
+
+    def _looks(self) -> list[tuple[int, int]]:
+        """Places all along it that stand for the whole; a short record is one of them."""
+        if self.samples <= _LOOKS * _SHORTEST:
+            return [(0, self.samples)]
+        starts = np.linspace(0, self.samples - _SHORTEST, _LOOKS).astype(int).tolist()
+        return [(start, start + _SHORTEST) for start in starts]
+
+    def _chosen(self) -> str:
+        """The hold of its inputs, by the rule of `Record`."""
+        u = np.concatenate([_read(self.inputs, *place) for place in self._looks()])
+        u = u.reshape(len(u), -1)
+        return choose_hold(u[np.all(np.isfinite(u), axis=1)], "auto")[0]
 
     @property
     def _rest(self) -> int:

@@ -70,6 +70,23 @@ def test_the_hash_of_the_content_sees_hold_and_overlap_too():
     assert again.content_hash == several[0].content_hash
 
 
+@pytest.mark.parametrize("samples", [5000, 100_000])  # the whole is looked at, or places in it
+def test_the_hold_is_decided_once_for_all_pieces(samples):
+    """Half of the input is a staircase; over the whole record half of the steps change it."""
+    t = np.arange(samples) * H
+    half = samples // 2
+    u = np.where(np.arange(samples) < half, np.sign(np.sin(t)), np.sin(t))
+    long = eoi.LongRecord(H, u, np.cos(t), piece=half, overlap=100)
+    assert [long.hold, *(piece.hold for piece in long)] == ["linear"] * 3
+    stairs = eoi.LongRecord(H, np.sign(np.sin(t)), np.cos(t), piece=half, overlap=100)
+    assert [piece.hold for piece in stairs] == ["zero"] * 2
+    assert (
+        long.content_hash == eoi.LongRecord(H, u, np.cos(t), half, 100, hold="linear").content_hash
+    )
+    free = eoi.LongRecord(H, np.zeros((samples, 0)), np.cos(t), piece=half, overlap=100)
+    assert free.hold == free[0].hold
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -78,6 +95,7 @@ def test_the_hash_of_the_content_sees_hold_and_overlap_too():
         ({"inputs": np.zeros(9), "outputs": np.zeros(9)}, "`outputs` must hold 1000 samples"),
         ({"piece": 10}, "`piece` must be at least 1000 samples"),
         ({"overlap": -1}, "`overlap` must be from 0 to the length of a piece"),
+        ({"hold": "first"}, "`hold` must be one of auto, zero, linear, smooth"),
         ({"overlap": 10**6}, "`overlap` must be from 0 to the length of a piece"),
     ],
 )
