@@ -4,6 +4,7 @@ import json
 import warnings
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -329,6 +330,39 @@ def test_a_store_of_another_sweep_is_refused(tmp_path):
     ):
         with pytest.raises(ValueError, match=r"this very sweep.*Give another folder"):
             quick(store=tmp_path / "s", **changes)
+
+
+def softening(table, gain):
+    """Models that differ only in an array that they hold, or in what their actuator does."""
+
+    def f(t, x, u, p):
+        y, rate = x.y
+        force = jnp.interp(y[0], jnp.array([-1.0, 0.0, 1.0]), table)
+        return -p.alpha * force - p.beta * rate + p.rho * u
+
+    return eoi.Plant(f, {"alpha": 30.0, "beta": 1.0, "rho": 2.0}, 2,
+                     actuator=lambda t, u, p: gain * u)  # fmt: skip
+
+
+@pytest.mark.parametrize("wrap", [jnp.asarray, np.asarray])
+def test_a_store_of_a_model_with_other_numbers_in_it_is_refused(tmp_path, wrap):
+    table, other = wrap([-1.0, 0.0, 1.0]), wrap([-1.0, 0.0, 1.5])
+    first = quick(store=tmp_path / "s", plant=softening(table, 1.0))
+    for plant in (softening(other, 1.0), softening(table, 5.0)):
+        with pytest.raises(ValueError, match="this very sweep"):
+            quick(store=tmp_path / "s", plant=plant)
+    same(quick(store=tmp_path / "s", plant=softening(table, 1.0), engine=Failing(0)), first)
+
+
+def test_arrays_inside_a_compiled_model_tell_two_models_apart(tmp_path):
+    def compiled(table):
+        inner = jax.jit(lambda y: jnp.interp(y, jnp.array([-1.0, 0.0, 1.0]), table))
+        return eoi.Plant(lambda t, x, u, p: -p.alpha * inner(x.y[0, 0]) + p.rho * u,
+                         {"alpha": 30.0, "rho": 2.0}, 2)  # fmt: skip
+
+    quick(store=tmp_path / "s", plant=compiled(np.array([-1.0, 0.0, 1.0])))
+    with pytest.raises(ValueError, match="this very sweep"):
+        quick(store=tmp_path / "s", plant=compiled(np.array([-1.0, 0.0, 1.5])))
 
 
 def test_a_store_of_another_version_is_refused(tmp_path):

@@ -6,7 +6,7 @@ them: one estimate. A chunk holds lanes of one record and one filter.
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -292,8 +292,27 @@ def _equation(plant: Plant) -> str:
         start = plant.internal_start(theta)
         return plant.derivative(t, x, u, theta), rate, start
 
-    text = str(jax.make_jaxpr(whole)(0.0, y, z, u, theta))
+    line = jnp.arange(3.0), jnp.ones((3, len(plant.inputs)))  # what an actuator gets: a record
+    traced = _traced(whole, 0.0, y, z, u, theta), _traced(plant.driven, *line, theta)
     limits = (plant.theta, plant.lower, plant.upper)
     own = (plant.names, plant.inputs, plant.outputs, plant.fixed, plant.degrees)
     numbers = [np.asarray(one).tolist() for one in limits]
-    return repr((own, numbers, plant.actuator is not None, text))
+    return repr((own, numbers, traced))
+
+
+def _traced(function: Callable, *arguments: Any) -> tuple[str, str]:
+    """A function's jaxpr as text, and a digest of the arrays that it holds: the text has none."""
+    closed = jax.make_jaxpr(function)(*arguments)
+    digest = hashlib.sha256()
+    for array in _captured(closed):
+        digest.update(np.asarray(array).tobytes())
+    return str(closed), digest.hexdigest()
+
+
+def _captured(jaxpr: Any) -> Iterator[Any]:
+    """Arrays that a jaxpr holds, and those of the jaxprs inside it."""
+    yield from getattr(jaxpr, "consts", ())
+    for equation in jaxpr.eqns:
+        for part in jax.tree.leaves(equation.params):
+            if hasattr(part, "eqns"):
+                yield from _captured(part)
