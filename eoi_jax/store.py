@@ -27,6 +27,7 @@ from eoi_jax.plants.plant import Plant
 _FORMAT = 1
 _HEADER = "eoi_jax"
 _PACKAGE = "eoi_jax."
+_FUNCTIONS = ("dynamics", "internal", "internal_initial", "actuator")  # of a plant
 
 
 class MissingModel:
@@ -104,15 +105,16 @@ def load(
 
     Args:
         path: of the file.
-        plant: the plant of the result, if its model is not one of `eoi_jax.plants`; only its
-            functions are taken, parameters come from the file.
+        plant: that the result was made with, if its model is not one of `eoi_jax.plants`; only its
+            functions are taken (f, g, the start of z, the actuator), parameters come from the file.
         effects: of the user's own that the result holds.
 
     Returns:
         The result, of the class that was saved; of a JSON file the `Plant`.
 
     Raises:
-        ValueError: no such file, a file of something else or of a newer version, another plant.
+        ValueError: no such file, a file of something else or of a newer version, a plant of other
+            parameters, relative degrees or channels, or with other functions left out.
     """
     path = Path(path)
     check(path.is_file(), "path", "must be a file", path)
@@ -136,10 +138,8 @@ def load(
         f"format {tree['format']}, written by eoi_jax {tree['version']}",
         "Update eoi_jax.",
     )
-    functions = [plant.dynamics, plant.internal, plant.internal_initial] if plant else []
-    known = {_name(one): one for one in functions if callable(one)}
-    known |= {_name(type(one)): type(one) for one in effects}
-    return _decode(tree["result"], arrays, known)
+    given = _Given(plant, {_name(type(one)): type(one) for one in effects})
+    return _decode(tree["result"], arrays, given)
 
 
 class _Arrays:
@@ -156,6 +156,65 @@ class _Arrays:
             self.by_key[key] = np.asarray(array)
             self._seen[id(array)] = (key, array)
         return self._seen[id(array)][0]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Given:
+    """What a file cannot hold, and the caller of `load` gave.
+
+    Attributes:
+        plant: whose functions are taken; None for none.
+        effects: classes by name.
+    """
+
+    plant: Plant | None
+    effects: dict[str, type]
+
+    def check(self, fields: dict[str, Any]) -> None:
+        """The plant must be that of the file, as far as the file tells."""
+        if self.plant is None:
+            return
+        mine = _declared(_encode(self.plant, _Arrays())["fields"])
+        for key, own in _declared(fields).items():
+            advice = "Give the plant that the result was made with."
+            check(
+                own == mine[key],
+                f"plant.{key}",
+                f"must be as in the file, {own}",
+                mine[key],
+                advice,
+            )
+
+    def function(self, field: str | None) -> Any:
+        """What the plant has in one of its fields, without effects around it; None for nothing."""
+        found: Any = getattr(self.plant, field, None) if field else None
+        while _own(found) and hasattr(found, "base"):
+            found = found.base
+        return found
+
+
+def _declared(fields: dict[str, Any]) -> dict[str, str]:
+    """What a stored plant says of itself, without the effects around it."""
+    bare = {key: _bare(fields[key]) for key in _FUNCTIONS}
+    names = {"parameters": bare["dynamics"][1] or fields["names"]}
+    names |= {key: fields[key] for key in ("degrees", "inputs", "outputs")}
+    about = {key: ", ".join(map(str, one["tuple"])) or "none" for key, one in names.items()}
+    for key in ("internal", "actuator"):
+        about[key] = "none" if bare[key][0] is None else "a function"
+    start = bare["internal_initial"][0]
+    about["internal_initial"] = (
+        f"{len(start['tuple'])} values" if "tuple" in start else "a function"
+    )
+    return about
+
+
+def _bare(tree: Any) -> tuple[Any, Any]:
+    """A stored function without effects around it, and the parameters that these leave to it."""
+    names = None
+    while isinstance(tree, dict) and "base" in tree.get("fields", ()):
+        names = tree["fields"].get("names", names)
+        tree = tree["fields"]["base"]
+    return tree, names
 
 
 def _encode(value: Any, arrays: _Arrays) -> Any:
@@ -175,45 +234,66 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         return {"effect": value.kind, "name": value.name, "fields": content}
     if isinstance(value, AbstractEffect):
         return {"effect": _name(type(value)), "name": value.name, "fields": content}
-    if dataclasses.is_dataclass(value):
+    if dataclasses.is_dataclass(value) and (_own(value) or not callable(value)):
         return {"class": _name(type(value)), "fields": content}
     return {"function": _name(value)}
 
 
-def _decode(tree: Any, arrays: dict[str, np.ndarray], known: dict[str, Any]) -> Any:
+def _decode(
+    tree: Any, arrays: dict[str, np.ndarray], given: _Given, field: str | None = None
+) -> Any:
+    """What a tree stands for; `field` is that of the plant whose function it is part of."""
     if not isinstance(tree, dict):
         return tree
     if "array" in tree:
         return arrays[tree["array"]]
     if "dict" in tree:
-        return {key: _decode(one, arrays, known) for key, one in tree["dict"].items()}
+        return {key: _decode(one, arrays, given) for key, one in tree["dict"].items()}
     if "list" in tree:
-        return [_decode(one, arrays, known) for one in tree["list"]]
+        return [_decode(one, arrays, given) for one in tree["list"]]
     if "tuple" in tree:
-        return tuple(_decode(one, arrays, known) for one in tree["tuple"])
+        return tuple(_decode(one, arrays, given) for one in tree["tuple"])
     if "function" in tree:
-        return _function(tree["function"], known)
-    if "effect" in tree:
-        kind = known.get(tree["effect"], _resolve(tree["effect"]))
-        if not (isinstance(kind, type) and issubclass(kind, AbstractEffect)):
-            content = {key: _decode(one, arrays, known) for key, one in tree["fields"].items()}
-            return MissingEffect(tree["name"], tree["effect"], content)
-    else:
-        kind = _resolve(tree["class"])
-        good = isinstance(kind, type) and dataclasses.is_dataclass(kind)
-        check(good, "path", "must hold results of eoi_jax only", tree["class"])
+        return _function(tree["function"], given.function(field))
+    kind = _kind(tree, given)
+    if kind is Plant:
+        given.check(tree["fields"])
+    content = {}
+    for name, one in tree["fields"].items():
+        # Effects around a function of the plant hold it as their base.
+        within = name if kind is Plant and name in _FUNCTIONS else field if name == "base" else None
+        content[name] = _decode(one, arrays, given, within)
+    if kind is MissingEffect:
+        return MissingEffect(tree["name"], tree["effect"], content)
     # Past __init__: what was checked once is not worked out anew.
     new = object.__new__(kind)
-    for name, one in tree["fields"].items():
-        object.__setattr__(new, name, _decode(one, arrays, known))
+    for name, one in content.items():
+        object.__setattr__(new, name, one)
     return new
 
 
-def _function(name: str, known: dict[str, Any]) -> Callable:
-    if name in known:
-        return known[name]
+def _kind(tree: dict[str, Any], given: _Given) -> Any:
+    """The class of a stored result, or effect."""
+    if "effect" in tree:
+        kind = given.effects.get(tree["effect"], _resolve(tree["effect"]))
+        known = isinstance(kind, type) and issubclass(kind, AbstractEffect)
+        return kind if known else MissingEffect
+    kind = _resolve(tree["class"])
+    good = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    check(good, "path", "must hold results of eoi_jax only", tree["class"])
+    return kind
+
+
+def _function(name: str, given: Any) -> Callable:
+    if given is not None:
+        return given
     found = _resolve(name) if name.startswith(f"{_PACKAGE}plants.") else None
     return found if found is not None else MissingModel(name)
+
+
+def _own(value: Any) -> bool:
+    """Whether its class is of this package."""
+    return type(value).__module__.startswith(_PACKAGE)
 
 
 def _resolve(name: str) -> Any:

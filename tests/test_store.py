@@ -1,5 +1,6 @@
 """Results survive a file, without pickle and without running anything on the way back."""
 
+import dataclasses
 import json
 import pickle
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.augment import augmented, place
 
 
 def spring(t, x, u, p):
@@ -54,6 +56,90 @@ def test_a_model_of_the_users_own_is_given_again_on_loading(record, tmp_path):
         eoi.validate(alone.plant, record)
     whole = eoi.load(tmp_path / "own.npz", plant=own)
     assert eoi.validate(whole.plant, record).fit[0] > 99.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Rate:
+    """A model may be an object; this one is a dataclass of the user's own."""
+
+    factor: float
+
+    def __call__(self, t, x, u, p):
+        return self.factor * (u - x.z)
+
+
+# Every function is a lambda of this module: one name for all.
+WHOLE = eoi.Plant(
+    lambda t, x, u, p: p.gain * x.z[0] - p.rate * x.y[0],
+    {"gain": 1.5, "rate": 2.0},
+    internal=lambda t, x, u, p: 5.0 * (u - x.z),
+    internal_initial=lambda p: jnp.zeros(1),
+    actuator=lambda t, u, p: 0.5 * u,
+)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    time = np.arange(2000) * 1e-2
+    return eoi.simulate(WHOLE, time, eoi.excitation.square(time, 1.0, 0.5))
+
+
+def test_every_function_of_the_given_plant_is_restored_in_its_place(drawn, tmp_path):
+    plant = WHOLE.with_parameters({"gain": 1.0})
+    result = eoi.identify(plant, drawn, passes=2)
+    result.save(tmp_path / "own.npz")
+    back = eoi.load(tmp_path / "own.npz", plant=plant)
+    for key in ("dynamics", "internal", "internal_initial", "actuator"):
+        assert getattr(back.plant, key) is getattr(plant, key)
+        assert getattr(back.nominal, key) is getattr(plant, key)
+    before, after = (eoi.validate(one.plant, drawn).rmse for one in (result, back))
+    np.testing.assert_array_equal(before, after)
+
+
+def test_functions_inside_an_augmented_plant_are_restored_too(drawn, tmp_path):
+    placed = (
+        place(WHOLE, eoi.effects.CoulombFriction(), 0),
+        place(WHOLE, eoi.effects.InputDelay(), 0),
+    )
+    values = {name: 0.1 for one in placed for name in one.names}
+    plant = augmented(WHOLE, placed, values)
+    result = eoi.identify(plant, drawn, passes=1, transient=1.0)
+    result.save(tmp_path / "more.npz")
+    for given in (WHOLE, plant):
+        assert eoi.load(tmp_path / "more.npz", plant=given).nominal == plant
+    with pytest.raises(ValueError, match="`plant` must be given to `load`"):
+        eoi.validate(eoi.load(tmp_path / "more.npz").plant, drawn)
+
+
+def test_a_model_that_is_an_object_is_given_again_on_loading(drawn, tmp_path):
+    plant = eoi.Plant(WHOLE.dynamics, WHOLE.parameters, internal=Rate(5.0), internal_initial=[0.0])
+    eoi.identify(plant, drawn, passes=1).save(tmp_path / "object.npz")
+    assert eoi.load(tmp_path / "object.npz", plant=plant).plant.internal == Rate(5.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "changes", "shown"),
+    [
+        ("parameters", {"parameters": {"gain": 1.0, "speed": 1.0}}, "gain, rate, got gain, speed"),
+        ("degrees", {"relative_degree": 2}, "1, got 2"),
+        ("inputs", {"inputs": ("voltage",)}, "u, got voltage"),
+        ("outputs", {"outputs": ("angle",)}, "y, got angle"),
+        ("internal", {"internal": None, "internal_initial": None}, "a function, got none"),
+        ("internal_initial", {"internal_initial": [0.0]}, "a function, got 1 values"),
+        ("actuator", {"actuator": None}, "a function, got none"),
+    ],
+)
+def test_another_plant_is_refused_and_what_differs_is_named(drawn, tmp_path, field, changes, shown):
+    eoi.identify(WHOLE, drawn, passes=1).save(tmp_path / "own.npz")
+    whole = {
+        "dynamics": lambda t, x, u, p: p.gain * u - x.y[0],
+        "parameters": WHOLE.parameters,
+        "internal": WHOLE.internal,
+        "internal_initial": WHOLE.internal_initial,
+        "actuator": WHOLE.actuator,
+    }
+    with pytest.raises(ValueError, match=rf"`plant\.{field}` must be as in the file, {shown}"):
+        eoi.load(tmp_path / "own.npz", plant=eoi.Plant(**{**whole, **changes}))
 
 
 def test_what_is_no_result_is_refused(tmp_path):
