@@ -1,7 +1,7 @@
 r"""Block bootstrap of an identification: estimates from blocks of scores drawn with replacement.
 
 A block is longer than the filter remembers, so that blocks are nearly independent. All resamples
-are lanes of one sweep: what depends on the records alone is computed once.
+are lanes of one sweep, plain passes: what depends on the records alone is computed once.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,8 @@ def bootstrap(
     """How sure an identification is, by estimating it anew from resampled blocks of its records.
 
     Args:
-        identification: result of `identify`; its observer and filter are kept.
+        identification: result of `identify` by plain passes (``instruments=False``, where the
+            records are noisy); its observer and filter are kept.
         records: that it was made from, as they were given.
         resamples: how many. 500 are enough for a 95 % interval.
         seed: of the draws.
@@ -45,7 +46,8 @@ def bootstrap(
         of an estimate that is not normal they are not symmetric.
 
     Raises:
-        ValueError: too few resamples, or too few that have an answer.
+        ValueError: too few resamples, or too few that have an answer; an estimate by instrumental
+            variables, which no resample is.
 
     Source:
         H. Künsch, Annals of Statistics 17 (1989) 1217, with blocks that do not overlap.
@@ -54,6 +56,14 @@ def bootstrap(
     check(isinstance(resamples, int) and resamples >= _FEWEST, "resamples", rule, resamples)
     check_kind("identification", identification, Identification, "what `identify` returned")
     base = uncertainty(identification)
+    check(
+        not np.any(identification.correction),
+        "identification",
+        "must be of plain passes: resamples are, and scatter around another estimate than this",
+        "one by instrumental variables",
+        "`uncertainty` has its intervals, `refine` and `profile` a likelihood; or resample "
+        "`identify(…, instruments=False)`, which leaves the bias of noise in.",
+    )
     drawn = sweep(
         identification.plant,
         [list(check_records(identification.plant, records))],

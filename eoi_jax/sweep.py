@@ -1,8 +1,9 @@
 r"""Many estimates in one call: gains × filters × starting points × records × resamples.
 
-Each lane is what `identify` gives for its observer, filter, start and record. Lanes run in chunks:
-here, or on the workers of any `concurrent.futures.Executor`, and land in a store from which an
-interrupted sweep goes on.
+Each lane is what `identify` gives for its observer, filter, start and record by plain passes
+(``instruments=False``): without instruments, which `identify` takes by itself on noisy records.
+Lanes run in chunks: here, or on the workers of any `concurrent.futures.Executor`, and land in a
+store from which an interrupted sweep goes on.
 """
 
 import warnings
@@ -54,6 +55,9 @@ def sweep(
     progress: bool = False,
 ) -> Any:
     """Identify with every combination of gains, filters, starts, records and resamples.
+
+    By plain passes, as ``identify(…, instruments=False)`` does: what noise does to least squares it
+    does to every lane.
 
     Args:
         plant: the model with its nominal parameters.
