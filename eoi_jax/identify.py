@@ -28,6 +28,7 @@ from eoi_jax.prepare import (
     TAPER,
     Ready,
     check_observer,
+    check_preparation,
     check_records,
     constant,
     prepare,
@@ -163,10 +164,7 @@ def identify(
     """
     several = check_records(plant, records)
     check(isinstance(passes, int) and passes >= 1, "passes", "must be an integer ≥ 1", passes)
-    if transient is not None:
-        check(0.0 <= transient < np.inf, "transient", "must be a time ≥ 0 in seconds", transient)
-    if smoothing is True or (smoothing not in (None, False) and not smoothing > 0):
-        check(False, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
+    check_preparation(transient, substeps, smoothing)
     if observer is not None:
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
+from eoi_jax.data.resample import Real
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.observers.per_output import PerOutput
@@ -133,6 +134,35 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
                 f"must be one number or {size}, one an output",
                 f"shape {np.shape(value)}",
             )
+
+
+def check_preparation(
+    transient: float | None, substeps: int | None, smoothing: float | bool | None
+) -> None:
+    """How records are made ready, where it is not left to be chosen.
+
+    Args:
+        transient: time not scored at the start of each record [s].
+        substeps: per sample.
+        smoothing: cut-off [rad/s], False for none.
+
+    Raises:
+        ValueError: a transient that is no time, sub-steps that are no count, a smoothing that is no
+            cut-off (True is none).
+    """
+    if transient is not None:
+        good = _is_number(transient) and 0.0 <= transient < np.inf
+        check(good, "transient", "must be a time ≥ 0 in seconds", transient)
+    if substeps is not None:
+        good = isinstance(substeps, int | np.integer) and substeps >= 1
+        check(good, "substeps", "must be an integer ≥ 1", substeps)
+    if smoothing not in (None, False):
+        good = _is_number(smoothing) and 0.0 < smoothing < np.inf
+        check(good, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import check_observer, check_records, starting_points
+from eoi_jax.prepare import check_observer, check_preparation, check_records, starting_points
 
 DIMENSIONS = ("record", "lowpass", "observer", "start", "resample")
 PRECISIONS = ("float64", "float32")
@@ -230,6 +230,7 @@ def plan(
             isinstance(value, int) and value >= least, key, f"must be an integer ≥ {least}", value
         )
     check_choice("precision", settings.precision, PRECISIONS)
+    check_preparation(choices.transient, choices.substeps, choices.smoothing)
     filters = _filters(lowpass)
     groups = None if observers is None else gain_sets(observers, len(plant.outputs))
     for group in groups or ():
