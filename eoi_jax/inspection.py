@@ -142,6 +142,12 @@ class Inspection:
 
         return inspection_figure(self)
 
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
+
 
 def inspect(path: str | Path) -> Inspection:
     """Look at a file before anything is configured.

@@ -13,6 +13,7 @@ D ≈ (θ_i − θ̂_i)²/C_ii, with the C that knows about the colour; what the
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,12 @@ class Profile:
         from eoi_jax.report.estimate_figures import profile_figure
 
         return profile_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
 
 
 def profile(

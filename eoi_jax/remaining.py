@@ -8,6 +8,7 @@ other; held-out records judge what is most significant.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,12 @@ class Remaining:
         from eoi_jax.report.remaining import remaining_figure
 
         return remaining_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
 
     def __str__(self) -> str:
         """The first ones of the ranking, and of the pairs; what held-out records say."""

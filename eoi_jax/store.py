@@ -222,6 +222,8 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         return value
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return {"array": arrays.key(value)}
+    if isinstance(value, Path):
+        return {"path": str(value)}
     if isinstance(value, dict):
         return {"dict": {key: _encode(one, arrays) for key, one in value.items()}}
     if isinstance(value, list | tuple):
@@ -247,6 +249,8 @@ def _decode(
         return tree
     if "array" in tree:
         return arrays[tree["array"]]
+    if "path" in tree:
+        return Path(tree["path"])
     if "dict" in tree:
         return {key: _decode(one, arrays, given) for key, one in tree["dict"].items()}
     if "list" in tree:

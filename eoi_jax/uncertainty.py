@@ -9,6 +9,7 @@ them has no finite error.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -70,6 +71,12 @@ class Uncertainty:
         from eoi_jax.report.estimate_figures import uncertainty_figure
 
         return uncertainty_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence intervals by name.

@@ -8,6 +8,7 @@ scored.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -82,6 +83,12 @@ class Validation:
         from eoi_jax.report.figures import validation_figure
 
         return validation_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
 
 
 @one_thread()

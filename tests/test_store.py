@@ -10,6 +10,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.augment import augmented, place
+from eoi_jax.store import _Arrays, _encode
 
 
 def spring(t, x, u, p):
@@ -37,6 +38,58 @@ def test_a_loaded_result_has_the_same_numbers_and_prints_the_same(result, tmp_pa
     np.testing.assert_array_equal(back.index, result.index)
     np.testing.assert_array_equal(back.residual[0], result.residual[0])
     np.testing.assert_array_equal(back.records[0].outputs, result.records[0].outputs)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """One of every kind, by class."""
+    time = np.arange(1500) * 4e-3
+    true = eoi.plants.mass_spring_damper(true=True)
+    drives = (eoi.excitation.square(time, 1.0, hertz) for hertz in (0.5, 0.8))
+    record, held_out = (eoi.simulate(true, time, drive) for drive in drives)
+    table = np.column_stack([time, record.inputs, record.outputs])
+    file = tmp_path_factory.mktemp("data") / "run.csv"
+    np.savetxt(file, table, delimiter=",", header="time,voltage,angle", comments="")
+    plant, name = eoi.plants.mass_spring_damper(), "alpha"
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(record.outputs.shape)
+    noisy = record.with_outputs(record.outputs + noise, "noisy")
+    one, fitted = eoi.identify(plant, record, passes=3), eoi.refine(plant, noisy)
+    every = (
+        record.smooth(200.0).resample(2),
+        one,
+        fitted,
+        eoi.validate(plant, [record, held_out]),
+        eoi.diagnose(one),
+        eoi.uncertainty(one),
+        eoi.profile(fitted, noisy, name),
+        eoi.remaining(fitted, validation=held_out),
+        eoi.discover(plant, record, held_out, effects=["coulomb_friction"]),
+        eoi.compare(plant, record, methods=[eoi.comparators.StateVariableFilter()]),
+        eoi.inspect(file),
+    )
+    return {type(one): one for one in every}
+
+
+EXPORTED = [item for item in vars(eoi).values() if isinstance(item, type) and hasattr(item, "plot")]
+
+
+@pytest.mark.parametrize("kind", EXPORTED, ids=lambda kind: kind.__name__)
+def test_every_result_survives_a_file(results, kind, tmp_path):
+    result = results[kind]
+    result.save(tmp_path / "result.npz")
+    back = eoi.load(tmp_path / "result.npz")
+    assert type(back) is kind
+    assert str(back) == str(result)
+    (tree, arrays), (own_tree, own_arrays) = stored(back), stored(result)
+    assert tree == own_tree
+    for key, array in own_arrays.items():
+        np.testing.assert_array_equal(arrays[key], array)
+
+
+def stored(result):
+    """All that a file holds of a result, as text: NaN is equal to NaN."""
+    arrays = _Arrays()
+    return json.dumps(_encode(result, arrays)), arrays.by_key
 
 
 def test_a_loaded_result_of_a_known_plant_can_be_used_on(result, record, tmp_path):

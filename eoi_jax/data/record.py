@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -406,6 +407,12 @@ class Record:
         from eoi_jax.report.figures import record_figure
 
         return record_figure(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        from eoi_jax.store import save
+
+        save(self, path)
 
     # -- construction ---------------------------------------------------------------------
 
