@@ -9,7 +9,6 @@ Differentiated r times, white noise is negatively correlated (its spectrum rises
 makes neighbours alike. Two samples per half period of the cut-off (a step of π/2ω_c) are kept.
 """
 
-import re
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import low_pass_noise
 from eoi_jax.identify import Identification
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import run_pass
@@ -115,11 +113,11 @@ def _regressors(
     observer, records = identification.observer, identification.records
     explicit = observer.scheme == "explicit"
     fine = tuple(record.resample(substeps) for record in records)
-    noise = []
-    for record in records:
-        smoothing = _smoothing(record)
-        share = 1.0 if smoothing is None else low_pass_noise(_share(record, smoothing))
-        noise.append(velocity_noise(plant.degrees, record, smoothing or False) / share)
+    noise = [
+        velocity_noise(plant.degrees, record, min(record.smoothed, default=False))
+        / record.noise_left
+        for record in records
+    ]
     steps = prepare(
         plant,
         fine,
@@ -232,23 +230,9 @@ def _late(
     return np.stack(late, axis=2) if late else empty
 
 
-def _smoothing(record: Record) -> float | None:
-    """Cut-off of the smoothing that a record went through [rad/s], from what it says itself."""
-    found = [re.search(r"zero-phase low-pass, (\S+) rad/s", note) for note in record.notes]
-    cutoffs = [float(one.group(1)) for one in found if one]
-    return min(cutoffs) if cutoffs else None
-
-
-def _share(record: Record, cutoff: float) -> float:
-    """A cut-off as a fraction of the Nyquist frequency."""
-    return cutoff * record.sample_period / np.pi
-
-
 def raw_noise(record: Record) -> PerOutput:
     """Standard deviation of the white noise, before any smoothing [unit of y]."""
-    smoothing = _smoothing(record)
-    left = 1.0 if smoothing is None else low_pass_noise(_share(record, smoothing))
-    return record.noise / left
+    return record.noise / record.noise_left
 
 
 def _noise_moments(
@@ -300,9 +284,8 @@ def _gain(lowpass: Any, record: Record, substeps: int, thin: int) -> _Gain:
     matrix = z * np.eye(lowpass.order) - np.asarray(sampled.transition)
     response = np.linalg.solve(matrix, np.asarray(sampled.entry)[:, None])[:, 0, 0]
     power = np.abs(response) ** 2
-    smoothing = _smoothing(record)
-    if smoothing is not None:  # Butterworth of order four, forward and backward
-        warped = np.tan(np.minimum(0.5 * omega * h, 1.55)) / np.tan(0.5 * smoothing * h)
+    for cutoff in record.smoothed:  # Butterworth of order four, forward and backward
+        warped = np.tan(np.minimum(0.5 * omega * h, 1.55)) / np.tan(0.5 * cutoff * h)
         power = power / (1.0 + warped**8) ** 2
     return _Gain(2j * np.sin(0.5 * omega * fine) / fine, power)
 

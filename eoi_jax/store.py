@@ -24,7 +24,7 @@ from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
 
-_FORMAT = 1
+_FORMAT = 2  # 2: records keep what smoothed them
 _HEADER = "eoi_jax"
 _PACKAGE = "eoi_jax."
 _FUNCTIONS = ("dynamics", "internal", "internal_initial", "actuator")  # of a plant
@@ -113,7 +113,7 @@ def load(
         The result, of the class that was saved; of a JSON file the `Plant`.
 
     Raises:
-        ValueError: no such file, a file of something else or of a newer version, a plant of other
+        ValueError: no such file, a file of something else or of another format, a plant of other
             parameters, relative degrees or channels, or with other functions left out.
     """
     path = Path(path)
@@ -132,11 +132,11 @@ def load(
         tree, arrays = {}, {}
     check("result" in tree, "path", "must be a result that `save` wrote", path)
     check(
-        tree["format"] <= _FORMAT,
+        tree["format"] == _FORMAT,
         "path",
-        f"must be of format {_FORMAT} or older",
+        f"must be of format {_FORMAT}",
         f"format {tree['format']}, written by eoi_jax {tree['version']}",
-        "Update eoi_jax.",
+        "Update eoi_jax." if tree["format"] > _FORMAT else "Make the result anew.",
     )
     given = _Given(plant, {_name(type(one)): type(one) for one in effects})
     return _decode(tree["result"], arrays, given)

@@ -94,6 +94,17 @@ def test_the_noise_floor_is_the_integral_of_the_known_spectrum():
     assert diagnose(result).noise_floor[0] == pytest.approx(np.sqrt(power), rel=0.02)
 
 
+def test_the_noise_floor_knows_of_every_smoothing():
+    """A second filter far above the cut-off of F changes the floor as little as the residual."""
+    once = record(level=3e-4).smooth(60.0)
+    floors = [
+        diagnose(eoi.identify(plant(), one, smoothing=False, passes=2))
+        for one in (once, once.smooth(90.0))
+    ]
+    assert floors[1].noise[0] == pytest.approx(floors[0].noise[0], rel=1e-6)
+    assert floors[1].noise_floor[0] == pytest.approx(floors[0].noise_floor[0], rel=0.05)
+
+
 def test_the_residual_of_a_right_model_has_the_predicted_size(clean):
     # About 500 independent values: 3.2 % standard deviation of the rms.
     assert clean.residual_rms[0] == pytest.approx(clean.noise_floor[0], rel=0.1)

@@ -217,17 +217,18 @@ def test_a_pickle_in_the_file_is_not_opened(tmp_path):
 
 @pytest.mark.parametrize("name", ["os:system", "eoi_jax.cli:main", "eoi_jax.store:os"])
 def test_a_class_that_is_no_result_is_refused(tmp_path, name):
-    tree = {"format": 1, "version": "0", "result": {"class": name, "fields": {}}}
+    tree = {"format": 2, "version": "0", "result": {"class": name, "fields": {}}}
     np.savez(tmp_path / "forged.npz", eoi_jax=np.asarray(json.dumps(tree)))
     with pytest.raises(ValueError, match="must hold results of eoi_jax only"):
         eoi.load(tmp_path / "forged.npz")
 
 
-def test_a_file_of_a_newer_version_says_so(tmp_path):
-    tree = {"format": 99, "version": "9.9", "result": None}
-    np.savez(tmp_path / "new.npz", eoi_jax=np.asarray(json.dumps(tree)))
-    with pytest.raises(ValueError, match=r"format 99, written by eoi_jax 9\.9.*Update"):
-        eoi.load(tmp_path / "new.npz")
+@pytest.mark.parametrize(("number", "advice"), [(99, "Update"), (1, "Make the result anew")])
+def test_a_file_of_another_format_says_so(tmp_path, number, advice):
+    tree = {"format": number, "version": "9.9", "result": None}
+    np.savez(tmp_path / "other.npz", eoi_jax=np.asarray(json.dumps(tree)))
+    with pytest.raises(ValueError, match=rf"format {number}, written by eoi_jax 9\.9.*{advice}"):
+        eoi.load(tmp_path / "other.npz")
 
 
 def test_an_unwritable_place_leaves_nothing(result, tmp_path):

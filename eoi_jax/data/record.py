@@ -79,6 +79,7 @@ class Record:
         valid: (N,), False where a sample is missing or not finite in any channel.
         sample_period: step of `time` [s].
         notes: sentences on what was done to the record, in order.
+        smoothed: cut-offs of the zero-phase low-passes that it went through [rad/s].
 
     Raises:
         ValueError: wrong shapes, unequal lengths, values that are no numbers, a channel without a
@@ -98,6 +99,7 @@ class Record:
     hold: str
     burn_in: float
     notes: tuple[str, ...]
+    smoothed: tuple[float, ...]
     _noise: Float[np.ndarray, " ny"] | None  # known from the samples this one was made from
     _quantum: Float[np.ndarray, " ny"] | None
     _middle: Inputs | None  # halfway between the samples, if it is known from a coarser record
@@ -136,12 +138,8 @@ class Record:
             noise = interpolated_noise(grid, stamps, arrays[1], good, arrays[2], quanta)
         else:
             arrays = place(grid, grid.index, u, y, good, notes)
-        check(
-            int(arrays[2].sum()) >= SHORTEST,
-            "outputs",
-            f"must have at least {SHORTEST} valid samples",
-            int(arrays[2].sum()),
-        )
+        count = int(arrays[2].sum())
+        check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
         if grid.resolution:
@@ -158,6 +156,7 @@ class Record:
             "hold": hold,
             "burn_in": float(burn_in),
             "notes": (*notes, *why),
+            "smoothed": (),
             "_noise": noise,
             "_quantum": quanta,
         }
@@ -254,7 +253,7 @@ class Record:
         new = self._changed(None)
         new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
         known = {"_noise": None, "_quantum": None, "_middle": self._middle}
-        new._assign({"name": name, "notes": (), **known})
+        new._assign({"name": name, "notes": (), "smoothed": (), **known})
         return new
 
     def without_inputs(self) -> "Record":
@@ -342,8 +341,9 @@ class Record:
             f"Inputs and outputs smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
         )
         new._set(inputs, outputs, self.valid, self.time, self.sample_period)
-        left = self.noise * low_pass_noise(share)
-        new._assign({"hold": "smooth", "_noise": left, "_quantum": np.zeros_like(left)})
+        new._assign({"hold": "smooth", "smoothed": (*self.smoothed, float(cutoff))})
+        left = self.noise / self.noise_left * new.noise_left
+        new._assign({"_noise": left, "_quantum": np.zeros_like(left)})
         return new
 
     def midpoint_inputs(self) -> Float[np.ndarray, "steps nu"]:
@@ -366,6 +366,12 @@ class Record:
         Source: `data/noise.py`.
         """
         return self._own_noise if self._noise is None else self._noise
+
+    @property
+    def noise_left(self) -> float:
+        """Share of the standard deviation of white noise that smoothing left, 1 without any."""
+        nyquist = np.pi / self.sample_period
+        return low_pass_noise(*(cutoff / nyquist for cutoff in self.smoothed))
 
     @property
     def quantum(self) -> Float[np.ndarray, " ny"]:

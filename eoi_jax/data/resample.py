@@ -277,12 +277,15 @@ def low_pass(values: Signals, cutoff: float) -> Signals:
     return sosfiltfilt(sections, values, axis=0, padlen=min(memory, len(values) - 1))
 
 
-def low_pass_noise(cutoff: float) -> float:
-    """Standard deviation that `low_pass` leaves of white noise of standard deviation one."""
+def low_pass_noise(*cutoffs: float) -> float:
+    """Standard deviation that `low_pass` leaves of white noise of one, at each cut-off in turn."""
     from scipy.signal import butter, sosfreqz
 
-    response = sosfreqz(butter(4, cutoff, output="sos"), worN=4096)[1]
-    return float(np.sqrt(np.mean(np.abs(response) ** 4)))
+    power = np.ones(4096)
+    for cutoff in cutoffs:
+        response = sosfreqz(butter(4, cutoff, output="sos"), worN=len(power))[1]
+        power *= np.abs(response) ** 4
+    return float(np.sqrt(np.mean(power)))
 
 
 def _within(

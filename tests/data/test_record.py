@@ -466,6 +466,24 @@ def test_noise_is_remembered_through_substeps_and_reduced_by_smoothing():
     assert smooth.noise[0] == pytest.approx(left, rel=0.06)
 
 
+def test_what_smoothed_a_record_goes_along_with_it():
+    smooth = sine_record().smooth(40).smooth(20.0)
+    assert sine_record().smoothed == ()
+    parts = (smooth[10:], smooth.split(0.5)[1], smooth.resample(2), smooth.without_inputs())
+    assert [one.smoothed for one in (smooth, *parts)] == [(40.0, 20.0)] * 5
+    assert smooth.with_outputs(smooth.outputs, "simulated").smoothed == ()
+
+
+def test_smoothing_twice_leaves_the_noise_that_both_filters_let_through():
+    """Where the second one is wide it takes next to nothing: not its share of white noise."""
+    t = 0.01 * np.arange(20_000)
+    noise = 1e-3 * np.random.default_rng(1).normal(size=t.size)
+    smooth = Record(t, t, 0.1 * t + noise).smooth(30).smooth(60)
+    left = np.std(smooth.outputs[500:-500, 0] - 0.1 * t[500:-500])
+    assert smooth.noise[0] == pytest.approx(left, rel=0.06)  # as of one filter, above
+    assert smooth.noise[0] / smooth.noise_left == pytest.approx(1e-3, rel=0.04)
+
+
 def test_the_quantum_of_a_quantised_signal_is_found():
     step = 2 * np.pi / 2048
     y = np.c_[np.round(np.sin(TIME) / step) * step, np.sin(TIME), np.ones(N)]
