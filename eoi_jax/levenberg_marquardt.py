@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from eoi_jax.engines import free_runs
 from eoi_jax.output_error import PROMISE, Outcome, Problem, Unknowns, direction, each, errors
+from eoi_jax.sensitivity import Host
 from eoi_jax.types import Scalar
 
 _DAMPING = 1e-2  # of the first step, relative to the squared length of each column
@@ -42,8 +43,8 @@ class _Reduced(eqx.Module):
     """
 
     triangles: Float[Array, "runs size size"]
-    own: Float[Array, "runs unknowns"]
-    shared: Float[Array, " free"]
+    own: Float[Host, "runs unknowns"]
+    shared: Float[Host, " free"]
     room: Float[Array, "2 free"]
     promise: Scalar
     cost: Scalar
@@ -53,9 +54,9 @@ class _Reduced(eqx.Module):
 class _Arrow(optx.AbstractDescent):
     """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept."""
 
-    lower: Float[Array, " free"]
-    upper: Float[Array, " free"]
-    faintest: Float[Array, " states"]
+    lower: Float[Host, " free"]
+    upper: Float[Host, " free"]
+    faintest: Float[Host, " states"]
     scored: Scalar
 
     def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:

@@ -22,10 +22,9 @@ from jaxtyping import Array, Bool, Float, Int
 from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.plants.plant import Plant
-from eoi_jax.sensitivity import RunKernel, RunLane, RunRow
+from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulate import behind, drive
 from eoi_jax.trajectory import Drive, frictional
-from eoi_jax.types import Scalar
 from eoi_jax.validate import Run, initial_states, owned
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
@@ -68,12 +67,15 @@ def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
 class Unknowns(eqx.Module):
     """Free parameters, and the initial state of each run (outputs and derivatives, then z)."""
 
-    theta: Float[Array, "*lanes free"]
-    starts: Float[Array, "*lanes runs unknowns"]
+    theta: Float[Host, "*lanes free"]
+    starts: Float[Host, "*lanes runs unknowns"]
 
 
 class Problem(eqx.Module):
     """All runs side by side, padded to one length; what is not scored weighs nothing.
+
+    On the host but for the tables: a fit is one call, and each array made by JAX before it would be
+    another.
 
     Attributes:
         kernel: a run as a recursion.
@@ -84,6 +86,7 @@ class Problem(eqx.Module):
             with θ, and with all that came before a run. places: rows of these, one record after
             the other, that each run takes.
         declared: 1 where the run starts a record: internal states are then the plant's own.
+        squares: sums of squares of the scored outputs of each run.
         faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
         substeps: rows of a sample.
@@ -91,18 +94,19 @@ class Problem(eqx.Module):
     """
 
     kernel: RunKernel
-    theta: Float[Array, " np"]
+    theta: Float[Host, " np"]
     tables: Float[Array, "runs rows columns"]
-    counts: Int[Array, " runs"]
-    steps: Float[Array, " runs"]
+    counts: Int[Host, " runs"]
+    steps: Float[Host, " runs"]
     whole: tuple[Drive, ...]
-    places: Int[Array, "runs rows"] | None
-    declared: Float[Array, " runs"]
-    faintest: Float[Array, " states"]
-    scale: Float[Array, " ny"]
-    threshold: Scalar
-    lower: Float[Array, " free"]
-    upper: Float[Array, " free"]
+    places: Int[Host, "runs rows"] | None
+    declared: Float[Host, " runs"]
+    squares: Float[Host, "runs ny"]
+    faintest: Float[Host, " states"]
+    scale: Float[Host, " ny"]
+    threshold: Float[Host, ""]
+    lower: Float[Host, " free"]
+    upper: Float[Host, " free"]
     substeps: int = eqx.field(static=True)
     compiled: bool = eqx.field(static=True)
 
@@ -118,28 +122,28 @@ class Problem(eqx.Module):
         return theta
 
     @property
-    def power(self) -> Float[Array, " runs"]:
+    def power(self) -> Float[Host, " runs"]:
         """Sum of squares of the weighed outputs of each run."""
-        plant = self.kernel.plant
-        _, _, y, _ = free_runs.columns(len(plant.inputs), len(plant.outputs))
-        return jnp.sum((self.tables[..., y] * self.scale) ** 2, axis=(1, 2))
+        return (self.squares * self.scale**2).sum(axis=1)
 
     @property
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
         """Which samples are scored."""
-        return self._samples[1] > 0
+        return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[1]
 
     @property
     def y(self) -> Float[np.ndarray, "runs time ny"]:
         """Outputs; zero where not scored."""
-        return self._samples[0]
+        return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[0]
 
-    @property
-    def _samples(self) -> tuple[np.ndarray, np.ndarray]:
-        rows = np.asarray(self.tables)[:, :: self.substeps]
-        plant = self.kernel.plant
-        _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
-        return rows[..., y], rows[..., use]
+
+def _samples(
+    plant: Plant, tables: Float[np.ndarray, "runs rows columns"], substeps: int
+) -> tuple[Float[np.ndarray, "runs time ny"], Bool[np.ndarray, "runs time ny"]]:
+    """Outputs, zero where not scored, and which samples are scored."""
+    rows = tables[:, ::substeps]
+    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    return rows[..., y], rows[..., use] > 0
 
 
 def problem_of(
@@ -151,30 +155,29 @@ def problem_of(
     kernel = kernel_of(plant, "sums")
     free = np.asarray(kernel.free)
     acting = plant.actuator is not None
-    problem = Problem(
+    # σ of the first fit: the spread of each output, for want of a residual.
+    y, use = _samples(plant, tables, substeps)
+    count = np.sum(use, axis=(0, 1))
+    mean = np.sum(y, axis=(0, 1)) / count
+    spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
+    return Problem(
         kernel=kernel,
-        theta=jnp.asarray(plant.theta),
+        theta=np.asarray(plant.theta),
         tables=jnp.asarray(tables),
-        counts=jnp.asarray([substeps * span.count + 1 for span in spans]),
-        steps=jnp.asarray([float(drives[span.record].step) for span in spans]),
+        counts=np.asarray([substeps * span.count + 1 for span in spans]),
+        steps=np.asarray([float(drives[span.record].step) for span in spans]),
         whole=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
-        places=jnp.asarray(_places(drives, spans)) if acting else None,
-        declared=jnp.asarray([float(span.first == 0) for span in spans]),
-        faintest=jnp.zeros(len(kernel.rows)),
-        scale=jnp.ones(len(plant.outputs)),
-        threshold=jnp.asarray(jnp.inf),
-        lower=jnp.asarray(np.asarray(plant.lower)[free]),
-        upper=jnp.asarray(np.asarray(plant.upper)[free]),
+        places=_places(drives, spans) if acting else None,
+        declared=np.asarray([float(span.first == 0) for span in spans]),
+        squares=np.sum(y**2, axis=1),
+        faintest=_faintest(kernel, spread, min(one.sample_period for one in records)),
+        scale=_inverse(spread),
+        threshold=np.asarray(np.inf),
+        lower=np.asarray(plant.lower)[free],
+        upper=np.asarray(plant.upper)[free],
         substeps=substeps,
         compiled=free_runs.supports(kernel) is None,
     )
-    # σ of the first fit: the spread of each output, for want of a residual.
-    y, use = problem.y, problem.use
-    count = np.sum(use, axis=(0, 1))
-    mean = np.sum(use * y, axis=(0, 1)) / count
-    spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
-    faintest = _faintest(kernel, spread, min(one.sample_period for one in records))
-    return weighed(replace(problem, faintest=jnp.asarray(faintest)), spread)
 
 
 def _faintest(
@@ -198,11 +201,13 @@ def kernel_of(plant: Plant, store: str) -> RunKernel:
 def weighed(
     problem: Problem, sigma: Float[np.ndarray, " ny"], threshold: float = np.inf
 ) -> Problem:
-    """With other weights: an output without spread counts as it is."""
-    scale = jnp.asarray(1.0 / np.where(sigma > 0, sigma, 1.0))
-    return eqx.tree_at(
-        lambda one: (one.scale, one.threshold), problem, (scale, jnp.asarray(float(threshold)))
-    )
+    """With other weights."""
+    return replace(problem, scale=_inverse(sigma), threshold=np.asarray(float(threshold)))
+
+
+def _inverse(sigma: Float[np.ndarray, " ny"]) -> Float[np.ndarray, " ny"]:
+    """1/σ; an output without spread counts as it is."""
+    return 1.0 / np.where(sigma > 0, sigma, 1.0)
 
 
 def _tables(
@@ -252,7 +257,7 @@ def guessed_starts(
     valid = np.stack([records[span.record].valid[part] for span, part in pairs])
     y = np.stack([records[span.record].outputs[part] for span, part in pairs])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return initial_states(run, problem.theta, _heads(problem, count - 1), y, valid)
+        return initial_states(run, _heads(problem, count - 1), y, valid)
 
 
 def _heads(problem: Problem, count: int) -> Drive:
@@ -263,7 +268,8 @@ def _heads(problem: Problem, count: int) -> Drive:
     time, inputs, _, _ = free_runs.columns(nu, ny)
     inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
     if problem.places is not None:
-        parts = [np.asarray(behind(plant, problem.theta, one)) for one in problem.whole]
+        theta = jnp.asarray(problem.theta)
+        parts = [np.asarray(behind(plant, theta, one)) for one in problem.whole]
         inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
     return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
 
@@ -273,7 +279,7 @@ def _heads(problem: Problem, count: int) -> Drive:
 
 def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
     r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
-    theta = problem.theta.at[np.asarray(problem.free)].set(unknowns.theta)
+    theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
     if not problem.compiled:
         return _scanned(problem, theta, unknowns.starts)[0]
     # Few arguments: each of them takes a tenth of a millisecond from the compiled loop to the host.
@@ -324,7 +330,7 @@ def _on_host(
 
 
 def _scanned(
-    problem: Problem, theta: Array, starts: Array, store: str = "sums"
+    problem: Problem, theta: Array, starts: Host, store: str = "sums"
 ) -> tuple[Array, Any]:
     """All runs, each by a scan: sums, and what their rows show."""
     kernel = replace(problem.kernel, store=store)
@@ -380,7 +386,7 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
 
 
 @eqx.filter_jit
-def _shown(problem: Problem, theta: Array, starts: Array) -> Float[Array, "runs rows ny size"]:
+def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs rows ny size"]:
     return _scanned(problem, theta, starts, "signals")[1]
 
 

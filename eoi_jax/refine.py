@@ -10,13 +10,13 @@ Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marqua
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_positive
@@ -43,7 +43,7 @@ from eoi_jax.regression.least_squares import least_squares, untraced
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.regression.orthonormal import orthonormal
 from eoi_jax.results import Status
-from eoi_jax.sensitivity import RunKernel
+from eoi_jax.sensitivity import Host, RunKernel
 
 _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
 _SETTLED = 0.02  # relative change of these weights that is none
@@ -155,8 +155,8 @@ def _begun(
     while True:
         problem = problem_of(nominal, records, spans, count)
         unknowns = Unknowns(
-            jnp.asarray(np.asarray(nominal.theta)[list(problem.free)]),
-            jnp.asarray(guessed_starts(problem, records, spans)),
+            np.asarray(nominal.theta)[list(problem.free)],
+            guessed_starts(problem, records, spans),
         )
         shown = signals(unknowns, problem)
         one = problem, unknowns, _unweighed(problem, shown)
@@ -324,7 +324,7 @@ class _Fit:
         """Standard deviation of each output's errors, of which those few beyond `huber` are not."""
         return (_rms if huber is None else _typical)(self.error, self.use)
 
-    @property
+    @cached_property
     def differentiable(self) -> bool:
         """Whether the free runs have derivatives to speak of where the fit ended."""
         return _smooth(self.problem, self.outcome.unknowns, self.shown)
@@ -336,8 +336,8 @@ def _smooth(problem: Problem, unknowns: Unknowns, shown: np.ndarray) -> bool:
         return False
     theta = np.asarray(unknowns.theta)
     with np.errstate(over="ignore"):
-        sums = np.sum(shown**2, axis=(1, 2))
-    return not np.any(shaken(sums[:, -1 - len(theta) :], theta, np.asarray(problem.power)))
+        sums = np.einsum("rtjc,rtjc->rc", shown, shown)
+    return not np.any(shaken(sums[:, -1 - len(theta) :], theta, problem.power))
 
 
 def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
@@ -411,7 +411,7 @@ def _cost(rmse: np.ndarray) -> float:
 def _starts(
     fit: _Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
 ) -> tuple[Start, ...]:
-    unknowns, theta = fit.outcome.unknowns, jnp.asarray(plant.theta)
+    unknowns, theta = fit.outcome.unknowns, np.asarray(plant.theta)
     x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
     x = jax.tree.map(np.asarray, x)
     return tuple(
@@ -421,7 +421,7 @@ def _starts(
 
 
 @eqx.filter_jit
-def _started(kernel: RunKernel, starts: Array, theta: Array, declared: Array) -> State:
+def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
     """The states of all windows in one call."""
     return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)
 

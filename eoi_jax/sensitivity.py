@@ -90,12 +90,12 @@ class RunKernel(eqx.Module):
     columns: tuple[int, ...] = eqx.field(static=True)
     store: str = eqx.field(static=True)
 
-    def start(self, values: Array, theta: Array, declared: Any) -> State:
+    def start(self, values: Host, theta: Host, declared: Any) -> State:
         """Initial state from its unknowns; internal states by the plant where it declares them."""
         count = len(self.rows)
         empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
         y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
-        z = jnp.where(declared > 0, self.plant.internal_start(theta), values[count:])
+        z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
         return State(y, z)
 
     def init(self, lane: RunLane) -> RunCarry:

@@ -8,6 +8,7 @@ scored.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
 from eoi_jax.simulate import acted, drive
 from eoi_jax.trajectory import Drive, chained, frictional, trajectory
-from eoi_jax.types import Theta
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
@@ -230,12 +230,12 @@ def _free_runs(
     run: Run, record: Record, whole: Drive, starts: Sequence[int], count: int
 ) -> Float[np.ndarray, "runs time ny"]:
     """Runs of `count` steps from samples `starts`, each from its own estimated initial state."""
-    theta = jnp.asarray(run.plant.theta)
     first = min(run.initial_samples, count + 1)
     seen = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(whole, starts, first - 1)
-    values = initial_states(run, theta, head, record.outputs[seen], record.valid[seen])
+    values = initial_states(run, head, record.outputs[seen], record.valid[seen])
     begun = _all_unpacked(run.plant, values)
+    theta = jnp.asarray(run.plant.theta)
     return chained(run.plant, theta, _parts(whole, starts, count), begun, run.friction)
 
 
@@ -250,12 +250,12 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
 @eqx.filter_jit
 def _runs(
     plant: Plant,
-    theta: Theta,
     drives: Drive,
     values: Float[Array | np.ndarray, "runs unknowns"],
     friction: tuple[int, ...],
 ) -> Float[Array, "runs time ny"]:
-    """Short runs side by side."""
+    """Short runs side by side, at the plant's own parameters."""
+    theta = jnp.asarray(plant.theta)
 
     def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
         return trajectory(plant, theta, driven_by, unpacked(plant, values), friction)[0][:, 0, :]
@@ -267,17 +267,19 @@ def _runs(
 
 
 def initial_states(
-    run: Run, theta: Theta, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
+    run: Run, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
 ) -> Starts:
     """Least squares of each free run over its first samples, by damped Gauss-Newton."""
     period = float(heads.step[0]) * heads.substeps
-    z = np.asarray(run.plant.internal_start(theta))
+    z = np.zeros(0)
+    if run.plant.internal is not None:
+        z = np.asarray(run.plant.internal_start(jnp.asarray(run.plant.theta)))
     starts = np.stack(
         [_polynomial_starts(run.plant, *one, period) for one in zip(y, valid, strict=True)]
     )
     starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
     own = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
-    fit = _Heads(run, theta, heads, y, valid, period)
+    fit = _Heads(run, heads, y, valid, period)
     cost, values = _descend(fit, starts, own)
     if len(z):
         # Internal states stay where the model starts them, unless the first samples tell (BIC):
@@ -336,7 +338,6 @@ class _Heads:
     """The first samples of all runs, to which start states are fitted."""
 
     run: Run
-    theta: Theta
     heads: Drive
     y: Float[np.ndarray, "runs time ny"]
     valid: Bool[np.ndarray, "runs time"]
@@ -344,6 +345,8 @@ class _Heads:
 
     def part(self, which: Int[np.ndarray, " some"]) -> "_Heads":
         """Of some runs alone."""
+        if len(which) == len(self.y):
+            return self
         return replace(self, heads=self._driving(which), y=self.y[which], valid=self.valid[which])
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
@@ -394,12 +397,16 @@ class _Heads:
 
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
+        z = np.abs(values[:, self._reach.shape[1] :])
+        return _DIFFERENCE * np.concatenate([self._reach, np.where(z > 0, z, 1.0)], axis=1)
+
+    @cached_property
+    def _reach(self) -> Starts:
+        """How far outputs and their derivatives move in each run."""
         rows, columns = owned(self.run.plant)
         reach = np.ptp(self.y, axis=1) + 1e-3 * np.max(np.abs(self.y), axis=1)
         reach = np.where(reach > 0, reach, 1.0)[:, columns]
-        z = np.abs(values[:, len(rows) :])
-        own = reach / (self.y.shape[1] * self.period) ** rows
-        return _DIFFERENCE * np.concatenate([own, np.where(z > 0, z, 1.0)], axis=1)
+        return reach / (self.y.shape[1] * self.period) ** rows
 
     def _simulated(self, values: Trials) -> Float[np.ndarray, "runs trials time ny"]:
         run = self.run
@@ -410,7 +417,7 @@ class _Heads:
         for first in range(0, len(lanes), _LANES):
             index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
             drives = self._driving(owner[index])
-            out = _runs(run.plant, self.theta, drives, lanes[index], run.friction)
+            out = _runs(run.plant, drives, lanes[index], run.friction)
             parts.append(np.asarray(out))
         out = np.concatenate(parts)[: len(lanes)]
         return out.reshape(*values.shape[:2], *out.shape[1:])
