@@ -7,10 +7,8 @@ all runs gives the normal equations of all unknowns. The least squares over them
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
+from eoi_jax.engines.host import on_host
 from eoi_jax.plants.plant import Plant
 from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulate import behind, drive
@@ -282,50 +281,36 @@ def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]
     theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
     if not problem.compiled:
         return _scanned(problem, theta, unknowns.starts)[0]
-    # Few arguments: each of them takes a tenth of a millisecond from the compiled loop to the host.
-    small = (problem.declared, problem.scale, problem.threshold, problem.steps, problem.kernel)
-    leaves, structure = jax.tree.flatten(small)
-    shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
     runs, own = unknowns.starts.shape
     size = own + len(problem.free) + 1
-    return jax.pure_callback(
-        partial(_on_host, shapes, structure),
+    return on_host(
+        _summed,
         jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
-        jnp.concatenate([theta, jnp.ravel(unknowns.starts)]),
-        jnp.concatenate([jnp.ravel(leaf) for leaf in leaves]),
-        problem.counts,
-        problem.tables,
-        vmap_method="expand_dims",
+        (theta, unknowns.starts, problem.declared, problem.scale, problem.threshold),
+        problem.kernel,
+        (problem.tables, problem.steps, problem.counts),
     )
 
 
-def _on_host(
-    shapes: tuple, structure: Any, unknowns: Any, small: Any, counts: Any, tables: Any
-) -> np.ndarray:
+def _summed(lanes: tuple, kernel: RunKernel, runs: tuple) -> np.ndarray:
     """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
-    one = np.ndim(unknowns) == 1
-    unknowns, small, counts, tables = (
-        np.asarray(part)[None] if one else np.asarray(part)
-        for part in (unknowns, small, counts, tables)
-    )
-    ends = np.cumsum([math.prod(shape) for shape, _ in shapes])[:-1]
-    parts = zip(np.split(small[0], ends), shapes, strict=True)
-    leaves = [part.reshape(shape).astype(dtype) for part, (shape, dtype) in parts]
-    declared, scale, threshold, steps, kernel = jax.tree.unflatten(structure, leaves)
-    np_, many, runs = len(kernel.plant.names), len(unknowns), len(counts[0])
-    theta, starts = unknowns[:, :np_], unknowns[:, np_:].reshape(many, runs, -1)
+    one = np.ndim(lanes[0]) == 1
+    if one:
+        lanes, kernel, runs = jax.tree.map(lambda leaf: leaf[None], (lanes, kernel, runs))
+    theta, starts, declared, scale, threshold = lanes
+    kernel, (tables, steps, counts) = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
 
     def spread(array: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(array, (many, runs, *array.shape[2:]))
+        return np.broadcast_to(array, (*starts.shape[:2], *array.shape[2:]))
 
-    lanes = RunLane(
+    each = RunLane(
         spread(theta[:, None]),
         starts,
-        spread(declared[None]),
-        spread(scale[None, None]),
-        spread(threshold[None, None]),
+        spread(declared),
+        spread(scale[:, None]),
+        spread(threshold[:, None]),
     )
-    out = free_runs.summed(kernel, lanes, tables[0], steps, counts[0])
+    out = free_runs.summed(kernel, each, tables, steps, counts)
     return out[0] if one else out
 
 
