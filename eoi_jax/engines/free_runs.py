@@ -1,5 +1,6 @@
 """Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores."""
 
+import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -63,15 +64,16 @@ class _FreeRun(AbstractLoop):
         """The normal equations."""
         return carry.sums
 
+    @functools.cached_property
+    def key(self) -> tuple:
+        """Equal if one program serves both."""
+        return traced_key((self.kernel, self.lane, self.step), self.dtype)
+
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _FreeRun) and _key(self) == _key(other)
+        return isinstance(other, _FreeRun) and self.key == other.key
 
     def __hash__(self) -> int:
-        return hash(_key(self))
-
-
-def _key(what: _FreeRun) -> tuple:
-    return traced_key((what.kernel, what.lane, what.step), what.dtype)
+        return hash(self.key)
 
 
 def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
@@ -160,14 +162,19 @@ def shown(
 
 
 def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
-    dtype = np.dtype(float)
-    plant, (nu, ny) = kernel.plant, (len(kernel.plant.inputs), len(kernel.plant.outputs))
-    none = np.zeros(())
-    lane = RunLane(np.zeros(len(plant.names)), np.zeros(own), none, np.zeros(ny), none)
-    row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
-    kernel, lane, row = (shapes_of(tree, dtype) for tree in (kernel, lane, row))
-    what = _FreeRun(kernel, lane, row, dtype)
+    dtype, plant = np.dtype(float), kernel.plant
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    what = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), own, nu, ny), dtype)
     return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
+
+
+@functools.cache
+def _shapes(size: int, own: int, nu: int, ny: int) -> tuple[RunLane, RunRow]:
+    """Of a lane and a row."""
+    none = np.zeros(())
+    lane = RunLane(np.zeros(size), np.zeros(own), none, np.zeros(ny), none)
+    row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
+    return shapes_of((lane, row), np.dtype(float))
 
 
 def _parts(lanes: int, width: int, runs: int) -> list[slice]:
@@ -221,17 +228,13 @@ class _Job:
         """The normal equations of the lanes."""
         self._go(None)
         program, where = self._code.program, self._code.where
-        out = np.empty((self._count, *program.sums.shape))
-        for at in np.ndindex(program.sums.shape):
-            i = program.same[program.sums[at]]
-            known = i not in where.carries
-            out[(slice(None), *at)] = (
-                program.initial[i].value
-                if known
-                else self._memory[:, where.carries[i]].reshape(-1)[: self._count]
-            )
+        carries = [program.same[i] for i in program.sums.flat]
+        rows = np.array([where.carries.get(i, -1) for i in carries])
+        out = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
+        for at in np.flatnonzero(rows < 0):
+            out[:, at] = program.initial[carries[at]].value
         out[self._spoilt] = np.nan
-        return out
+        return out.reshape(-1, *program.sums.shape)
 
     def shown(self, substeps: int) -> np.ndarray:
         """What the only lane shows of each sample."""

@@ -182,15 +182,17 @@ class Pass(AbstractLoop):
         """What is wanted after the last step."""
         return carry.sums
 
+    @functools.cached_property
+    def key(self) -> tuple:
+        """Equal if one program serves both."""
+        trees = self.plant, self.lane, self.lowpass, self.step
+        return traced_key(trees, self.store, self.dtype)
+
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pass) and _key(self) == _key(other)
+        return isinstance(other, Pass) and self.key == other.key
 
     def __hash__(self) -> int:
-        return hash(_key(self))
-
-
-def _key(what: Pass) -> tuple:
-    return traced_key((what.plant, what.lane, what.lowpass, what.step), what.store, what.dtype)
+        return hash(self.key)
 
 
 def traced_key(trees: Any, *other: Any) -> tuple:
