@@ -286,9 +286,9 @@ class Plant(eqx.Module):
         """Whether θ enters f linearly (plus a constant), so that one least squares suffices."""
         if self.internal is not None or self.actuator is not None:
             return False
-        bend, size = _bends(self, *_probes(self))
-        rounding = 1e3 * jnp.finfo(bend.dtype).eps
-        return not bool(jnp.any(bend > rounding * (1.0 + size)))
+        bend, size = map(np.asarray, _bends(self, *_probes(self)))
+        rounding = 1e3 * np.finfo(bend.dtype).eps
+        return not bool(np.any(bend > rounding * (1.0 + size)))
 
     @property
     def dry_friction(self) -> tuple[bool, ...]:
@@ -301,12 +301,12 @@ class Plant(eqx.Module):
 
         Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
         """
-        near, far, size = _across_rest(self, *_probes(self))
+        near, far, size = map(np.asarray, _across_rest(self, *_probes(self)))
         # A slope grows with the distance between the two velocities, a jump does not.
-        jumps = (near > 1e2 * jnp.finfo(near.dtype).eps * size) & (near > 0.5 * far)
+        jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
         # What another output does where one of degree one changes sign is no friction.
         own = np.eye(len(self.outputs), dtype=bool)
-        return np.any(np.asarray(jumps), axis=0) & (own | (np.asarray(self.degrees) >= 2))
+        return np.any(jumps, axis=0) & (own | (np.asarray(self.degrees) >= 2))
 
     @property
     def coupled(self) -> Bool[np.ndarray, "ny nu"]:
@@ -314,8 +314,8 @@ class Plant(eqx.Module):
         positions = np.asarray(self.degrees) >= 2
         if np.sum(positions) < 2:
             return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
-        slopes, size = _pushed(self, *_probes(self))
-        pushes = np.asarray(slopes > 1e2 * jnp.finfo(size.dtype).eps * size)
+        slopes, size = map(np.asarray, _pushed(self, *_probes(self)))
+        pushes = slopes > 1e2 * np.finfo(size.dtype).eps * size
         pushes = np.any(pushes, axis=0) & positions[:, None]
         return pushes & (np.sum(pushes, axis=0) > 1)
 
