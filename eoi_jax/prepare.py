@@ -376,7 +376,9 @@ def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarr
     distance = np.stack(
         [np.minimum(_since_zero(one), _since_zero(one[::-1])[::-1]) for one in use.T], axis=1
     )
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip(distance / max(length, 1.0), 0.0, 1.0))
+    weights, near = np.ones_like(distance), distance < max(length, 1.0)
+    weights[near] = 0.5 - 0.5 * np.cos(np.pi * distance[near] / max(length, 1.0))
+    return weights
 
 
 def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:

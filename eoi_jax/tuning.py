@@ -301,9 +301,9 @@ def _power(
     signal: Float[np.ndarray, " time"], window: Float[np.ndarray, " time"]
 ) -> Float[np.ndarray, " frequency"]:
     """|FFT|² of what a straight line leaves."""
-    index = np.arange(len(signal))
-    line = np.polynomial.polynomial.polyfit(index, signal, 1)
-    return np.abs(np.fft.rfft(window * (signal - line[0] - line[1] * index))) ** 2
+    middle = np.arange(len(signal)) - 0.5 * (len(signal) - 1)
+    slope = middle @ signal / (middle @ middle)
+    return np.abs(np.fft.rfft(window * (signal - np.mean(signal) - slope * middle))) ** 2
 
 
 def _foreign(

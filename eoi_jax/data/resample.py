@@ -164,13 +164,17 @@ def sub_stepped(
     values: Float[np.ndarray, "time channel"], segments: Segments, count: int
 ) -> Float[np.ndarray, "points channel"]:
     """`spline` of degree five on a uniform record, with `count` steps in place of each one."""
-    position = np.arange(len(values), dtype=float)
-    result = fill(position, values, np.arange((len(values) - 1) * count + 1) / count)
+    if list(segments) == [(0, len(values))]:
+        result = np.empty(((len(values) - 1) * count + 1, values.shape[1]))
+    else:
+        query = np.arange((len(values) - 1) * count + 1) / count
+        result = fill(np.arange(len(values), dtype=float), values, query)
     fractions = np.arange(count) / count
     for start, stop in segments:
         if stop - start > 1 and values.shape[1]:
             inside = within_steps(values[start:stop], fractions, degree=5)
             result[count * start : count * (stop - 1)] = inside.reshape(-1, values.shape[1])
+        result[count * (stop - 1)] = values[stop - 1]
     return result
 
 
