@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -380,7 +379,7 @@ def _noise_powers(record: Record, prepared: Ready, degree: int) -> Float[np.ndar
     return means[:, None] * record.noise**2
 
 
-@eqx.filter_jit
+@jax.jit
 def _slopes(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny r ny"]:
     """∂f/∂y, ∂f/∂y', … along a record, with the internal states where they start."""
     theta = jnp.asarray(plant.theta)

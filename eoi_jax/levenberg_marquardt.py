@@ -7,11 +7,13 @@ eliminated run by run, for QR of the rows of each run leaves a small triangle (Ã
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
@@ -145,7 +147,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     descent: _Arrow
     search: optx.ClassicalTrustRegion
     verbose: Callable[..., None]
-    most: Int[Array, ""]
+    most: Int[Host, ""]
     watch: Watch | None
 
     def terminate(
@@ -177,30 +179,30 @@ def solve(
         max_steps: at most.
         watch: called with the number of steps done, from 0, and half of the cost; compiled in.
     """
-    return _solve(problem, unknowns, jnp.asarray(max_steps), watch)
+    return _solve(problem, unknowns, np.asarray(max_steps), watch)
 
 
 def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
         free_runs.supports(problem.kernel, len(unknowns.theta))
-    return _solve_many(problem, unknowns, jnp.asarray(max_steps))
+    return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 
-@eqx.filter_jit
-def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Array, ""]) -> Outcome:
+@jax.jit
+def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Host, ""]) -> Outcome:
     return jax.vmap(lambda one: _search(problem, one, most, None))(unknowns)
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames="watch")
 def _solve(
-    problem: Problem, unknowns: Unknowns, most: Int[Array, ""], watch: Watch | None
+    problem: Problem, unknowns: Unknowns, most: Int[Host, ""], watch: Watch | None
 ) -> Outcome:
     return _search(problem, unknowns, most, watch)
 
 
 def _search(
-    problem: Problem, unknowns: Unknowns, most: Int[Array, ""], watch: Watch | None
+    problem: Problem, unknowns: Unknowns, most: Int[Host, ""], watch: Watch | None
 ) -> Outcome:
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm,

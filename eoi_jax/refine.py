@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
@@ -420,7 +419,7 @@ def _starts(
     )
 
 
-@eqx.filter_jit
+@jax.jit
 def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
     """The states of all windows in one call."""
     return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)

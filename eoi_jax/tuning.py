@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -394,7 +393,7 @@ def _model_along(
     return np.asarray(_evaluate(plant, record.time[:-1], states, inputs))
 
 
-@eqx.filter_jit
+@jax.jit
 def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny"]:
     """f at every step, with the internal states where they start."""
     theta = jnp.asarray(plant.theta)

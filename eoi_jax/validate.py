@@ -8,7 +8,7 @@ scored.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -247,7 +247,7 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
     return Drive(whole.time[steps], period, whole.inputs[steps], n)
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames="friction")
 def _runs(
     plant: Plant,
     drives: Drive,

@@ -3,6 +3,7 @@
 Compiled for scalars where that can be, with a record on each core; else a scan over all of them.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -11,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.engines.compiled import cores, together, translated
+from eoi_jax.engines.compiled import Compiled, cores, together, translated
 from eoi_jax.engines.engine import Lanes
+from eoi_jax.engines.lane_program import Pass
 from eoi_jax.engines.native import PassRun, pass_of, rows_of
 from eoi_jax.engines.scalars import Untranslatable
 from eoi_jax.lowpass import DiscreteFilter
@@ -51,15 +53,20 @@ def alone(
     def scanned(theta: Theta, store: str) -> Any:
         return run_pass(plant, observer, lowpass, steps, jnp.asarray(theta), store=store)
 
+    @functools.cache
+    def program(store: str) -> tuple[Pass, Compiled]:
+        lane = _lane(observer, np.asarray(plant.theta), len(plant.outputs), dtype)
+        what, columns = pass_of(plant, lane, records[0][1], records[0][0], store)
+        return what, translated(what, columns, 1)
+
     def run(theta: Theta, store: str) -> Any:
         if not numbers:
             return scanned(theta, store)
-        lane = _lane(observer, theta, len(plant.outputs), dtype)
         try:
-            what, columns = pass_of(plant, lane, records[0][1], records[0][0], store)
-            code = translated(what, columns, 1)
+            what, code = program(store)
         except Untranslatable:
             return scanned(theta, store)
+        lane = _lane(observer, theta, len(plant.outputs), dtype)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
         shown = len(code.program.shown[0])

@@ -472,7 +472,7 @@ def _probes(plant: Plant) -> tuple[Any, ...]:
     return np.full(_PROBES, 0.3), y, u, theta
 
 
-@eqx.filter_jit
+@jax.jit
 def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
     """How far f at the middle of two parameter vectors is off the mean of f at both; its size."""
 
@@ -485,7 +485,7 @@ def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Ar
     return jax.vmap(one)(t, y, u, theta)
 
 
-@eqx.filter_jit
+@jax.jit
 def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
     """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
 
@@ -497,7 +497,7 @@ def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[A
     return jax.vmap(one)(t, y, u, theta)
 
 
-@eqx.filter_jit
+@jax.jit
 def _across_rest(
     plant: Plant, t: Array, y: Array, u: Array, theta: Array
 ) -> tuple[Array, Array, Array]:
