@@ -374,7 +374,8 @@ class _Driver:
         messages = {
             "passes_exhausted": _MORE.format(number),
             "converged": f"the index is smallest in pass {number} of {passes}",
-            "stalled": _STALLED.format(number, float(done.best.promise[0])),
+            "stalled": _STALLED.format(number, float(done.best.promise[0]))
+            + (_OBSERVED if self.plant.is_affine else _BENT),
         }
         return Status(code, messages[code])
 
@@ -390,9 +391,12 @@ _NO_DATA = (
 _MORE = "the index is smallest in pass {} and was still to fall: allow more passes"
 _STALLED = (
     "the index is smallest in pass {}, though least squares promises to lower it by {:.0%} more: "
+)
+_BENT = (
     "the model is far from linear in its parameters there. Start from other nominal values, or "
     "set bounds"
 )
+_OBSERVED = "the observer does not show what the model lacks. Try other gains"
 _DIVERGED = (
     "the model, or its slope with a parameter, is not finite along the record: check units, "
     "nominal values, and functions such as sqrt or log at the measured outputs"

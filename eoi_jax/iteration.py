@@ -106,7 +106,6 @@ class Iterations:
         best_pass: the one of the smallest index, shape (lanes,).
         best: that pass.
         seen: whether the first pass scored anything, shape (lanes,).
-        affine: whether the plant is.
     """
 
     theta: Float[np.ndarray, "lanes passes np"]
@@ -116,7 +115,6 @@ class Iterations:
     best_pass: Int[np.ndarray, " lanes"]
     best: Pass
     seen: Bool[np.ndarray, " lanes"]
-    affine: bool
 
     @property
     def codes(self) -> np.ndarray:
@@ -129,7 +127,7 @@ class Iterations:
             (self.best.lost, "unidentifiable"),
             (self.passes == 1, "passes_exhausted"),
             ((promise > PROGRESS) & spent, "passes_exhausted"),
-            ((promise <= PROGRESS) | self.affine, "converged"),
+            (promise <= PROGRESS, "converged"),
         )
         return np.select([one for one, _ in ends], [name for _, name in ends], "stalled")
 
@@ -190,7 +188,7 @@ def iterate(
     assert seen is not None
     shown = [_stretched(np.stack(part, axis=1), passes) for part in zip(*history, strict=True)]
     theta, index, increment = shown
-    return Iterations(theta, index, increment, count, best_pass, least, seen, affine)
+    return Iterations(theta, index, increment, count, best_pass, least, seen)
 
 
 @dataclass(frozen=True)

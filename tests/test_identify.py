@@ -36,6 +36,7 @@ from eoi_jax.plants import (
     three_mass_spring_damper,
 )
 from eoi_jax.prepare import ready
+from eoi_jax.simulate import simulate
 
 H = 2e-3
 SAMPLES = 2001
@@ -145,6 +146,34 @@ def test_parameters_that_enter_nonlinearly_are_recovered():
     got = identify(plant, Record.from_period(H, u, y, hold="smooth"))
     recovered(got, truth, 5e-4)
     assert got.best_pass >= 2  # Gauss-Newton: one pass is not enough
+
+
+@pytest.fixture(scope="module")
+def stopped() -> Record:
+    """A mass that meets an end stop."""
+    t = 0.01 * np.arange(2000)
+    pushes = np.repeat(np.random.default_rng(3).uniform(-10.0, 10.0, 67), 30)[:2000]
+    return simulate(STOPPED, t, 20.0 * np.sin(2.0 * t) + pushes, hold="zero", substeps=8)
+
+
+def end_stop(t, x, u, p):
+    (y,), (v,) = x.y
+    return -p.k * y - p.d * v - p.s * jnp.maximum(y - p.gap, 0.0) + u[0]
+
+
+STOPPED = Plant(end_stop, {"k": 4.0, "d": 1.0, "s": 200.0, "gap": 3.0}, 2)
+
+
+@pytest.mark.parametrize("unit", [0.2, 1.0, 1e3])
+def test_an_end_stop_is_found_from_a_gap_too_wide_whatever_the_unit(stopped, unit):
+    """The same run with lengths in another unit: the same passes, scaled."""
+    record = Record(stopped.time, unit * stopped.inputs, unit * stopped.outputs, hold="zero")
+    start = STOPPED.with_parameters({"k": 3.0, "s": 120.0, "gap": 3.5 * unit})
+    got = identify_by_default(start, record, instruments=False)
+    assert got.status.code == "converged"
+    # Between samples the contact begins: h = 0.01 beside 14 rad/s.
+    truth = {"k": 4.0, "d": 1.0, "s": 200.0, "gap": 3.0 * unit}
+    recovered(got, truth, 1e-3)
 
 
 def lower_tank(t, x, u, p):

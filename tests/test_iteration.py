@@ -57,3 +57,20 @@ def test_passes_follow_a_bent_valley_in_which_full_steps_overshoot():
     found = iterate(run, bent, np.array([[-1.2, 1.0]]), 60)
     assert found.codes == ["converged"]
     np.testing.assert_allclose(found.best.theta, [[1.0, 1.0]], atol=1e-3)
+
+
+def test_passes_that_fall_short_of_what_least_squares_promises_are_not_converged():
+    """An affine model whose index does not fall: the observer does not show what it lacks."""
+
+    def run(which, theta, number):
+        del which, number
+        one = jnp.ones(1)
+        lane = Sums(
+            jnp.eye(2)[None], 0.5 * jnp.ones((1, 2)), one, one, one, one, one, jnp.zeros((2, 2))
+        )
+        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], len(theta), 0), lane)
+
+    assert PLANT.is_affine
+    found = iterate(run, PLANT, np.array([[1.0, 2.0]]), 10)
+    np.testing.assert_allclose(found.best.promise, 0.5)
+    assert found.codes == ["stalled"]

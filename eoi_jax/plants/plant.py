@@ -5,6 +5,7 @@
 The paper's eq. (1)–(3) in chain form; z are internal states that nobody measures.
 """
 
+import functools
 import keyword
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
@@ -14,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check, check_choice
@@ -283,12 +285,15 @@ class Plant(eqx.Module):
 
     @property
     def is_affine(self) -> bool:
-        """Whether θ enters f linearly (plus a constant), so that one least squares suffices."""
+        """Whether θ enters f linearly (plus a constant), so that one least squares suffices.
+
+        ∂f/∂θ as it is traced must not read θ: the answer depends on the equations alone, not on a
+        state or a unit. What JAX cannot tell to be linear is not.
+        """
         if self.internal is not None or self.actuator is not None:
             return False
-        bend, size = map(np.asarray, _bends(self, *_probes(self)))
-        rounding = 1e3 * np.finfo(bend.dtype).eps
-        return not bool(np.any(bend > rounding * (1.0 + size)))
+        shape = self.relative_degree, len(self.outputs)
+        return _affine(self.dynamics, self.names, shape, len(self.inputs))
 
     @property
     def dry_friction(self) -> tuple[bool, ...]:
@@ -458,31 +463,39 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
     return initial if callable(initial) else tuple(float(value) for value in initial)
 
 
-_PROBES = 4
+# Magnitudes of each coordinate at which structure is looked for, each on both sides of zero: what
+# happens only beyond some state is found whatever the unit is.
+_MAGNITUDES = np.geomspace(1e-4, 1e3, 64)
 
 
 def _probes(plant: Plant) -> tuple[Any, ...]:
-    """A few fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
+    """Fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
     draw = np.random.default_rng(0)
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
+    count = 2 * len(_MAGNITUDES)
+    # A Latin hypercube of the logarithms: every coordinate goes through all of them.
+    half = draw.permuted(np.tile(_MAGNITUDES, (r * ny + nu, 1)), axis=1)
+    half *= draw.choice([-1.0, 1.0], half.shape)
+    points = np.concatenate([half, -half], axis=1).T
     # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
-    theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (_PROBES, len(plant.names))) + 0.1
-    y = draw.uniform(0.1, 1.0, (_PROBES, r, ny))
-    u = draw.uniform(0.1, 1.0, (_PROBES, nu))
-    return np.full(_PROBES, 0.3), y, u, theta
+    theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (count, len(plant.names))) + 0.1
+    return np.full(count, 0.3), points[:, nu:].reshape(-1, r, ny), points[:, :nu], theta
 
 
-@jax.jit
-def _bends(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-    """How far f at the middle of two parameter vectors is off the mean of f at both; its size."""
+@functools.lru_cache(maxsize=256)
+def _affine(
+    dynamics: Dynamics, names: tuple[str, ...], shape: tuple[int, int], inputs: int
+) -> bool:
+    """Whether θ is not among what the jaxpr of ∂f/∂θ reads."""
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-        x, other = State(y, jnp.zeros(0, theta.dtype)), 1.37 * theta + 0.21
-        first, second = plant.derivative(t, x, u, theta), plant.derivative(t, x, u, other)
-        middle = plant.derivative(t, x, u, 0.5 * (theta + other))
-        return jnp.abs(middle - 0.5 * (first + second)), jnp.abs(first) + jnp.abs(second)
+    def slopes(theta: Array, t: Array, y: Array, u: Array) -> Array:
+        x, named = State(y, jnp.zeros(0)), parameter_type(names)
+        return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
-    return jax.vmap(one)(t, y, u, theta)
+    line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
+    jaxpr = jax.make_jaxpr(slopes)(*line).jaxpr
+    _, read = dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
+    return not read[0]
 
 
 @jax.jit

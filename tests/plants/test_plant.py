@@ -128,6 +128,37 @@ def test_a_plant_is_affine_where_its_parameters_enter_linearly():
     assert not internal.is_affine  # its sensitivity depends on a
 
 
+LINEAR = {
+    "jump of the state": lambda y, p: jnp.where(y > 2.0, p.k, -p.d * y),
+    "table of parameters": lambda y, p: jnp.interp(y, jnp.arange(2.0), jnp.stack([p.k, p.d])),
+    "inertia that moves": lambda y, p: jnp.linalg.solve(
+        jnp.eye(2) * (2.0 + y**2), jnp.stack([p.k, p.d])
+    )[0],
+    "branches": lambda y, p: jax.lax.cond(y > 0, lambda: p.k * y, lambda: p.d * y),
+}
+BENT = {
+    "end stop far off": lambda y, p: p.k * jnp.maximum(y - 1e4 * p.d, 0.0),
+    "end stop near": lambda y, p: p.k * jnp.maximum(y - 1e-4 * p.d, 0.0),
+    "saturation": lambda y, p: jnp.clip(p.k * y, -1e6, 1e6) + p.d,
+    "table with a knot": lambda y, p: jnp.interp(y, jnp.stack([0.0, p.d]), jnp.arange(2.0)) * p.k,
+    "switch at a parameter": lambda y, p: p.k * jnp.sign(y - p.d),
+}
+
+
+def single(force):
+    return Plant(lambda t, x, u, p: force(x.y[0, 0], p) + u[0], {"k": 1.0, "d": 1.0}, 2)
+
+
+@pytest.mark.parametrize("force", LINEAR.values(), ids=LINEAR)
+def test_what_switches_with_the_state_is_affine(force):
+    assert single(force).is_affine
+
+
+@pytest.mark.parametrize("force", BENT.values(), ids=BENT)
+def test_what_bends_with_a_parameter_is_not_affine_however_far_off(force):
+    assert not single(force).is_affine
+
+
 def coulomb(p, v):
     return p.c * jnp.sign(v)
 
@@ -158,6 +189,16 @@ def rubbing(friction, c=0.7):
 @pytest.mark.parametrize("level", [0.7, 0.0])
 def test_dry_friction_is_found_even_at_a_nominal_level_of_zero(friction, level):
     assert rubbing(friction, level).dry_friction == (True,)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 50.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_dry_friction_that_acts_only_beyond_a_position_is_found_in_every_unit(unit, side):
+    def rail(t, x, u, p):
+        (y,), (v,) = x.y
+        return -p.k * y - p.c * jnp.sign(v) * (side * y > 2.0 * unit) + u[0]
+
+    assert Plant(rail, {"k": 4.0, "c": unit}, 2).dry_friction == (True,)
 
 
 @pytest.mark.parametrize("friction", SMOOTH.values(), ids=SMOOTH)
