@@ -31,6 +31,7 @@ from eoi_jax.plants.plant import (
     State,
     derivative_unit,
     parameter_type,
+    quotient_unit,
     velocity_rows,
 )
 
@@ -204,11 +205,15 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     y = "" if placed.on_input else plant.units.get(own, "")
     channel = j if placed.on_input else 0
     u = plant.units.get(plant.inputs[channel], "") if plant.inputs else ""
+    v = derivative_unit(y, placed.row)
     if placed.through is None:
-        f = derivative_unit(y, 1 if placed.on_input or placed.on_state else plant.degrees[j])
+        order = 1 if placed.on_input or placed.on_state else plant.degrees[j]
+        f = derivative_unit(y, order)
+        over = derivative_unit("1", order), derivative_unit("1", order - placed.row)
     else:
         f = plant.units.get(plant.inputs[placed.through], "")
-    known = {"y": y, "v": derivative_unit(y, placed.row), "f": f, "u": u}
+        over = quotient_unit(f, y), quotient_unit(f, v)
+    known = {"y": y, "v": v, "f": f, "u": u, "f/y": over[0], "f/v": over[1]}
     if any(f"{{{key}}}" in pattern and not value for key, value in known.items()):
         return ""
     return pattern.format(**known)

@@ -257,6 +257,27 @@ def test_units_follow_from_those_of_the_channel(effect, units):
     assert [unit(MASS, placed, one.unit) for one in effect.parameters] == units
 
 
+VISCOUS = {
+    "a speed": ({"y": "rad/s"}, 1, None, "1/s"),
+    "a position": ({"y": "m"}, 2, None, "1/s"),
+    "a position of degree three": ({"y": "m"}, 3, None, "1/s²"),
+    "a position without a unit": ({}, 3, None, "1/s²"),
+    "a force": ({"y": "m", "u": "N"}, 2, 0, "N/(m/s)"),
+    "a push of the speed's own kind": ({"y": "m", "u": "m/s²"}, 2, 0, "1/s"),
+    "a force without a unit": ({"y": "m"}, 2, 0, ""),
+}
+
+
+@pytest.mark.parametrize(("units", "degree", "through", "text"), VISCOUS.values(), ids=VISCOUS)
+@pytest.mark.parametrize("effect", [effects.ViscousFriction(), effects.AsymmetricViscousFriction()])
+def test_viscous_friction_is_in_the_unit_of_what_it_adds_to_over_the_velocity(
+    effect, units, degree, through, text
+):
+    plant = eoi.Plant(lambda t, x, u, p: p.k * u[0] - x.y[0], {"k": 1.0}, degree, units=units)
+    placed = place(plant, effect, 0, None, through)
+    assert unit(plant, placed, effect.gains[0].unit) == text
+
+
 def test_equal_augmented_plants_are_compiled_once():
     several = (effects.EndStop(-1), 0, {"end_stop_stiffness": 4.0, "end_stop_position": -0.2})
     other = (effects.EndStop(+1), 0, several[2])

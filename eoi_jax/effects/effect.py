@@ -38,7 +38,8 @@ class Parameter:
 
     Attributes:
         name: appended to the name of the effect; "" for an effect with one parameter.
-        unit: with {f}, {y}, {v}, {u} for the units of y^(r), the output, its rate, the input.
+        unit: with {f}, {y}, {v}, {u} for the units of y^(r), the output, its rate, the input; and
+            {f/y}, {f/v} for quotients, a power of 1/s where y^(r) is a derivative of the other.
         lower, upper: where it is physical.
     """
 

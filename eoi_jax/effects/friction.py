@@ -24,7 +24,7 @@ class ViscousFriction(AbstractFriction):
     name = "viscous_friction"
     sentence = "viscous friction, proportional to the velocity"
     joins = True
-    gains = (Parameter("", "1/s", lower=0.0),)
+    gains = (Parameter("", "{f/v}", lower=0.0),)
     form = ("- {0}·{v}", r"- {0}\,{v}")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
@@ -123,7 +123,7 @@ class AsymmetricViscousFriction(AbstractFriction):
 
     name = "asymmetric_friction"
     sentence = "viscous friction that differs between the two directions"
-    gains = (Parameter("slope", "1/s"),)
+    gains = (Parameter("slope", "{f/v}"),)
     form = ("- {0}·|{v}|", r"- {0}\,|{v}|")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:

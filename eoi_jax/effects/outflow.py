@@ -27,7 +27,7 @@ class Leak(AbstractTerm):
 
     name = "leak"
     sentence = "a leak: an outflow proportional to the level"
-    gains = (Parameter("", "1/s", lower=0.0),)
+    gains = (Parameter("", "{f/y}", lower=0.0),)
     depends_on = "y"
     form = ("- {0}·{y}", r"- {0}\,{y}")
 
@@ -46,7 +46,7 @@ class Overflow(AbstractTerm):
 
     name = "overflow"
     sentence = "an overflow: an outflow above a level"
-    gains = (Parameter("rate", "1/s", lower=0.0),)
+    gains = (Parameter("rate", "{f/y}", lower=0.0),)
     shapes = (Parameter("level", "{y}"),)
     depends_on = "y"
     form = ("- {0}·max({y} - {1}, 0)", r"- {0}\max({y} - {1}, 0)")

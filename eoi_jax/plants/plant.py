@@ -402,6 +402,15 @@ def derivative_unit(unit: str | None, order: int) -> str:
     return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
 
 
+def quotient_unit(unit: str, by: str) -> str:
+    """One unit over another: a power of 1/s where one is a derivative of the other; "" of none."""
+    if not unit or not by:
+        return ""
+    orders = (n for n in range(5) if derivative_unit(by, n) == unit)
+    plain = f"{unit}/({by})" if "/" in by else f"{unit}/{by}"
+    return next((derivative_unit("1", n) for n in orders), plain)
+
+
 _TYPES: dict[tuple[str, ...], Any] = {}
 
 
