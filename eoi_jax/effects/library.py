@@ -34,8 +34,9 @@ from eoi_jax.effects.stiffness import (
 def standard() -> tuple[AbstractEffect, ...]:
     """Every canonical effect; `discover` tries those that fit the plant.
 
-    Three names have several forms: `end_stop` (above, below), `input_quadratic` (odd, even) and
-    `overflow` (of an output; of an internal state, caught in part or not at all).
+    Four names have several forms: `end_stop` (above, below), `gravity` (of an angle in radians, in
+    degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an internal state,
+    caught in part or not at all).
 
     Returns:
         One object of each form.
@@ -51,6 +52,7 @@ def standard() -> tuple[AbstractEffect, ...]:
         QuadraticStiffness(),
         CubicStiffness(),
         Gravity(),
+        Gravity(degrees=True),
         PositionRipple(),
         EndStop(+1),
         EndStop(-1),

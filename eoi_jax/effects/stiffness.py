@@ -10,6 +10,7 @@ from eoi_jax.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, mech
 from eoi_jax.plants.plant import Plant
 
 _SMALL_ANGLE = 0.8  # [rad]
+_DEGREES = ("deg", "degree", "degrees", "°")
 
 
 class LinearStiffness(AbstractTerm):
@@ -65,25 +66,44 @@ class CubicStiffness(AbstractTerm):
         return -gain[0] * at.y**3
 
 
+@dataclass(frozen=True)
 class Gravity(AbstractTerm):
-    """-g sin(y), y an angle in radians (in degrees where the unit says so)."""
+    """-g sin(y), y an angle.
+
+    Attributes:
+        degrees: whether y is in degrees: it fits the outputs whose unit says so ("deg", "degree",
+            "degrees" or "°"), the other form all others.
+    """
 
     name = "gravity"
     sentence = "gravity: a force with the sine of the position"
     rarity = 2.0  # at small angles it is a linear spring
     gains = (Parameter("", "{f}"),)
     depends_on = "y"
-    form = ("- {0}·sin({y})", r"- {0}\sin {y}")
+
+    degrees: bool = False
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """The term as text and LaTeX."""
+        if self.degrees:
+            return "- {0}·sin(π/180·{y})", r"- {0}\sin(\pi/180\,{y})"
+        return "- {0}·sin({y})", r"- {0}\sin {y}"
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return mechanical(plant, output)
+        in_degrees = plant.units.get(plant.outputs[output]) in _DEGREES
+        return mechanical(plant, output) and in_degrees == self.degrees
 
     def grid(self, seen: Seen) -> Grid:
         # Below that, sin(y) is y - y³/6 to within its own size over a hundred: a spring.
-        return np.zeros((1 if np.max(np.abs(seen.y)) > _SMALL_ANGLE else 0, 0))
+        return np.zeros((1 if np.max(np.abs(self._angle(seen.y))) > _SMALL_ANGLE else 0, 0))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return -gain[0] * jnp.sin(at.y)
+        return -gain[0] * jnp.sin(self._angle(at.y))
+
+    def _angle(self, y: Any) -> Any:
+        """In radians."""
+        return y * (np.pi / 180.0) if self.degrees else y
 
 
 class PositionRipple(AbstractTerm):
