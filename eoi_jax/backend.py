@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import jaxlib
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_count
 
 # XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
 # every step pays a few microseconds of dispatch. Raising the limit makes a pass about ten times
@@ -53,7 +53,7 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
                 options.append(f"--{_NEW_FUSIONS}=false")
             os.environ["XLA_FLAGS"] = " ".join(options).strip()
     if devices is not None:
-        check(devices >= 1, "devices", "must be an integer ≥ 1", devices)
+        devices = check_count("devices", devices)
         _make_devices(devices)
     jax.config.update("jax_enable_x64", float64)
     if cache:

@@ -6,6 +6,7 @@ to do. All raise `ValueError`, so that a caller needs one `except`.
 
 import difflib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,29 @@ def check(
 
 def check_kind(name: str, value: object, kind: type | tuple[type, ...], what: str) -> None:
     """`value` must be of a class, or of one of several; `what` says it in words: ``a Plant``."""
-    check(isinstance(value, kind), name, f"must be {what}", type(value).__name__)
+    shown = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+    check(isinstance(value, kind), name, f"must be {what}", shown)
+
+
+def is_whole(value: object) -> bool:
+    """Whether `value` is an integer, of Python or of NumPy; a truth value is none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def real(value: Any) -> float:
+    """`value` as a number; NaN for what is none: no comparison holds for that."""
+    if isinstance(value, str | bytes):
+        return np.nan
+    try:
+        return float(value) if np.ndim(value) == 0 else np.nan
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def check_count(name: str, value: Any, least: int = 1) -> int:
+    """`value` must be an integer from `least` on; it is returned as one of Python's."""
+    check(is_whole(value) and value >= least, name, f"must be an integer ≥ {least}", value)
+    return int(value)
 
 
 def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") -> ValueError:
@@ -63,7 +86,8 @@ def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") ->
 
 def check_positive(name: str, value: object, advice: str = "") -> None:
     """`value` (number or array) must be finite and > 0 everywhere."""
-    array = np.asarray(value, dtype=float)
+    numbers = np.asarray(value)
+    array = numbers.astype(float) if numbers.dtype.kind in "fiub" else np.full(1, real(value))
     check(
         bool(np.all(np.isfinite(array) & (array > 0))),
         name,

@@ -7,7 +7,7 @@ method's own index depends on its own filter, and no two of them may be compared
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.comparators import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
 from eoi_jax.identify import estimate
@@ -116,7 +116,7 @@ def compare(
     records: Record | Sequence[Record],
     validation: Record | Sequence[Record] | None = None,
     truth: Mapping[str, float] | None = None,
-    methods: Sequence[AbstractComparator] | None = None,
+    methods: Sequence[AbstractComparator | str] | None = None,
 ) -> Comparison:
     """Estimate a plant's parameters by several methods, and put them side by side.
 
@@ -125,7 +125,8 @@ def compare(
         records: one or several; every method fits all of them.
         validation: held-out records, on which free runs are scored; if left out, those of the fit.
         truth: parameters that made the records, by name, where they are known.
-        methods: comparators, one's own among them; by default `comparators.standard()`.
+        methods: comparators, one's own among them, and names of those in `comparators.standard()`;
+            by default all of these.
 
     Returns:
         One entry for each method. A method that fails has a status that says how, and the others
@@ -133,15 +134,15 @@ def compare(
 
     Raises:
         ValueError: records that do not fit the plant, an unknown parameter in `truth`, no method,
-            two methods of one name.
+            one that is no comparator, two of one name.
     """
     several = check_records(plant, records)
     held = several if validation is None else check_records(plant, validation)
+    check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:
         check_choice("truth", name, plant.names)
-    chosen = standard() if methods is None else tuple(methods)
+    chosen = _methods(methods)
     names = [one.name for one in chosen]
-    check(len(chosen) > 0, "methods", "must hold at least one comparator", "none")
     check(len(set(names)) == len(names), "methods", "must have different names", ", ".join(names))
     judge = _Judge(plant, held, dict(truth) if truth else None, common_index(plant, several))
     entries = tuple(judge.entry(one, several) for one in chosen)
@@ -154,6 +155,22 @@ def compare(
         judge.index.reasons,
         judge.notes,
     )
+
+
+def _methods(
+    methods: Sequence[AbstractComparator | str] | None,
+) -> tuple[AbstractComparator, ...]:
+    known = {one.name: one for one in standard()}
+    several = [methods] if isinstance(methods, str) else list(known) if methods is None else methods
+    check_kind("methods", several, Iterable, "comparators or their names")
+    chosen = []
+    for one in several:
+        if isinstance(one, str):
+            check_choice("methods", one, known)
+        check_kind("methods", one, (AbstractComparator, str), "comparators or their names")
+        chosen.append(known[one] if isinstance(one, str) else one)
+    check(len(chosen) > 0, "methods", "must hold at least one comparator", "none")
+    return tuple(chosen)
 
 
 # -- the common index ---------------------------------------------------------------------------

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.blas import one_thread
-from eoi_jax.checks import check, check_kind
+from eoi_jax.checks import check, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.data.saturation import saturations
 from eoi_jax.diagnosis import Confounded, Cross, Diagnosis, Line, Map, PerOutput, Window
@@ -84,7 +84,7 @@ def diagnose(
         Ljung and Box, Biometrika 65 (1978) 297; Newey and West, Econometrica 55 (1987) 703; Ljung,
         *System Identification*, chapter 16.
     """
-    check(0.0 < level < 0.5, "level", "must lie in (0, 0.5)", level)
+    check(0.0 < real(level) < 0.5, "level", "must lie in (0, 0.5)", level)
     check_kind("identification", identification, Identification, "what `identify` returned")
     plant = identification.plant
     measured = identification.records if records is None else check_records(plant, records)

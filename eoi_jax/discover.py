@@ -18,7 +18,7 @@ from dataclasses import replace
 from eoi_jax.augment import Placed
 from eoi_jax.blas import one_thread
 from eoi_jax.candidates import candidates
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_count, check_kind, real
 from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
@@ -101,8 +101,8 @@ def discover(
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
     held = _held_out(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
-    check(0.0 < alpha < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
-    check(isinstance(most, int) and most >= 1, "most", "must be an integer ≥ 1", most)
+    check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
+    most = check_count("most", most)
     told = callback or _untold
     told("fitting the declared model", 0, _STAGES)
     prepared = ready(plant, several, lowpass)
@@ -257,6 +257,7 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
     library = standard()
     if effects is None:
         return library
+    check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
     names = sorted({one.name for one in library})
@@ -265,12 +266,7 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
             check_choice("effects", one, names)
             chosen += [other for other in library if other.name == one]
         else:
-            check(
-                isinstance(one, AbstractEffect),
-                "effects",
-                "must be names or effects",
-                type(one).__name__,
-            )
+            check_kind("effects", one, AbstractEffect, "names or effects")
             chosen.append(one)
     return tuple(chosen)
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.blas import one_thread
-from eoi_jax.checks import check
+from eoi_jax.checks import check_count
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
 from eoi_jax.instruments import Instrumented, cured
@@ -163,7 +163,7 @@ def identify(
         Section 4 of the paper; the discretisation is that of the observer.
     """
     several = check_records(plant, records)
-    check(isinstance(passes, int) and passes >= 1, "passes", "must be an integer ≥ 1", passes)
+    passes = check_count("passes", passes)
     check_preparation(transient, substeps, smoothing)
     if observer is not None:
         check_observer(plant, observer)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.checks import check, check_positive
+from eoi_jax.checks import check_count, check_positive
 
 
 class DiscreteFilter(eqx.Module):
@@ -53,9 +53,8 @@ class LowPass(eqx.Module):
 
     def __init__(self, cutoff: float, order: int = 2):
         check_positive("cutoff", cutoff, "It is an angular frequency in rad/s.")
-        check(isinstance(order, int) and order >= 1, "order", "must be an integer ≥ 1", order)
         self.cutoff = float(cutoff)
-        self.order = order
+        self.order = check_count("order", order)
 
     def denominator(self) -> Float[np.ndarray, " order_plus_1"]:
         """Coefficients of the denominator in s/ω_c, highest power first."""

@@ -6,15 +6,15 @@ done by `ready`, once for all models of the same outputs; the rest by `prepare`,
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import NoneType
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.checks import check, check_kind
+from eoi_jax.checks import check, check_count, check_kind, real
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import Real
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.observers.per_output import PerOutput
@@ -88,6 +88,7 @@ def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]
         return np.asarray(plant.theta, dtype=float)[None]
     if isinstance(starts, Mapping):
         starts = [starts]
+    check_kind("starts", starts, Iterable, "dicts of parameters, or rows")
     rows = [
         np.asarray(plant.with_parameters(one).theta, dtype=float)
         if isinstance(one, Mapping)
@@ -113,8 +114,11 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
         observer: with its gains.
 
     Raises:
-        ValueError: another relative degree, gains that are neither one nor one an output.
+        ValueError: no observer, another relative degree, gains that are neither one nor one an
+            output.
     """
+    what = "an observer with its gains, such as `SecondOrder(c1, c2, c3)`"
+    check_kind("observer", observer, AbstractObserver, what)
     own = np.atleast_1d(observer.relative_degree)
     degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
     check(
@@ -136,10 +140,8 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
             )
 
 
-def check_preparation(
-    transient: float | None, substeps: int | None, smoothing: float | bool | None
-) -> None:
-    """How records are made ready, where it is not left to be chosen.
+def check_preparation(transient: Any, substeps: Any, smoothing: Any) -> None:
+    """How records are made ready, where it is not left to be chosen (None).
 
     Args:
         transient: time not scored at the start of each record [s].
@@ -150,19 +152,14 @@ def check_preparation(
         ValueError: a transient that is no time, sub-steps that are no count, a smoothing that is no
             cut-off (True is none).
     """
-    if transient is not None:
-        good = _is_number(transient) and 0.0 <= transient < np.inf
-        check(good, "transient", "must be a time ≥ 0 in seconds", transient)
+    good = transient is None or 0.0 <= real(transient) < np.inf
+    check(good, "transient", "must be a time ≥ 0 in seconds", transient)
     if substeps is not None:
-        good = isinstance(substeps, int | np.integer) and substeps >= 1
-        check(good, "substeps", "must be an integer ≥ 1", substeps)
-    if smoothing not in (None, False):
-        good = _is_number(smoothing) and 0.0 < smoothing < np.inf
-        check(good, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
+        check_count("substeps", substeps)
+    # No `in`: it compares, and an array has no truth.
+    good = smoothing is None or smoothing is False
+    good = good or (smoothing is not True and 0.0 < real(smoothing) < np.inf)
+    check(good, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
 
 
 @dataclass(frozen=True)
@@ -211,6 +208,7 @@ def ready(
         explicit: whether for an observer in explicit form.
     """
     reasons: list[str] = []
+    check_kind("lowpass", lowpass, (LowPass, NoneType), "a filter `LowPass(cutoff, order)`")
     if lowpass is None:
         lowpass, reason = default_lowpass(plant, records)
         reasons.append(reason)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check, check_choice, check_kind
+from eoi_jax.checks import check, check_choice, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refine import refine
@@ -124,7 +124,7 @@ def profile(
     check_choice("name", name, free)
     check(len(free) > 1, "name", "must have another free parameter beside it", name,
           "The interval of `uncertainty` is that of a single one.")  # fmt: skip
-    check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)
+    check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     known = uncertainty(refinement)
     error = known.standard_errors[name]
     good = bool(np.isfinite(error) and error > 0)

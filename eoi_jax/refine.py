@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax.blas import one_thread
-from eoi_jax.checks import check, check_positive
+from eoi_jax.checks import check, check_count, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
 from eoi_jax.multistart import best, points_of
@@ -114,12 +114,11 @@ def refine(
     several = check_records(nominal, records)
     if window is not None:
         check_positive("window", window)
-    check(isinstance(max_steps, int) and max_steps >= 1, "max_steps", "must be an integer ≥ 1",
-          max_steps)  # fmt: skip
+    max_steps = check_count("max_steps", max_steps)
     if huber is not None:
         check_positive("huber", huber)
     points = points_of(nominal, starts)
-    check(isinstance(rounds, int) and rounds >= 1, "rounds", "must be an integer ≥ 1", rounds)
+    rounds = check_count("rounds", rounds)
     check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     spans = spans_of(several, window)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from eoi_jax.augment import augmented
 from eoi_jax.candidates import candidates
-from eoi_jax.checks import check, check_kind
+from eoi_jax.checks import check, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import (
@@ -188,7 +188,7 @@ def remaining(
     check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant, records = refinement.plant, refinement.records
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
-    check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)
+    check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)

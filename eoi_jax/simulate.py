@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from eoi_jax.checks import check, check_choice, check_shape
+from eoi_jax.checks import check, check_choice, check_count, check_kind, check_shape
 from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import HOLDS, inputs_within_steps
@@ -62,6 +62,7 @@ def simulate(
         ValueError: a wrong shape, a grid that is not uniform, dry friction with the adaptive
             solver, or a trajectory that is not finite (with the first time at which it is not).
     """
+    check_kind("plant", plant, Plant, "a Plant")
     time = _uniform(np.asarray(time, dtype=np.float64))
     u = np.asarray(inputs, dtype=np.float64)
     u = u[:, None] if u.ndim == 1 else u
@@ -121,8 +122,7 @@ def drive(
     Raises:
         ValueError: an unknown hold, or less than one sub-step.
     """
-    whole = isinstance(substeps, int | np.integer) and substeps >= 1
-    check(whole, "substeps", "must be an integer ≥ 1", substeps)
+    check_count("substeps", substeps)
     fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
     values = inputs_within_steps(inputs, fractions, hold)
     stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)

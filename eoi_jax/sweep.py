@@ -8,7 +8,7 @@ store from which an interrupted sweep goes on.
 
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +22,7 @@ from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
 from eoi_jax.batch.plan import Part, Plan, Settings, plan
 from eoi_jax.batch.source import Choices
 from eoi_jax.batch.store import Labels, Store
-from eoi_jax.checks import check
+from eoi_jax.checks import check, is_whole
 from eoi_jax.engines import AbstractEngine, Automatic
 from eoi_jax.plants.plant import Plant
 
@@ -94,12 +94,8 @@ def sweep(
         ValueError: what does not fit, before any work; the message says what to do.
         OSError: the store cannot be written.
     """
-    check(
-        len(part) == 2 and 0 <= part[0] < part[1],
-        "part",
-        "must be (i, n) with 0 ≤ i < n",
-        part,
-    )
+    good = isinstance(part, Sequence) and len(part) == 2 and all(is_whole(one) for one in part)
+    check(good and 0 <= part[0] < part[1], "part", "must be (i, n) with 0 ≤ i < n", part)
     choices = Choices(None, transient, substeps, smoothing)
     settings = Settings(resamples, passes, precision, seed, chunk)
     whole = plan(plant, records, observers, lowpass, starts, choices, settings)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import check, check_choice, check_kind
+from eoi_jax.checks import check, check_kind, real
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import parameter_type
 from eoi_jax.refinement import Refinement
@@ -93,7 +93,7 @@ class Uncertainty:
         Raises:
             ValueError: a level outside (0, 1).
         """
-        check(0.0 < level < 1.0, "level", "must lie in (0, 1)", level)
+        check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
         quantile = student(level, self.degrees_of_freedom)
         value = np.asarray(list(self.parameters.values()))
         half = quantile * np.asarray(list(self.standard_errors.values()))
@@ -143,10 +143,6 @@ class Uncertainty:
         try:
             value = np.asarray(stacked(theta))
             slope = np.asarray(jax.jacfwd(stacked)(theta))
-        except AttributeError as error:
-            if error.name is not None and isinstance(error.obj, named):
-                check_choice("a parameter in function", error.name, self.parameters)
-            raise
         except jax.errors.JAXTypeError as error:
             check(False, "function", "must be differentiable by JAX", type(error).__name__,
                   "Use jax.numpy in place of math and numpy, and no float() or int().")  # fmt: skip

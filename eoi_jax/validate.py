@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.blas import one_thread
-from eoi_jax.checks import check, check_positive
+from eoi_jax.checks import check, check_count, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
@@ -164,6 +164,7 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
     unknowns = plant.relative_degree + len(plant.internal_start(jnp.asarray(plant.theta)))
+    check_count("initial_samples", initial_samples)
     check(
         initial_samples > unknowns,
         "initial_samples",

@@ -3,7 +3,10 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+
+import eoi_jax as eoi
 
 CALLS = {
     "identify(plant, None)": "`records` must hold at least one record, got none",
@@ -25,11 +28,62 @@ CALLS = {
     "uncertainty(plant)": "`estimate` must be an estimate, got Plant",
     "discover(plant, None)": "`records` must hold at least one record, got none",
     "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
+    "identify(plant, run, passes=True)": "`passes` must be an integer ≥ 1, got True",
+    "identify(plant, run, transient='a')": "`transient` must be a time ≥ 0 in seconds, got a",
+    "identify(plant, run, transient=[1.0])": "`transient` must be a time ≥ 0 in seconds, got [1.0]",
+    "identify(plant, run, smoothing='a')": "`smoothing` must be a cut-off > 0 in rad/s, or False, "
+    "got a",
+    "identify(plant, run, lowpass=20.0)": "`lowpass` must be a filter `LowPass(cutoff, order)`, "
+    "got float",
+    "identify(plant, run, eoi.observers.SecondOrder)": "`observer` must be an observer "
+    "with its gains, such as `SecondOrder(c1, c2, c3)`, got the class SecondOrder",
+    "identify(plant, run, 3)": "`observer` must be an observer",
+    "validate(plant, run, window='a')": "`window` must be positive and finite, got a",
+    "validate(plant, run, initial_samples=9.5)": "`initial_samples` must be an integer ≥ 1",
+    "simulate(None, time, time)": "`plant` must be a Plant, got NoneType",
+    "compare(plant, run, methods=3)": "`methods` must be comparators or their names, got int",
+    "compare(plant, run, methods=[3])": "`methods` must be comparators or their names, got int",
+    "compare(plant, run, methods=['svg'])": "`methods` must be one of",
+    "compare(plant, run, truth=3)": "`truth` must be a dict of values by name, got int",
+    "sweep(plant, run, lowpass=3.0)": "`lowpass` must be filters `LowPass(cutoff, order)`, or left "
+    "out, got float",
+    "sweep(plant, run, 3)": "`observers` must be observers with their gains, or "
+    "`observers.gains(…)`, got int",
+    "sweep(plant, run, part=1)": "`part` must be (i, n) with 0 ≤ i < n, got 1",
+    "sweep(plant, run, part=(0.5, 2))": "`part` must be (i, n) with 0 ≤ i < n, got (0.5, 2)",
+    "sweep(plant, run, smoothing=True)": "`smoothing` must be a cut-off > 0 in rad/s, or False, "
+    "got True",
+    "sweep(plant, run, transient=-3.0)": "`transient` must be a time ≥ 0 in seconds, got -3.0",
+    "sweep(plant, run, starts=3)": "`starts` must be dicts of parameters, or rows, got int",
+    "sweep(plant, run, seed=-1)": "`seed` must be an integer ≥ 0, got -1",
+    "Plant(law, ['k'])": "`parameters` must be a dict by name, got list",
+    "Plant(law, None)": "`parameters` must be a dict by name, got NoneType",
+    "Plant(law, {'k': 'a'})": "`parameters` must be finite numbers, got {'k': 'a'}",
+    "Plant(3, {'k': 1.0})": "`dynamics` must be a function f(t, x, u, p), got 3",
+    "Plant(law, {'k': 1.0}, bounds={'k': 3.0})": "`bounds[k]` must be (lower, upper), got 3.0",
+    "Plant(law, {'k': 1.0}, bounds=[1])": "`bounds` must be a dict by name, got list",
+    "Plant(law, {'k': 1.0}, units=['N'])": "`units` must be a dict by name, got list",
+    "Plant(law, {'k': 1.0}, units={'kk': 'N'})": "`units` must be one of k, u, y, got 'kk'",
+    "Plant(law, {'k': 1.0}, fixed=3)": "`fixed` must be a name or several, got int",
+    "Plant(law, {'k': 1.0}, outputs=[3])": "`outputs` must be a name or several, got int",
+    "Plant(law, {'kk': 1.0})": "`p.k` must be one of kk, got 'k'. Did you mean `kk`?",
+    "diagnose(eoi.identify(plant, run), level='a')": "`level` must lie in (0, 0.5), got a",
+    "discover(plant, run, lowpass=3.0)": "`lowpass` must be a filter `LowPass(cutoff, order)`, got",
+    "discover(plant, run, effects=3)": "`effects` must be a list of names or effects, got int",
+    "discover(plant, run, effects=[eoi.effects.Gravity])": "`effects` must be names or effects, "
+    "got the class Gravity",
+    "discover(plant, run, alpha='a')": "`alpha` must lie in (0, 1), got a",
     "discover(plant, run, effects=[3])": "`effects` must be names or effects, got int",
     "discover(plant, run, most=1.5)": "`most` must be an integer ≥ 1, got 1.5",
     "discover(plant, run, alpha=2)": "`alpha` must lie in (0, 1), got 2",
     "observers.HighOrder(1.0, 2.0)": "`degree` must be an integer ≥ 1, got 2.0",
     "LowPass(1.0, 2.5)": "`order` must be an integer ≥ 1, got 2.5",
+    # What NumPy counts is a count.
+    "LowPass(1.0, np.int64(2)).order": "accepted 2",
+    "observers.HighOrder(1.0, np.int64(2)).degree": "accepted 2",
+    "Plant(law, {'k': 1.0}, np.int64(2)).degrees": "accepted (2,)",
+    "identify(plant, run, passes=np.int64(1)).index.shape": "accepted (1, 1)",
+    "sweep(plant, run, precision='float32', passes=np.int64(2)).sizes['pass']": "accepted 2",
 }
 SCRIPT = """
 import eoi_jax as eoi
@@ -37,11 +91,15 @@ import numpy as np
 plant = eoi.plants.pendulum()
 time = 0.01 * np.arange(500)
 run = eoi.Record(time, np.sin(time), np.cos(time))
+def law(t, x, u, p):
+    return -p.k * x.y[0] + u
 for call in {calls!r}:
     try:
-        eval("eoi." + call)
+        value = eval("eoi." + call)
     except ValueError as error:
         print(error)
+    else:
+        print("accepted", value)
 """
 
 
@@ -57,3 +115,12 @@ def answers() -> list[str]:
 @pytest.mark.parametrize("number", range(len(CALLS)), ids=list(CALLS))
 def test_a_wrong_type_is_named_with_its_rule(answers: list[str], number: int):
     assert answers[number].startswith(list(CALLS.values())[number])
+
+
+def test_methods_are_compared_by_name_as_by_object():
+    time = 0.01 * np.arange(500)
+    plant = eoi.plants.mass_spring_damper()
+    run = eoi.simulate(plant, time, np.sign(np.sin(3.0 * time)))
+    both = [["svf"], [eoi.comparators.StateVariableFilter()]]
+    one, other = (eoi.compare(plant, run, methods=methods)["svf"] for methods in both)
+    assert one.parameters == other.parameters

@@ -6,9 +6,10 @@ them: one estimate. A chunk holds lanes of one record and one filter.
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import NoneType
 from typing import Any
 
 import jax
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.batch.source import Choices
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_count, check_kind
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -224,11 +225,9 @@ def plan(
     Raises:
         ValueError: whatever does not fit, before any work starts.
     """
-    for key, least in (("passes", 1), ("resamples", 0), ("chunk", 1)):
-        value = getattr(settings, key)
-        check(
-            isinstance(value, int) and value >= least, key, f"must be an integer ≥ {least}", value
-        )
+    least = {"passes": 1, "resamples": 0, "chunk": 1, "seed": 0}
+    counts = {key: check_count(key, getattr(settings, key), few) for key, few in least.items()}
+    settings = replace(settings, **counts)
     check_choice("precision", settings.precision, PRECISIONS)
     check_preparation(choices.transient, choices.substeps, choices.smoothing)
     filters = _filters(lowpass)
@@ -267,16 +266,16 @@ def _groups(plant: Plant, records: Any) -> tuple[Group, ...]:
     return tuple(groups)
 
 
+_FILTERS = "filters `LowPass(cutoff, order)`, or left out"
+
+
 def _filters(lowpass: Any) -> tuple[LowPass | None, ...]:
-    several = (lowpass,) if lowpass is None or isinstance(lowpass, LowPass) else tuple(lowpass)
+    several = (lowpass,) if lowpass is None or isinstance(lowpass, LowPass) else lowpass
+    check_kind("lowpass", several, Iterable, _FILTERS)
+    several = tuple(several)
     check(len(several) > 0, "lowpass", "must hold at least one filter", "none: that is no lane")
     for one in several:
-        check(
-            one is None or isinstance(one, LowPass),
-            "lowpass",
-            "must be filters `LowPass(cutoff, order)`, or left out",
-            type(one).__name__,
-        )
+        check_kind("lowpass", one, (LowPass, NoneType), _FILTERS)
     return several
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check, check_positive
+from eoi_jax.checks import check, check_count, check_positive
 from eoi_jax.data.resample import Real
 from eoi_jax.types import TimeAxis
 
@@ -110,12 +110,7 @@ def multisine(
     """
     tau = _elapsed(time)
     _check_finite("amplitude", amplitude)
-    check(
-        isinstance(components, int) and components >= 1,
-        "components",
-        "must be an integer ≥ 1",
-        components,
-    )
+    check_count("components", components)
     duration = tau[-1] * len(tau) / (len(tau) - 1)
     low, high = (float(value) for value in frequencies)
     nyquist = 0.5 * len(tau) / duration
@@ -204,9 +199,7 @@ def _slot(tau: TimeAxis, name: str, length: Real) -> np.ndarray:
 
 
 def _draw(seed: int) -> np.random.Generator:
-    good = isinstance(seed, int | np.integer) and seed >= 0
-    check(good, "seed", "must be an integer ≥ 0", seed)
-    return np.random.default_rng(seed)
+    return np.random.default_rng(check_count("seed", seed, least=0))
 
 
 def _check_finite(name: str, value: Real) -> None:

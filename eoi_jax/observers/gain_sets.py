@@ -1,7 +1,7 @@
 """Many observers of one kind, their gains stacked: the lanes of a sweep."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind
 from eoi_jax.observers.observer import AbstractObserver
 
 
@@ -88,6 +88,9 @@ def gains(
     return GainSets(observer, arrays)
 
 
+_OBSERVERS = "observers with their gains, or `observers.gains(…)`"
+
+
 def gain_sets(observers: Any, outputs: int) -> tuple[GainSets, ...]:
     """Observers as they may be given to a sweep, in order, as groups that can be stacked.
 
@@ -96,19 +99,15 @@ def gain_sets(observers: Any, outputs: int) -> tuple[GainSets, ...]:
         outputs: ny; gains are spread to one an output where a group mixes both forms.
 
     """
-    given = (
-        [observers] if isinstance(observers, AbstractObserver | GainSets) else list(observers or ())
-    )
+    alone = isinstance(observers, AbstractObserver | GainSets)
+    given = (observers,) if alone else () if observers is None else observers
+    check_kind("observers", given, Iterable, _OBSERVERS)
+    given = list(given)
     check(len(given) > 0, "observers", "must hold at least one observer", "none: that is no lane")
     groups: list[GainSets] = []
     alike: list[AbstractObserver] = []
     for one in given:
-        check(
-            isinstance(one, AbstractObserver | GainSets),
-            "observers",
-            "must be observers or `observers.gains(…)`",
-            type(one).__name__,
-        )
+        check_kind("observers", one, (AbstractObserver, GainSets), _OBSERVERS)
         if alike and (isinstance(one, GainSets) or _form(one) != _form(alike[0])):
             groups.append(_stacked(alike, outputs))
             alike = []

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_count
 from eoi_jax.observers.observer import AbstractObserver, Observation, check_gains, gain
 from eoi_jax.types import Output, Rates, Scalar
 
@@ -57,7 +57,7 @@ class HighOrder(AbstractObserver):
 
     def __init__(self, bound: Any, degree: int, lambdas: tuple[float, ...] | None = None):
         check_gains("implicit", bound=bound)
-        check(isinstance(degree, int) and degree >= 1, "degree", "must be an integer ≥ 1", degree)
+        degree = check_count("degree", degree)
         check(
             lambdas is not None or degree in _LAMBDAS,
             "lambdas",

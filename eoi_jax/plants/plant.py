@@ -7,8 +7,9 @@ The paper's eq. (1)–(3) in chain form; z are internal states that nobody measu
 
 import functools
 import keyword
+import re
 from collections import namedtuple
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +19,7 @@ import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax.checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax.types import Input, Output, Regressor, Scalar
 
 # f just above and just below rest; small enough that only a jump shows between the two.
@@ -65,7 +66,8 @@ class Plant(eqx.Module):
             start may hold parameters of its own).
         bounds: ``{name: (lower, upper)}``; estimates are kept inside.
         fixed: names that keep their nominal value.
-        units: ``{name: unit}`` of parameters, inputs and outputs, for tables and figures.
+        units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
+            z2, …), for tables and figures.
         name: what to call it.
         actuator: ``a(t, u, p)``, what inputs go through on their way: from their means over the
             steps of a whole record, (S, nu), with the middles of the steps (S,), to those that f
@@ -106,22 +108,25 @@ class Plant(eqx.Module):
         name: str | None = None,
         actuator: Actuator | None = None,
     ):
+        check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
+        for kind, given in (("parameters", parameters), ("bounds", bounds), ("units", units)):
+            given = {} if given is None and kind != "parameters" else given
+            check_kind(kind, given, Mapping, "a dict by name")
         self.dynamics = dynamics
         self.internal = internal
         self.actuator = actuator
         self.names = tuple(parameters)
-        self.inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
-        self.outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.inputs, self.outputs = _several("inputs", inputs), _several("outputs", outputs)
+        self.fixed = _several("fixed", fixed)
         self.name = name or getattr(dynamics, "__name__", "plant")
         _check_names(self.names, self.fixed, bounds or {})
         for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
             check(len(set(channels)) == len(channels), kind, "must have different names", channels)
-        self.theta = np.asarray([float(parameters[key]) for key in self.names])
-        check(bool(np.all(np.isfinite(self.theta))), "parameters", "must be finite", parameters)
-        limits = [(bounds or {}).get(key, (-np.inf, np.inf)) for key in self.names]
-        self.lower = np.asarray([low for low, _ in limits], dtype=float)
-        self.upper = np.asarray([high for _, high in limits], dtype=float)
+        self.theta = np.asarray([real(parameters[key]) for key in self.names])
+        finite = bool(np.all(np.isfinite(self.theta)))
+        check(finite, "parameters", "must be finite numbers", parameters)
+        limits = [_limits(key, (bounds or {}).get(key, (-np.inf, np.inf))) for key in self.names]
+        self.lower, self.upper = np.asarray(limits, dtype=float).T.copy()
         for key, low, value, high in zip(
             self.names, self.lower, self.theta, self.upper, strict=True
         ):
@@ -141,6 +146,7 @@ class Plant(eqx.Module):
         self.degrees = _degrees(relative_degree, len(self.outputs))
         self.internal_initial = _internal_initial(internal, internal_initial)
         self.unit_items = tuple((units or {}).items())
+        self._check_units()
         self._check_shapes()
 
     # -- what it is made of ---------------------------------------------------------------
@@ -324,6 +330,14 @@ class Plant(eqx.Module):
         pushes = np.any(pushes, axis=0) & positions[:, None]
         return pushes & (np.sum(pushes, axis=0) > 1)
 
+    def _check_units(self) -> None:
+        """Units are of parameters and channels; of internal states by their names, or z, z1, …."""
+        states = tuple(getattr(self.internal, "states", None) or ())
+        known = (*self.names, *self.inputs, *self.outputs, *states)
+        for key in self.units:
+            if self.internal is None or not re.fullmatch(r"z\d*", key):
+                check_choice("units", key, known)
+
     def _check_shapes(self) -> None:
         """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
         theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
@@ -414,12 +428,42 @@ def quotient_unit(unit: str, by: str) -> str:
 _TYPES: dict[tuple[str, ...], Any] = {}
 
 
+class UnknownParameterError(AttributeError, ValueError):
+    """A model reads a parameter that its plant does not declare."""
+
+
 def parameter_type(names: tuple[str, ...]) -> Any:
     """The type of `p` for these names: attributes in order."""
     # One class per set of names: jit compares pytree types by identity.
     if names not in _TYPES:
-        _TYPES[names] = namedtuple("Parameters", names)
+        kind: Any = namedtuple("Parameters", names)
+        kind.__getattr__ = _unknown
+        _TYPES[names] = kind
     return _TYPES[names]
+
+
+def _unknown(p: Any, name: str) -> Any:
+    try:
+        check_choice(f"p.{name}", name, p._fields)
+    except ValueError as error:
+        raise UnknownParameterError(str(error), name=name, obj=p) from None
+
+
+def _several(kind: str, names: Any) -> tuple[str, ...]:
+    """One name or several."""
+    several = (names,) if isinstance(names, str) else names
+    check_kind(kind, several, Iterable, "a name or several")
+    for one in several:
+        check_kind(kind, one, str, "a name or several")
+    return tuple(several)
+
+
+def _limits(name: str, pair: Any) -> tuple[float, float]:
+    """Bounds of a parameter."""
+    values = [real(one) for one in pair] if np.iterable(pair) else []
+    good = len(values) == 2 and not np.any(np.isnan(values))
+    check(good, f"bounds[{name}]", "must be (lower, upper)", pair, "Use ±inf where there is none.")
+    return values[0], values[1]
 
 
 def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]) -> None:
@@ -448,14 +492,14 @@ def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping
 def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
     many = isinstance(relative_degree, Sequence)
     degrees = tuple(relative_degree) if many else (relative_degree,) * ny  # type: ignore[arg-type]
-    good = len(degrees) == ny and all(isinstance(r, int) and r >= 1 for r in degrees)
+    good = len(degrees) == ny and all(is_whole(r) and r >= 1 for r in degrees)
     check(
         good,
         "relative_degree",
         f"must be an integer ≥ 1, or {ny} of them, one an output",
         relative_degree,
     )
-    return degrees
+    return tuple(int(degree) for degree in degrees)
 
 
 def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
