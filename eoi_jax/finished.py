@@ -84,5 +84,13 @@ def _declared(copy: Path) -> Plant:
     """The declared model; a Python file is beside the config that the copy was made of."""
     settings = configs.load(copy)
     command = re.match(r"# eoi \w+ (.*\.toml)", copy.read_text(encoding="utf-8"))
-    folder = Path(command[1]).parent if command else copy.parent
-    return build.plant(settings, folder)
+    return build.plant(settings, _folder(Path(command[1]), copy) if command else copy.parent)
+
+
+def _folder(config: Path, copy: Path) -> Path:
+    """The folder of a config, named as in the folder that the command was given in.
+
+    That one is above the run's, where results go by default; or the one to work in now.
+    """
+    bases = (*copy.resolve().parents, Path.cwd())
+    return next((base / config for base in bases if (base / config).is_file()), copy).parent

@@ -82,6 +82,23 @@ def test_the_estimate_of_a_run_is_exported(run, tmp_path):
     assert found["a"] != 76.0
 
 
+@pytest.mark.parametrize("place", [".", "runs/rig", "elsewhere"])
+def test_a_model_in_a_python_file_is_found_from_any_folder(place, tmp_path, monkeypatch):
+    """The command names its config by the folder that it was given in."""
+    (tmp_path / "configs").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "configs" / "own.py").write_text(MODULE)
+    config = tmp_path / "configs" / "rig.toml"
+    config.write_text(CONFIG.format(plant='plant = "own.py:rig"'), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    done = called("identify", Path("configs") / "rig.toml", "--quiet")
+    assert done.exit_code == 0, done.output
+    monkeypatch.chdir(tmp_path / place)
+    done = called("export", tmp_path / "runs" / "rig", "--language", "c")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "runs" / "rig" / "model.c").is_file()
+
+
 def test_without_a_file_it_goes_into_the_folder_of_the_run(run):
     done = called("export", run, "--language", "c")
     assert done.exit_code == 0, done.output
