@@ -4,7 +4,7 @@ Nothing is printed here: a command returns how it ended, and `eoi_command` shows
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -388,7 +388,7 @@ def _discovered(given: runs.Job, shown: Shown | None) -> Discovery:
         assert shown is not None
         shown("discover", done, stages, stage)
 
-    return run_discovery(
+    found = run_discovery(
         given.model,
         given.records,
         validation=given.held_out or None,
@@ -400,6 +400,17 @@ def _discovered(given: runs.Job, shown: Shown | None) -> Discovery:
         refine=table.refine,
         callback=None if shown is None else told,
     )
+    return replace(found, notes=(*found.notes, *_unused(given.settings)))
+
+
+def _unused(settings: configs.Config) -> list[str]:
+    """What a config sets for `identify` and a discovery chooses itself."""
+    tables = {"[observer]": settings.observer, "[identify]": settings.identify}
+    given = [name for name, table in tables.items() if table not in (None, configs.IdentifyTable())]
+    if not given:
+        return []
+    verb = "is" if len(given) == 1 else "are"
+    return [f"{' and '.join(given)} {verb} not used: a discovery chooses these for every model"]
 
 
 def _refined(

@@ -106,6 +106,9 @@ class IdentifyTable(msgspec.Struct, frozen=True):
 class DiscoverTable(msgspec.Struct, frozen=True):
     """[discover]: what is tried, and when it is believed.
 
+    Of the other tables [lowpass] counts; [observer] and [identify] are chosen for every model that
+    is tried, and a note of the answer says so where they are set.
+
     Attributes:
         effects: canonical names; absent: all that fit the plant.
         alpha: level of false alarms, over all candidates together.

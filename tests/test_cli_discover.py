@@ -89,6 +89,28 @@ def eoi_command(*arguments: object):
 # -- what comes out ---------------------------------------------------------------------------
 
 
+OBSERVER = '[observer]\nkind = "second_order"\nc1 = 20.0\nc2 = 100.0\nc3 = 500.0\n\n'
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        (OBSERVER, "[observer] is not used"),
+        ("[identify]\npasses = 3\n\n", "[identify] is not used"),
+        (OBSERVER + "[identify]\nsmoothing = false\n\n", "[observer] and [identify] are not used"),
+        ("[lowpass]\ncutoff = 20.0\n\n", None),
+        ("", None),
+    ],
+)
+def test_tables_that_a_discovery_does_not_take_are_named(known, config, tmp_path, tables, said):
+    config.write_text(HIDDEN.replace("[discover]", f"{tables}[discover]"))
+    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    notes = json.loads((tmp_path / "runs" / "hidden" / "discovery.json").read_text())["notes"]
+    assert ("not used" in done.stdout) == any("not used" in note for note in notes)
+    assert any(note.startswith(said or "[") for note in notes) == (said is not None)
+
+
 def test_a_discovery_prints_its_report_and_writes_all_of_it(known, found, config, tmp_path):
     done = eoi_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
