@@ -64,9 +64,9 @@ class Atom:
 
     @property
     def key(self) -> tuple[str, bool, int, int | None, int | None]:
-        """Name and channel: two atoms of one key are never in one model, except opposite stops."""
+        """Kind and channel: two atoms of one key are never in one model."""
         one = self.placed
-        return one.effect.name, one.on_state, one.channel, one.against, one.through
+        return one.effect.kind, one.on_state, one.channel, one.against, one.through
 
 
 def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:

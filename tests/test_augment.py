@@ -278,9 +278,13 @@ def test_viscous_friction_is_in_the_unit_of_what_it_adds_to_over_the_velocity(
     assert unit(plant, placed, effect.gains[0].unit) == text
 
 
+LOWER = {"end_stop_lower_stiffness": 4.0, "end_stop_lower_position": -0.2}
+
+
 def test_equal_augmented_plants_are_compiled_once():
-    several = (effects.EndStop(-1), 0, {"end_stop_stiffness": 4.0, "end_stop_position": -0.2})
-    other = (effects.EndStop(+1), 0, several[2])
+    several = (effects.EndStop(-1), 0, LOWER)
+    upper = {name.replace("lower_", ""): value for name, value in LOWER.items()}
+    other = (effects.EndStop(+1), 0, upper)
     traced = []
 
     @jax.jit

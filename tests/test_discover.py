@@ -181,6 +181,22 @@ def test_levels_of_ratio_two_are_read_as_asymmetric_friction():
     assert answer.advice
 
 
+def test_unequal_stops_at_both_ends_are_found_together():
+    """One alone leaves as much as a cubic spring and a ripple: they enter in one round."""
+    rig = hiding({effects.EndStop(+1): (300.0, 0.3), effects.EndStop(-1): (200.0, -0.2)})
+    tried = ["end_stop", "cubic_stiffness", "position_ripple", "free_play"]
+    answer = eoi.discover(MASS, measured(rig, 1), measured(rig, 2), tried)
+    assert answer.effects == ("end_stop",)
+    assert len(answer.added) == 2
+    truth = {
+        "end_stop_stiffness": 300.0, "end_stop_position": 0.3,
+        "end_stop_lower_stiffness": 200.0, "end_stop_lower_position": -0.2,
+    }  # fmt: skip
+    assert {name: answer.plant.parameters[name] for name in truth} == pytest.approx(truth, rel=1e-2)
+    # Each has a line of its own, told apart by the names of its parameters.
+    assert {name for one in answer.ranking[:2] for name in one.parameters} == set(truth)
+
+
 def test_nothing_is_added_to_a_model_that_lacks_nothing():
     answer = found("nothing")
     assert answer.effects == ()

@@ -132,6 +132,11 @@ class AbstractEffect(ABC):
         """Names of what it may act on: the outputs, the inputs, or the internal states."""
 
     @property
+    def kind(self) -> str:
+        """Of two effects of one kind and channel only one is ever in a model."""
+        return self.name
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains, then shapes."""
         return self.gains + self.shapes

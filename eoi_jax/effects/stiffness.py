@@ -148,11 +148,29 @@ class EndStop(AbstractTerm):
     name = "end_stop"
     sentence = "an end stop: contact on one side"
     joins = True
-    gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
-    shapes = (Parameter("position", "{y}"),)
     depends_on = "y"
 
     side: int = 1
+
+    @property
+    def kind(self) -> str:
+        """A stop at each end may be in one model."""
+        return f"{self.name} {self.side:+d}"
+
+    @property
+    def gains(self) -> tuple[Parameter, ...]:
+        """Stiffness."""
+        return (Parameter(f"{self._end}stiffness", "{f}/{y}", lower=0.0),)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """Position."""
+        return (Parameter(f"{self._end}position", "{y}"),)
+
+    @property
+    def _end(self) -> str:
+        """Of the name of a parameter: beside a stop above, that below needs another."""
+        return "lower_" if self.side < 0 else ""
 
     @property
     def form(self) -> tuple[str, str]:
