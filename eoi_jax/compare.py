@@ -24,10 +24,10 @@ from eoi_jax.prepare import check_records, ready
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer
 from eoi_jax.validate import validate
+from eoi_jax.windows import window_length
 
 _INITIAL = 50  # samples from which a free run's start is estimated, less on a short record
-_WINDOW = 0.1  # of the shortest held-out record: length of the re-initialised runs
-_FEWEST = 20  # samples of such a window, at least
+_FEWEST = 20  # samples of a re-initialised run, at least
 
 
 @dataclass(frozen=True)
@@ -225,12 +225,9 @@ class _Judge:
         index: CommonIndex,
     ):
         self.plant, self.held, self.truth, self.index = plant, held, truth, index
-        shortest = min(len(one) for one in held)
-        count = max(round(_WINDOW * shortest), _FEWEST)
-        fits = 2 * count <= shortest
-        self.window = count * held[0].sample_period if fits else None
+        self.window = window_length(held, _FEWEST)
         self.notes: tuple[str, ...] = ()
-        if not fits:
+        if self.window is None:
             self._note(f"held-out records are too short for windows of {_FEWEST} samples")
 
     def entry(self, method: AbstractComparator, records: tuple[Record, ...]) -> Entry:
@@ -263,7 +260,7 @@ class _Judge:
         """Held-out error; a record that cannot be scored costs the number, not the comparison."""
         samples = min(len(one) for one in self.held)
         if window is not None:
-            samples = round(window / self.held[0].sample_period)
+            samples = min(round(window / one.sample_period) for one in self.held)
         initial = min(_INITIAL, max(samples // 2, 1))
         try:
             at = self.plant.with_parameters(values)

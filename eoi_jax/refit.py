@@ -12,8 +12,9 @@ from eoi_jax.rounds import Task
 from eoi_jax.side_by_side import aside
 from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
+from eoi_jax.windows import window_length
 
-_WINDOW, _INITIAL = 0.1, 50  # of a record; samples that start a free run
+_INITIAL = 50  # samples that start a free run
 
 SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 
@@ -60,9 +61,7 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
         return task.window
-    shortest = min(len(one) for one in records)
-    samples = max(round(_WINDOW * shortest), 2 * _INITIAL)
-    return None if samples > shortest // 2 else samples * records[0].sample_period
+    return window_length(records, 2 * _INITIAL)
 
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:

@@ -211,6 +211,18 @@ def test_a_held_out_record_shorter_than_the_initial_window_is_scored_from_its_mi
     assert any("too short for windows" in note for note in found.notes)
 
 
+def test_held_out_records_may_have_different_sample_periods(plant, record, held, truth):
+    time = np.arange(0.0, 12.0, 2e-2)
+    slow = eoi.simulate(
+        plant.with_parameters(truth), time, np.sin(2.0 * time), hold="linear", substeps=4
+    )
+    for several in ([held, slow], [slow, held]):
+        found = eoi.compare(plant, record, several, methods=[Given("given", truth)])
+        assert found.window == pytest.approx(1.2)
+        assert found["given"].windows[0] < 1e-6
+        assert not found.notes
+
+
 def test_a_held_out_record_that_cannot_be_scored_is_a_note(plant, record, held, truth):
     never = eoi.Record(held.time, held.inputs, held.outputs, burn_in=1e3)
     found = eoi.compare(plant, record, never, methods=[Given("given", truth)])

@@ -46,7 +46,7 @@ LAYERS = (
     ("fit", "side_by_side"),
     ("projections",),
     ("search",),
-    ("iteration",),
+    ("iteration", "windows"),
     ("validate",),
     ("directed",),
     ("pairs",),

@@ -1,5 +1,7 @@
 """A set of effects fitted again: by the estimator, or at the parameters of the search."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,3 +65,20 @@ def test_short_runs_are_a_tenth_of_a_record_where_that_is_long_enough(task):
     assert short is not None
     assert len(whole.predictions) == 1
     assert not_simulated(TRUE) == ""
+
+
+def test_short_runs_have_one_length_in_seconds_whatever_the_sample_periods(task):
+    """50 Hz beside 1 kHz: a tenth of 20 s, and never fewer than 100 samples of the coarser one."""
+    fast, slow = of_period(1e-3, 20.0), of_period(2e-2, 20.0)
+    assert window_of(task, [fast, slow]) == window_of(task, [slow, fast]) == pytest.approx(2.0)
+    _, short = free_runs(replace(task, held=(fast, slow)), TRUE)
+    assert short is not None
+    assert np.all(short.rmse < 1e-6)
+    brief = of_period(1e-3, 5.0)
+    assert window_of(task, [brief, slow]) == pytest.approx(100 * 2e-2)
+    assert window_of(task, [of_period(1e-3, 3.9), slow]) is None
+
+
+def of_period(period: float, length: float) -> eoi.Record:
+    time = np.arange(round(length / period)) * period
+    return eoi.simulate(TRUE, time, np.sin(2.0 * time), hold="linear", substeps=2)
