@@ -25,6 +25,7 @@ from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
 from eoi_jax.simulate import acted, drive
 from eoi_jax.trajectory import Drive, chained, frictional, trajectory
+from eoi_jax.windows import joined, late_starts, plan
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
@@ -102,7 +103,8 @@ def validate(
 ) -> Validation:
     """Simulate a plant along records and compare.
 
-    Masked samples are run through on their interpolated inputs, and are not scored.
+    Masked samples are run through on their interpolated inputs, and are not scored. A run whose
+    first samples are masked starts later, as soon as enough are valid, and says so in a note.
 
     Args:
         plant: the model with the parameters to judge.
@@ -181,6 +183,12 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
         count = round(window / record.sample_period)
         rule = f"must be longer than {initial_samples} samples, which start each run"
         check(count > initial_samples, "window", rule, f"{count} samples")
+    runs = plan(record, initial_samples, window, plant.relative_degree)
+    rule = f"must have {runs.need} valid samples among {initial_samples}, from which a free run "
+    rule += "starts, and others that follow in it"
+    check(bool(np.any(runs.score & record.valid)), f"record {record.name}", rule,
+          f"{runs.most} at most", "Raise `initial_samples`, or the window, or leave it out."
+          )  # fmt: skip
 
 
 # -- runs ---------------------------------------------------------------------------------
@@ -200,31 +208,28 @@ def _predict(
     run: Run, record: Record, window: float | None, notes: list[str]
 ) -> tuple[Samples, Bool[np.ndarray, " time"]]:
     """Free runs along a record, one or one a window: prediction, and which samples count."""
-    total = len(record)
-    count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
+    runs = plan(record, run.initial_samples, window, run.plant.relative_degree)
     prediction = np.full(record.outputs.shape, np.nan)
-    score = np.zeros(total, dtype=bool)
+    known = np.zeros(len(record), dtype=bool)
     whole = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
     diverged = None
-    firsts = range(0, total - 1, count)
-    # The last window reaches back, so that all have one length and run together.
-    starts = [min(first, total - 1 - count) for first in firsts]
-    for first, start, y_hat in zip(
-        firsts, starts, _free_runs(run, record, whole, starts, count), strict=True
+    for start, shown, y_hat in zip(
+        runs.starts,
+        runs.shown,
+        _free_runs(run, record, whole, runs.starts, runs.steps),
+        strict=True,
     ):
-        bad = ~np.all(np.isfinite(y_hat), axis=1)
+        bad = ~np.all(np.isfinite(y_hat[: shown.stop - start]), axis=1)
         if bad.any() and diverged is None:
             diverged = record.time[start + int(np.argmax(bad))]
-        # A window ends before the first sample of the next one; the last one has its own end.
-        stop = start + count + (start + count == total - 1)
-        prediction[first:stop] = y_hat[first - start : stop - start]
-        score[max(first, start + run.initial_samples) : stop] = True
-    score[: max(run.initial_samples, round(record.burn_in / record.sample_period))] = False
+        part = slice(shown.start, shown.stop)
+        prediction[part], known[part] = y_hat[shown.start - start : shown.stop - start], True
     if diverged is not None:
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
-    return prediction, score
+    notes += late_starts(record, runs, run.initial_samples, window is None)
+    return joined(prediction, known), runs.score
 
 
 def _free_runs(
@@ -244,6 +249,8 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
     """What drives each run, runs first."""
     n = whole.substeps
     steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
+    # A run that starts late ends beyond the record, where nothing of it is looked at.
+    steps = np.minimum(steps, len(whole.time) - 1)
     period = np.full(len(starts), whole.step)
     return Drive(whole.time[steps], period, whole.inputs[steps], n)
 

@@ -16,6 +16,7 @@ from eoi_jax.plants import (
 )
 from eoi_jax.simulate import simulate
 from eoi_jax.validate import validate
+from eoi_jax.windows import plan
 
 TIME = np.arange(1001) * 5e-3
 FORCE = np.sin(2.0 * TIME) + np.cos(7.0 * TIME)
@@ -115,6 +116,64 @@ def test_masked_samples_and_burn_in_are_not_scored():
     result = validate(mass_spring_damper(true=True), record)
     assert result.scored == 1001 - 200 - 10
     assert result.rmse[0] < 1e-12
+
+
+def with_gaps(*gaps: tuple[int, int]) -> Record:
+    record = swing()
+    y = record.outputs[:, 0].copy()
+    for gap in gaps:
+        y[slice(*gap)] = np.nan
+    with pytest.warns(RecordWarning):
+        return Record(TIME, FORCE, y, "gaps", hold="linear")
+
+
+@pytest.mark.parametrize("masked", [26, 49, 50, 60, 400])
+def test_a_run_whose_first_samples_are_masked_starts_behind_them(masked):
+    """Started from nothing it would miss the motion by its own size."""
+    result = validate(mass_spring_damper(true=True), with_gaps((0, masked)))
+    assert result.rmse[0] < 1e-12
+    assert result.scored == 1001 - masked - 50
+    (note,) = result.notes
+    assert note.startswith(f"The free run on gaps starts at t = {5e-3 * masked:g} s")
+    assert np.all(result.predictions[0].outputs[:masked] == result.predictions[0].outputs[masked])
+
+
+def test_a_start_with_half_of_its_samples_stays_where_it_is():
+    result = validate(mass_spring_damper(true=True), with_gaps((0, 25)))
+    assert result.rmse[0] < 1e-12
+    assert result.scored == 1001 - 50
+    assert not result.notes
+
+
+def test_windows_start_late_or_are_left_out_where_their_first_samples_are_masked():
+    """Five windows of 200: the second one starts at 270, the fourth one has 10 samples."""
+    result = validate(mass_spring_damper(true=True), with_gaps((195, 270), (600, 790)), window=1.0)
+    assert result.rmse[0] < 1e-12
+    assert result.scored == (150 - 5) + 80 + 150 + 151
+    few = "fewer than 25 of the first 50 samples are valid."
+    assert result.notes == (
+        f"1 of 5 windows on gaps start late: at first {few}",
+        f"1 of 5 windows on gaps are not scored: {few}",
+    )
+    assert np.all(np.isfinite(result.predictions[0].outputs))
+
+
+def test_a_record_with_samples_far_apart_starts_where_it_can():
+    """Of 50 samples two are valid, which is enough for a position and a rate, or one."""
+    plant, record = mass_spring_damper(true=True), swing()
+    y = np.where(np.arange(1001) % 40 == 7, record.outputs[:, 0], np.nan)
+    with pytest.warns(RecordWarning):
+        rare = Record(TIME, FORCE, y, "rare", hold="linear")
+    assert validate(plant, rare).rmse[0] < 1e-6
+    with pytest.raises(ValueError, match="`record rare` must have 2 valid samples among 20"):
+        validate(plant, rare, initial_samples=20)
+
+
+def test_runs_of_a_record_without_gaps_are_its_windows():
+    runs = plan(swing(), 50, 1.5, 2)
+    assert runs.starts == (0, 300, 600, 700)
+    assert runs.shown == (range(300), range(300, 600), range(600, 900), range(900, 1001))
+    assert (runs.late, runs.lost) == (0, 0)
 
 
 def test_divergence_is_a_note_and_an_infinite_error():
