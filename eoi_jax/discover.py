@@ -25,6 +25,7 @@ from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Lead
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.held_out import resting
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
@@ -38,7 +39,7 @@ from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction
 from eoi_jax.side_by_side import aside
 from eoi_jax.validate import FreeRuns
-from eoi_jax.verdict import answered, explained, judged, names_of
+from eoi_jax.verdict import answered, explained, judged, names_of, unless_denied
 
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
@@ -282,7 +283,7 @@ def _answer(
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
     share, left, quiet = explained(rounds)
     alone = bool(task.held) and unrivalled(rounds[0])
-    status = judged(placed, share, left, quiet)
+    status = unless_denied(judged(placed, share, left, quiet), rounds[0])
     found, after = task.declared, before
     for model, placed, done in reversed(steps):
         share, left, quiet = explained(rounds if placed is steps[-1][1] else done)
@@ -394,7 +395,7 @@ _REFUSED = "refused: {} makes the free run worse or diverge on the records of `v
 
 
 def _notes(task: Task) -> list[str]:
-    notes = []
+    notes = resting(task.held, task.records)
     if not task.held:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "

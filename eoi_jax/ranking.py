@@ -43,8 +43,10 @@ def ranking(plant: Plant, rounds: Sequence[Round], kept: Sequence[Placed]) -> tu
             *ends(plant, placed),
         )  # fmt: skip
     chosen = set(kept) | set(worth)
-    order = sorted(rows, key=lambda one: (one not in chosen, rows[one].remark != "",
-                                          -rows[one].score))  # fmt: skip
+    # What held-out records alone refuse is read first: the records of the fit ask for it.
+    denied = {one.placed for one in first.denied.atoms} if first.denied and not chosen else set()
+    order = sorted(rows, key=lambda one: (one not in chosen, one not in denied,
+                                          rows[one].remark != "", -rows[one].score))  # fmt: skip
     return tuple(rows[one] for one in order)
 
 

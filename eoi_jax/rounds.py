@@ -82,6 +82,7 @@ class Round:
         self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
+        self.denied: Fit | None = None  # the best set that the held-out records alone refuse
         self._made: dict[tuple[Placed, bytes], list[Atom]] = {}
         self._beside = np.inf  # least that a set with a product leaves
 
@@ -314,6 +315,7 @@ class Round:
             without = self._held_residual(base, rest)
             if float(np.sum(without**2 / power)) <= float(np.sum(residual**2 / power)):
                 self.refused[one.placed] = "held-out error grows"
+                self.denied = fit if self.denied is None else self.denied
                 return False
         return True
 

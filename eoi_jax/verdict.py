@@ -31,6 +31,12 @@ _PARTLY = (
     "{}: not the whole story, so nothing was added"
 )
 
+DENIED = "but the held-out records do not confirm it"  # tells such a status from others
+_DENIED = (
+    "{} explains {:.1%} of the residual's power, " + DENIED + ": with it the error on them grows. "
+    "Hold out a record that moves as those of the fit do"
+)
+
 
 def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[float, float, bool]:
     """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
@@ -43,6 +49,27 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     after = last.found.fit([]).residual if not last.chosen.atoms else last.chosen.residual
     if plain is not None:
         after = fitted(plain.base, [], last.found.power).residual
+    return _taken(first, last, before, after)
+
+
+def unless_denied(status: Status, first: Round) -> Status:
+    """The status, or that a set would be the answer, were it not for the held-out records."""
+    fit = first.denied
+    if status.code != "unexplained" or fit is None or first.chosen.atoms:
+        return status
+    share, _, _ = _taken(first, first, first.found.fit([]).residual, fit.residual)
+    names = " and ".join(names_of([one.placed for one in fit.atoms]))
+    told = Status("unexplained", _DENIED.format(names, share))
+    return told if share >= _MAINLY else status
+
+
+def _taken(
+    first: Round,
+    last: Round,
+    before: Float[np.ndarray, " rows"],
+    after: Float[np.ndarray, " rows"],
+) -> tuple[float, float, bool]:
+    """`explained`, from the residuals of the first and of the last model."""
     noise = _noise_scale(last.base, after) * first.base.noise_power
     excess = first.base.signal_power(before) - noise
     rest = max(first.base.signal_power(after) - noise, 0.0)

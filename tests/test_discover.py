@@ -415,6 +415,27 @@ def test_effect_that_the_held_out_records_contradict_is_refused():
     assert answer.status.code == "unexplained"
     remarks = {one.effect: one.remark for one in answer.ranking}
     assert remarks["cubic_stiffness"] == "held-out error grows"
+    assert not answer.notes
+
+
+def test_a_held_out_record_at_rest_is_told_and_what_it_refuses_stays_in_view():
+    """Of no motion the sign of its noise is all that friction would be checked on."""
+    time = PERIOD * np.arange(4000)
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(4000)
+    rest = eoi.Record(time, np.zeros(4000), noise, "rest", input_names="force",
+                      output_names="position", hold="linear")  # fmt: skip
+    answer = eoi.discover(MASS, records("coulomb")[0], rest, FEW)
+    assert answer.effects == ()
+    assert answer.status.code == "unexplained"
+    assert answer.status.message.startswith("coulomb_friction explains 100.0%")
+    assert "but the held-out records do not confirm it" in answer.status.message
+    (note,) = answer.notes
+    assert note.startswith("position does not move beyond its noise on the held-out record rest")
+    first = answer.ranking[0]
+    assert (first.effect, first.remark) == ("coulomb_friction", "held-out error grows")
+    text = str(answer)
+    assert text.startswith("The model lacks something that no effect tried explains on all records")
+    assert any(line.endswith("held-out error grows") for line in text.splitlines())
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ LAYERS = (
     ("fit", "side_by_side"),
     ("projections",),
     ("search",),
-    ("iteration", "windows"),
+    ("iteration", "windows", "held_out"),
     ("validate",),
     ("directed",),
     ("pairs",),

@@ -15,6 +15,7 @@ from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.validate import Validation
+from eoi_jax.verdict import DENIED
 
 _DRIFT = " (whole records drift away in free run)"
 # So many of the candidates that were not added are shown.
@@ -65,6 +66,7 @@ def answer(discovery: Discovery) -> str:
         start = f"The model lacks {lacking}, and something that no effect tried explains"
     elif code == "unexplained":
         start = "The model lacks something that no effect tried explains"
+        start += " on all records" if DENIED in discovery.status.message else ""
     elif lacking:
         start = f"The model lacks {lacking}"
     else:
