@@ -102,6 +102,7 @@ def discover(
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
     held = _held_out(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
+    fitting = _fitting(plant, tried)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     told = callback or _untold
@@ -115,7 +116,9 @@ def discover(
     if refine and found.status.code in ("explained", "nothing_missing"):
         told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
         found = _polished(task, found, None if effects is None else tried)
-    return _doubted(task, found, refine)
+    found = _doubted(task, found, refine)
+    unfit = [] if effects is None else _unfit(tried, fitting, found)
+    return replace(found, notes=(*found.notes, *unfit))
 
 
 def _doubted(task: Task, found: Discovery, refined: bool) -> Discovery:
@@ -272,6 +275,30 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
     return tuple(chosen)
 
 
+def _fitting(plant: Plant, tried: Sequence[AbstractEffect]) -> set[str]:
+    """Names of the effects that have a place in a plant."""
+    names = dict.fromkeys(one.name for one in tried)
+    fitting = {one.effect.name for one in candidates(plant, tried)}
+    degrees = ", ".join(
+        f"{key} of relative degree {one}"
+        for key, one in zip(plant.outputs, plant.degrees, strict=True)
+    )
+    check(len(fitting) > 0, "effects", f"must hold one that fits {plant.name}", ", ".join(names),
+          f"It has {degrees}. Leave `effects` out to try all that fit.")  # fmt: skip
+    return fitting
+
+
+def _unfit(tried: Sequence[AbstractEffect], fitting: set[str], found: Discovery) -> list[str]:
+    """A note for each effect that was asked for and had no place."""
+    looked = {one.effect for one in found.ranking} or fitting
+    notes = []
+    for name in dict.fromkeys(one.name for one in tried):
+        if name not in looked:
+            why = _NOTHING_SHOWS if name in fitting else _NO_PLACE
+            notes.append(why.format(name, found.declared.nominal.name))
+    return notes
+
+
 # -- the answer -------------------------------------------------------------------------------
 
 
@@ -384,6 +411,8 @@ _NO_SAMPLE = (
 )
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _SEEN_THERE = ". `refine=True` looks for it in the free runs"
+_NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
+_NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"
 _REFITTED = "the refit of the augmented model ended as"
 _HARDLY = "the records hardly tell the size of"
 _WORSE = "the effects that fit the records make the free run on other data worse"

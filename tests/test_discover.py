@@ -559,6 +559,33 @@ def test_unknown_effect_is_named_with_the_closest():
         eoi.discover(MASS, records("nothing")[0], effects=["coulomb"])
 
 
+def test_effects_of_which_none_fits_are_a_wrong_call():
+    with pytest.raises(
+        ValueError,
+        match=r"must hold one that fits one mass, got leak, overflow\. It has position of rel",
+    ):
+        eoi.discover(MASS, records("nothing")[0], effects=["leak", "overflow"])
+
+
+def test_an_effect_that_has_no_place_is_told():
+    fit, held = records("coulomb")
+    answer = eoi.discover(MASS, fit, held, ["coulomb_friction", "leak"])
+    assert answer.effects == ("coulomb_friction",)
+    assert answer.notes == (
+        "leak was not tried: no output, input or internal state of one mass is of its kind",
+    )
+
+
+def test_an_effect_of_which_the_records_show_nothing_is_told():
+    """A speed that never turns back is a level as well: no dry friction is tried on it."""
+    level = eoi.plants.level_tank(true=True)
+    time = 0.05 * np.arange(3000)
+    one = eoi.simulate(level, time, 5.0 + 2.0 * np.sign(np.sin(0.1 * time)), 0.1, hold="zero")
+    answer = eoi.discover(level, one, 0.3, ["coulomb_friction", "leak"])
+    assert [one.effect for one in answer.ranking] == ["leak"]
+    assert any(one.startswith("coulomb_friction was not tried: nothing") for one in answer.notes)
+
+
 def test_no_effects_to_try_is_a_wrong_call():
     with pytest.raises(ValueError, match=r"`effects` must name at least one effect, got none"):
         eoi.discover(MASS, records("nothing")[0], effects=())
