@@ -25,7 +25,7 @@ from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Lead
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.held_out import resting
+from eoi_jax.held_out import held_out, resting
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
@@ -100,7 +100,7 @@ def discover(
         check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
         parts = [one.split(1.0 - validation) for one in several]
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
-    held = _held_out(plant, several, validation)
+    held = held_out(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
     fitting = _fitting(plant, tried)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
@@ -234,27 +234,6 @@ def _plainest(
             first.refused[one] = "in free runs no better than a simpler law"
             return _plainest(task, fewer, refit, theirs, first)
     return placed, found, runs
-
-
-def _held_out(
-    plant: Plant, records: tuple[Record, ...], validation: Record | Sequence[Record] | None
-) -> tuple[Record, ...]:
-    if validation is None or (not isinstance(validation, Record) and len(validation) == 0):
-        return ()
-    try:
-        held = check_records(plant, validation)
-    except ValueError as error:
-        raise ValueError(str(error).replace("`records", "`validation", 1)) from error
-    hashes = {one.data_hash for one in records}
-    for one in held:
-        check(
-            one.data_hash not in hashes,
-            f"validation[{one.name}]",
-            "must not be one of the records of the fit",
-            "the same data",
-            "Give another record, or a share of these such as 0.3.",
-        )
-    return held
 
 
 def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
