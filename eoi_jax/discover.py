@@ -25,7 +25,7 @@ from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added, Discovery, Lead
 from eoi_jax.effects import rare, standard
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.held_out import held_out, resting
+from eoi_jax.held_out import check_runs, held_out, resting
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
@@ -105,6 +105,7 @@ def discover(
     fitting = _fitting(plant, tried)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
+    runs = check_runs(plant, several, held, window)
     told = callback or _untold
     told("fitting the declared model", 0, _STAGES)
     prepared = ready(plant, several, lowpass)
@@ -118,7 +119,7 @@ def discover(
         found = _polished(task, found, None if effects is None else tried)
     found = _doubted(task, found, refine)
     unfit = [] if effects is None else _unfit(tried, fitting, found)
-    return replace(found, notes=(*found.notes, *unfit))
+    return replace(found, notes=(*found.notes, *unfit, *runs))
 
 
 def _doubted(task: Task, found: Discovery, refined: bool) -> Discovery:
@@ -144,7 +145,8 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
         steps, rounds = _searched(task, told)
         if not rounds[0].base.whole_power > 0.0:
-            reason = _NO_SAMPLE.format(task.declared.lowpass.cutoff)
+            none = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
+            reason = none.format(task.declared.lowpass.cutoff)
             lost = replace(task.declared, status=Status("no_data", reason))
             return _failed(lost, task.held, task.records)
         told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
@@ -171,6 +173,8 @@ def _searched(
     for i in range(_ROUNDS):
         told(f"searching, round {i + 1}", 1 + i, _STAGES)
         one = Round(task, model, placed, rounds[-1] if rounds else earlier)
+        if not len(one.base.target):
+            return [], [one]
         one.search(rounds[0].found.lacking if rounds else one.lacking)
         rounds.append(one)
         if not one.chosen.atoms:
@@ -387,6 +391,10 @@ _NO_SAMPLE = (
     "no sample of the records counts: motion is hidden in noise at the cut-off {:.4g} rad/s, or "
     "the plant rests all the time. Give a `lowpass` with a lower cut-off, or records with more "
     "motion"
+)
+_NO_MODE = (
+    "the records are too short for the cut-off {:.4g} rad/s: no frequency that they tell apart "
+    "lies below it. Give a `lowpass` with a higher cut-off, or longer records"
 )
 _UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 _SEEN_THERE = ". `refine=True` looks for it in the free runs"

@@ -1,13 +1,14 @@
 """Which records may be held out, and what they can judge."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, check_kind, check_positive
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records, constant
+from eoi_jax.windows import late_starts, plan, window_length
 
 INITIAL = 50  # samples from which a free run is started; they are not scored
 _CLOSE = 1e-3  # of a sample period: stamps so close together are one
@@ -18,7 +19,7 @@ _MOVES, _LITTLE = 1.5, 0.5
 
 
 def held_out(
-    plant: Plant, records: Sequence[Record], validation: Record | Sequence[Record] | None
+    plant: Plant, records: Sequence[Record], validation: Record | Iterable[Record] | None
 ) -> tuple[Record, ...]:
     """Records that judge, as a tuple; none where none are given.
 
@@ -30,8 +31,13 @@ def held_out(
     Raises:
         ValueError: records that do not fit the plant, or that the fit has seen.
     """
-    if validation is None or (not isinstance(validation, Record) and len(validation) == 0):
+    if validation is None:
         return ()
+    if not isinstance(validation, Record):
+        check_kind("validation", validation, Iterable, "a Record or several")
+        validation = tuple(validation)
+        if not validation:
+            return ()
     try:
         held = check_records(plant, validation)
     except ValueError as error:
@@ -71,6 +77,80 @@ def _common(held: Record, record: Record) -> int:
     return int(np.sum(valid[max(INITIAL - first, 0) :])) if same and moves else 0
 
 
+def check_judges(
+    plant: Plant, name: str, records: Sequence[Record], window: float | None = None
+) -> list[str]:
+    """Refuse records of which no free run can be scored: before a fit, not after it.
+
+    Args:
+        plant: whose state each run starts from.
+        name: of the argument that they came by.
+        records: that are run through.
+        window: length of each run [s]; None for whole ones.
+
+    Returns:
+        A note for each record of which runs start late, or not at all, for want of valid samples.
+
+    Raises:
+        ValueError: a record that is too short, or has too few valid samples in a row.
+    """
+    each = "its free run" if window is None else f"each free run of {window:.4g} s"
+    notes = []
+    for one in records:
+        runs = plan(one, INITIAL, window, plant.relative_degree)
+        burn_in = f" and a burn-in of {one.burn_in:g} s" if one.burn_in else ""
+        check(
+            bool(np.any(runs.score & one.valid)),
+            f"{name}[{one.name}]",
+            f"must have valid samples after the {INITIAL} that start {each}",
+            f"{len(one)} samples, {int(np.sum(one.valid))} of them valid{burn_in}",
+            "Give a longer record, or one with fewer gaps.",
+        )
+        notes += late_starts(one, runs, INITIAL, window is None)
+    return notes
+
+
+def check_runs(
+    plant: Plant, records: Sequence[Record], held: Sequence[Record], window: float | None
+) -> list[str]:
+    """Refuse records and windows of which `discover` could not make its free runs.
+
+    Args:
+        plant: the declared one.
+        records: of the fit; they judge where none are held out.
+        held: records that are held out.
+        window: length of short runs [s], if it was asked for.
+
+    Returns:
+        A note for each judge with runs that start late for want of valid samples, or that is not
+        longer than the window that was asked for.
+
+    Raises:
+        ValueError: a record or a window that is too short.
+    """
+    if window is not None:
+        check_positive("window", window, "It is a time in seconds.")
+        for one in (*records, *held):
+            least = INITIAL * one.sample_period
+            rule = f"must be longer than {least:g} s, the {INITIAL} samples of {one.name} that "
+            rule += "start each free run"
+            check(round(window / one.sample_period) > INITIAL, "window", rule, f"{window:g} s")
+    judges = held or records
+    notes = check_judges(plant, "validation" if held else "records", judges)
+    for name, several in (("records", records), ("validation", held)):
+        length = window
+        if window is None and several:
+            length = window_length(several, 2 * INITIAL)
+        if length is not None:
+            late = check_judges(plant, name, several, length)
+            notes += late if several is judges else []
+    return notes + [
+        _WHOLE.format(window, one.name, len(one) * one.sample_period)
+        for one in judges
+        if window is not None and window >= (len(one) - 1) * one.sample_period
+    ]
+
+
 def resting(held: Sequence[Record], records: Sequence[Record]) -> list[str]:
     """A sentence for each output of a record that does not move beyond its noise.
 
@@ -93,6 +173,7 @@ def resting(held: Sequence[Record], records: Sequence[Record]) -> list[str]:
     return told
 
 
+_WHOLE = "`window` of {:g} s is no part of {}, of {:g} s: its free run in windows is the whole one"
 _RESTS = (
     "{} does not move beyond its noise on the held-out record {}, which can neither confirm nor "
     "deny an effect that acts on motion. Hold out a record with motion"

@@ -92,7 +92,7 @@ def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]
     rows = [
         np.asarray(plant.with_parameters(one).theta, dtype=float)
         if isinstance(one, Mapping)
-        else np.asarray(one, dtype=float)
+        else _row(one)
         for one in starts
     ]
     check(len(rows) > 0, "starts", "must hold at least one starting point", "none: that is no lane")
@@ -104,6 +104,14 @@ def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]
             row,
         )
     return np.stack(rows)
+
+
+def _row(start: Any) -> Float[np.ndarray, "..."]:
+    try:
+        return np.asarray(start, dtype=float)
+    except (TypeError, ValueError) as error:
+        rule = "must be dicts of parameters, or rows of numbers"
+        raise ValueError(f"`starts` {rule}, got {start!r}.") from error
 
 
 def check_observer(plant: Plant, observer: AbstractObserver) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eoi_jax.data.record import Record
+from eoi_jax.held_out import INITIAL
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.plants.plant import Plant
 from eoi_jax.rounds import Task
@@ -13,8 +14,6 @@ from eoi_jax.side_by_side import aside
 from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 from eoi_jax.windows import window_length
-
-_INITIAL = 50  # samples that start a free run
 
 SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 
@@ -61,7 +60,7 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
         return task.window
-    return window_length(records, 2 * _INITIAL)
+    return window_length(records, 2 * INITIAL)
 
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:

@@ -25,6 +25,7 @@ from eoi_jax.effects.effect import (
     AbstractInputEffect,
     AbstractTerm,
 )
+from eoi_jax.held_out import check_judges, held_out
 from eoi_jax.linearised import Along, Candidate, Try
 from eoi_jax.output_error import spans_of
 from eoi_jax.plants.plant import Plant
@@ -179,7 +180,8 @@ def remaining(
         cause: records that were not used (`validation`) refuse what only fits better.
 
     Raises:
-        ValueError: a refinement without an answer, or of a plant behind an actuator.
+        ValueError: a refinement without an answer, or of a plant behind an actuator; records of
+            `validation` that do not fit the plant, that the fit has seen, or that are too short.
 
     Source:
         C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test); M. S. Bartlett (independent
@@ -191,6 +193,8 @@ def remaining(
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
+    held = held_out(plant, records, validation)
+    check_judges(plant, "validation", held)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
@@ -200,22 +204,21 @@ def remaining(
     alone = [along.share((one,)) for one in tries]
     ranking = [along.candidate((one,), len(tries)) for one in _best(tries, alone)]
     found = Remaining(plant, _ranked(ranking), _pairs(along, tries, alone), refinement.rmse, level)
-    if validation is None:
+    if not held:
         return found
-    held_out = validate(plant, validation)
-    trials = [_trial(refinement, one, validation, substeps) for one in found.significant[:_TRIALS]]
-    return replace(found, held_out=held_out, trials=tuple(trials))
+    trials = [_trial(refinement, one, held, substeps) for one in found.significant[:_TRIALS]]
+    return replace(found, held_out=validate(plant, held), trials=tuple(trials))
 
 
 def _trial(
     refinement: Refinement,
     one: Candidate,
-    validation: Record | Sequence[Record],
+    held: Sequence[Record],
     substeps: int,
 ) -> Trial:
     plant = augmented(refinement.plant, one.placed, one.values)
     again = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
-    return Trial(one, again, validate(again.plant, validation))
+    return Trial(one, again, validate(again.plant, held))
 
 
 def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:

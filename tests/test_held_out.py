@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.held_out import held_out
+from eoi_jax.held_out import check_runs, held_out
 
 TIME = 0.01 * np.arange(1000)
 
@@ -61,3 +61,71 @@ def test_two_runs_that_rest_at_first_are_two():
     fit = eoi.Record(TIME, rest, rest, "rest")
     later = eoi.Record(TIME[500:], rest[500:], rest[500:], "rest too")
     assert held_out(PLANT, [fit], later) == (later,)
+
+
+def test_several_may_come_from_a_generator():
+    held = run(2), run(3)
+    assert held_out(PLANT, [run(1)], (one for one in held)) == held
+    assert held_out(PLANT, [run(1)], iter(())) == held_out(PLANT, [run(1)], None) == ()
+
+
+def gaps(record: eoi.Record) -> eoi.Record:
+    """One sample of 60 is left."""
+    y = np.where(np.arange(len(record)) % 60 == 0, record.outputs[:, 0], np.nan)
+    with pytest.warns(eoi.RecordWarning):
+        return eoi.Record(record.time, record.inputs, y, "gaps")
+
+
+@pytest.mark.parametrize(
+    ("held", "window", "message"),
+    [
+        ([run(2)[:40]], None, r"start its free run, got 40 samples, 40 of them valid. Give a long"),
+        ([run(2)[:40]], None, r"`validation\[run 2\]` must have valid samples after the 50 that"),
+        ([], None, r"`records\[run 1\]` must have valid samples after the 50"),
+        ([run(2)], 0.5, "`window` must be longer than 0.5 s, the 50 samples of run"),
+        ([run(2)], -1.0, "`window` must be positive and finite, got -1.0. It is a time"),
+        ([gaps(run(2))], 0.55, "start each free run of 0.55 s, got 1000 samples, 17 of them valid"),
+    ],
+)  # fmt: skip
+def test_records_of_which_no_free_run_can_be_made_are_named(held, window, message):
+    short = run(1) if held else run(1)[:50]
+    with pytest.raises(ValueError, match=message):
+        check_runs(PLANT, [short], held, window)
+
+
+def test_runs_that_start_late_are_told_of_the_records_that_judge():
+    record = run(2)
+    y = record.outputs[:, 0].copy()
+    y[:60] = np.nan
+    with pytest.warns(eoi.RecordWarning):
+        late = eoi.Record(TIME, record.inputs, y, "late")
+    whole, windows = check_runs(PLANT, [run(1)], [late], None)
+    assert whole.startswith("The free run on late starts at t = 0.6 s")
+    assert windows.startswith("1 of 10 windows on late are not scored: fewer than 25 of")
+    assert check_runs(PLANT, [late], [run(1)], None) == []
+
+
+def test_a_window_that_is_no_part_of_a_record_is_told():
+    (note,) = check_runs(PLANT, [run(1)], [run(2)], 100.0)
+    assert note.startswith("`window` of 100 s is no part of run 2, of 10 s")
+    assert check_runs(PLANT, [run(1)], [run(2)], 5.0) == []
+    assert check_runs(PLANT, [run(1)[:40]], [run(2)], None) == []  # it need not judge
+
+
+def test_notes_of_the_runs_are_in_the_answer_and_their_errors_come_before_the_fit():
+    record = eoi.simulate(PLANT, TIME, np.sin(3.0 * TIME), hold="linear")
+    other = eoi.simulate(PLANT, TIME, np.cos(2.0 * TIME), hold="linear", name="other")
+    few = "constant_offset"
+    found = eoi.discover(PLANT, record, other, few, window=100.0)
+    assert any("is no part of other" in one for one in found.notes)
+    stages = []
+    with pytest.raises(ValueError, match=r"`validation\[other\]` must have valid samples"):
+        eoi.discover(PLANT, record, other[:40], few, callback=lambda *told: stages.append(told))
+    assert stages == []
+
+
+def test_a_cut_off_below_all_that_the_records_tell_is_said():
+    record = eoi.simulate(PLANT, TIME, np.sin(3.0 * TIME), hold="linear")
+    found = eoi.discover(PLANT, record, lowpass=eoi.LowPass(1e-3))
+    assert found.status.code == "no_data"
+    assert found.status.message.startswith("the records are too short for the cut-off 0.001 rad/s")

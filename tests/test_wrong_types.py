@@ -76,6 +76,13 @@ CALLS = {
     "discover(plant, run, effects=[3])": "`effects` must be names or effects, got int",
     "discover(plant, run, most=1.5)": "`most` must be an integer ≥ 1, got 1.5",
     "discover(plant, run, alpha=2)": "`alpha` must lie in (0, 1), got 2",
+    "discover(plant, run, (one for one in [run]))": "`validation[record]` must not be one of",
+    "discover(plant, run, window='1 s')": "`window` must be positive and finite, got 1 s",
+    "refine(plant, run, window='1 s')": "`window` must be positive and finite, got 1 s",
+    "refine(plant, run, huber='x')": "`huber` must be positive and finite, got x",
+    "refine(plant, run, starts=[{'b': 'x'}])": "`parameters[b]` must be a number, got 'x'",
+    "refine(plant, run, starts=[['x', 1, 2]])": "`starts` must be dicts of parameters, or rows",
+    "LowPass('1 Hz')": "`cutoff` must be positive and finite, got 1 Hz",
     "observers.HighOrder(1.0, 2.0)": "`degree` must be an integer ≥ 1, got 2.0",
     "LowPass(1.0, 2.5)": "`order` must be an integer ≥ 1, got 2.5",
     # What NumPy counts is a count.

@@ -10,7 +10,7 @@ import keyword
 import re
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, SupportsFloat
 
 import equinox as eqx
 import jax
@@ -178,11 +178,13 @@ class Plant(eqx.Module):
             values: ``{name: value}`` for some or all names, or an array (np,).
 
         Raises:
-            ValueError: an unknown name, an array of another length.
+            ValueError: an unknown name, a value that is no number, an array of another length.
         """
         if isinstance(values, Mapping):
-            for key in values:
+            for key, value in values.items():
                 check_choice("parameters", key, self.names)
+                number = isinstance(value, SupportsFloat)
+                check(number, f"parameters[{key}]", "must be a number", repr(value))
             theta = np.asarray(
                 [float(values.get(key, old)) for key, old in self.parameters.items()]
             )
