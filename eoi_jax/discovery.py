@@ -1,6 +1,6 @@
 """What `discover` answers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,23 @@ class Lead:
 
 
 @dataclass(frozen=True)
+class Texts:
+    """What a discovery says that takes its model to work out: kept in its file, without the model.
+
+    Attributes:
+        added, lead: each effect with its parameters, as the answer and the lead name them.
+        equation, values: the augmented equation, with names and with values.
+        latex: the one with names, in LaTeX.
+    """
+
+    added: tuple[str, ...]
+    lead: tuple[str, ...]
+    equation: str
+    values: str
+    latex: str
+
+
+@dataclass(frozen=True)
 class Discovery:
     """What a model lacks, and what adding it is worth.
 
@@ -106,6 +123,7 @@ class Discovery:
         diagnosis: of the declared model's residual where no effect explains it; else None.
         lead: where no effect explains it, the set that comes nearest, if free runs get better by
             it; else None. It may stand for something that the library does not have.
+        texts: of one that was loaded: as they were when it was saved; else None.
     """
 
     effects: tuple[str, ...]
@@ -127,6 +145,7 @@ class Discovery:
     held_out: tuple[Record, ...]
     diagnosis: Diagnosis | None = None
     lead: Lead | None = None
+    texts: Texts | None = None
 
     def __str__(self) -> str:
         from eoi_jax.report.discovery import discovery_text
@@ -144,6 +163,8 @@ class Discovery:
         """The augmented equation as text."""
         from eoi_jax.report.equation import equation_text
 
+        if self.texts is not None:
+            return self.texts.equation
         return equation_text(self.declared.nominal, self.added)
 
     @property
@@ -151,7 +172,18 @@ class Discovery:
         """The augmented equation in LaTeX."""
         from eoi_jax.report.equation import equation_latex
 
+        if self.texts is not None:
+            return self.texts.latex
         return equation_latex(self.declared.nominal, self.added)
+
+    def with_texts(self) -> "Discovery":
+        """The same with its `texts`, for a file that cannot hold the model."""
+        from eoi_jax.report.discovery import texts
+
+        try:
+            return replace(self, texts=texts(self))
+        except ValueError:  # loaded without its model, from a file without texts
+            return self
 
     def plot(self) -> Any:
         """Residual before and after, the effect in it, the free run: a matplotlib figure."""

@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from eoi_jax.checks import check
+from eoi_jax.discovery import Discovery
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
@@ -229,6 +230,8 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
         return {kind: [_encode(one, arrays) for one in value]}
+    if isinstance(value, Discovery):
+        value = value.with_texts()
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
     if isinstance(value, MissingEffect):

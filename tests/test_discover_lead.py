@@ -76,6 +76,9 @@ def test_the_lead_is_in_the_summary_and_survives_a_file(found, tmp_path):
     found.save(tmp_path / "found.npz")
     again = eoi.load(tmp_path / "found.npz", plant=DECLARED)
     assert again.lead.found.parameters == found.lead.found.parameters
+    alone = eoi.load(tmp_path / "found.npz")
+    assert str(alone) == str(again) == str(found)
+    assert lead(alone) == lead(found) != ""
 
 
 def test_an_answer_has_no_lead(found):

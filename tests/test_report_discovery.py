@@ -421,6 +421,27 @@ def test_a_loaded_discovery_has_the_same_numbers_and_can_be_used_on(found, tmp_p
     assert again.rmse[0] == pytest.approx(found.after.rmse[0], rel=1e-9)
 
 
+def test_a_loaded_discovery_prints_the_same_without_its_model(found, nothing, tmp_path):
+    for one in (found, nothing):
+        one.save(tmp_path / "found.npz")
+        back = eoi.load(tmp_path / "found.npz")
+        assert str(back) == str(one)
+        assert (back.equation, back.latex) == (one.equation, one.latex)
+        back.save(tmp_path / "again.npz")
+        assert str(eoi.load(tmp_path / "again.npz")) == str(one)
+        with pytest.raises(ValueError, match="`plant` must be given to `load`"):
+            eoi.validate(back.plant, HELD_OUT)
+
+
+def test_a_file_that_holds_no_texts_can_be_saved_again_without_its_model(found, tmp_path):
+    found.save(tmp_path / "found.npz")
+    older = dataclasses.replace(eoi.load(tmp_path / "found.npz"), texts=None)
+    older.save(tmp_path / "older.npz")
+    assert eoi.load(tmp_path / "older.npz").texts is None
+    back = eoi.load(tmp_path / "older.npz", plant=DECLARED)
+    assert str(back) == str(found)
+
+
 def test_an_array_that_several_parts_share_is_written_once(found, tmp_path):
     found.save(tmp_path / "found.npz")
     twice = dataclasses.replace(found, found=found.declared)
@@ -450,8 +471,9 @@ def test_an_effect_of_the_users_own_is_given_again_on_loading(found, tmp_path):
     dataclasses.replace(found, added=(own,)).save(tmp_path / "own.npz")
     back = eoi.load(tmp_path / "own.npz", plant=DECLARED)
     assert back.added[0].effect.name == "jerk"
+    assert "a jerk of 2." in str(back)
     with pytest.raises(ValueError, match=r"`effects` must be given to `load`.*jerk"):
-        str(back)
+        back.added[0].effect.term(None, (1.0,), ())
     back.save(tmp_path / "again.npz")
     whole = eoi.load(tmp_path / "again.npz", plant=DECLARED, effects=(Jerk(),))
     assert whole.added[0].effect == Jerk(5)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.confirm import only_short
-from eoi_jax.discovery import Added, Discovery, Evidence
+from eoi_jax.discovery import Added, Discovery, Evidence, Lead, Texts
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.report.equation import equation_text
@@ -40,7 +40,7 @@ def discovery_text(discovery: Discovery) -> str:
         change_table(discovery) if discovery.added else parameter_table(discovery.declared),
         error_table(discovery),
         _explained(discovery),
-        _equation(discovery),
+        *_equations(discovery),
         candidate_table(discovery),
         _findings(discovery),
         "\n".join(f"- {note}" for note in discovery.notes),
@@ -58,7 +58,7 @@ def _findings(discovery: Discovery) -> str:
 
 def answer(discovery: Discovery) -> str:
     """What the model lacks, and the free-run error before and after, in one sentence."""
-    lacking = _listed([phrase(discovery, one) for one in discovery.added])
+    lacking = _listed(_added_phrases(discovery))
     code = discovery.status.code
     if code == "nothing_missing":
         start = "The model lacks nothing that the records show"
@@ -76,15 +76,48 @@ def answer(discovery: Discovery) -> str:
 
 def lead(discovery: Discovery) -> str:
     """What free runs say of the set that comes nearest to an answer, in one sentence; or ""."""
-    one = discovery.lead
-    if one is None:
+    if discovery.lead is None:
         return ""
-    as_if = replace(
+    what = _listed(_lead_phrases(discovery))
+    errors = _free_run_errors(_as_if_found(discovery, discovery.lead))
+    return f"A lead, not an answer: with {what}, {errors}."
+
+
+def texts(discovery: Discovery) -> Texts:
+    """What takes the model to be said, for a file that cannot hold it.
+
+    Args:
+        discovery: with its model, or one that was loaded with such texts.
+    """
+    names, values = _equations(discovery)
+    return Texts(
+        added=_added_phrases(discovery),
+        lead=_lead_phrases(discovery),
+        equation=names,
+        values=values,
+        latex=discovery.latex,
+    )
+
+
+def _added_phrases(discovery: Discovery) -> tuple[str, ...]:
+    if discovery.texts is not None:
+        return discovery.texts.added
+    return tuple(phrase(discovery, one) for one in discovery.added)
+
+
+def _lead_phrases(discovery: Discovery) -> tuple[str, ...]:
+    if discovery.texts is not None or discovery.lead is None:
+        return discovery.texts.lead if discovery.texts else ()
+    as_if = _as_if_found(discovery, discovery.lead)
+    return tuple(phrase(as_if, one) for one in as_if.added)
+
+
+def _as_if_found(discovery: Discovery, one: Lead) -> Discovery:
+    """The lead in place of the answer."""
+    return replace(
         discovery, added=one.added, found=one.found, plant=one.found.plant,
         after=one.after, windows_after=one.windows_after,
     )  # fmt: skip
-    what = _listed([phrase(as_if, added) for added in one.added])
-    return f"A lead, not an answer: with {what}, {_free_run_errors(as_if)}."
 
 
 def phrase(discovery: Discovery, added: Added) -> str:
@@ -199,9 +232,12 @@ def _explained(discovery: Discovery) -> str:
     return "\n".join(filter(None, [*lines, discovery.advice]))
 
 
-def _equation(discovery: Discovery) -> str:
+def _equations(discovery: Discovery) -> tuple[str, str]:
+    """With names, and with values."""
+    if discovery.texts is not None:
+        return discovery.texts.equation, discovery.texts.values
     declared, added = discovery.declared_part, discovery.added
-    return f"{equation_text(declared, added)}\n\n{equation_text(declared, added, numeric=True)}"
+    return equation_text(declared, added), equation_text(declared, added, numeric=True)
 
 
 # -- pieces -----------------------------------------------------------------------------------
