@@ -4,8 +4,10 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -14,6 +16,7 @@ from eoi_command.commands import app
 from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
 from eoi_jax.data.record import Record
+from eoi_jax.results import Status
 
 SHORT = """
 name = "short"
@@ -131,6 +134,25 @@ def write_csv(path: Path, record: Record) -> None:
     rows = zip(record.time, record.inputs[:, 0], record.outputs[:, 0], strict=True)
     lines = [",".join(repr(float(value)) for value in row) for row in rows]
     path.write_text("\n".join(["time,voltage,angle", *lines]))
+
+
+def test_an_identification_without_an_answer_says_so(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    whole = cli.run_passes
+
+    def diverged(*arguments, **options):
+        found = whole(*arguments, **options)
+        status = Status("diverged", "it does not stay finite")
+        return replace(found, status=status, unexplained=np.full(1, np.nan))
+
+    monkeypatch.setattr(cli, "run_passes", diverged)
+    done = eoi("identify", config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 1
+    result = json.loads(done.stdout)
+    assert result["error"] == "no answer (diverged: it does not stay finite)"
+    assert result["answer"] == "No answer: diverged: it does not stay finite"
+    assert not (tmp_path / "runs").exists()
 
 
 # -- all or nothing ---------------------------------------------------------------------------

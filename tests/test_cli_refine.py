@@ -131,7 +131,9 @@ def test_without_an_identification_there_is_nothing_to_refine(config: Path, tmp_
     config.write_text(SHORT[:first].replace("noise = { position = 1e-4 }", "") + still)
     done = run(config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
-    assert json.loads(done.stdout)["error"].startswith("nothing to refine (no_data")
+    result = json.loads(done.stdout)
+    assert result["error"].startswith("nothing to refine (no_data")
+    assert result["answer"].startswith("No answer: no_data: ")
     assert not (tmp_path / "runs").exists()
 
 
@@ -185,6 +187,7 @@ def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, m
     assert done.exit_code == 1
     result = json.loads(done.stdout)
     assert result["error"] == "no answer (diverged: it does not stay finite)"
+    assert result["answer"] == "No answer: diverged: it does not stay finite"
     assert result["validation"]["before"]["rmse"]["position"] > 0
     assert result["validation"]["refined"] is None
     assert not (tmp_path / "runs").exists()

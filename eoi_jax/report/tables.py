@@ -103,6 +103,8 @@ def identification_answer(result: Identification, validation: Validation | None 
         result: of `identify`.
         validation: on held-out records, if there are any.
     """
+    if not result.status.ok:
+        return f"No answer: {result.status}"
     count = sum(name not in result.plant.fixed for name in result.parameters)
     samples = sum(len(record) for record in result.records)
     many = f"{count} parameter{'s' if count != 1 else ''}"
@@ -118,12 +120,14 @@ def identification_answer(result: Identification, validation: Validation | None 
 
 
 def refinement_answer(result: Refinement, after: Validation | None = None) -> str:
-    """What a refinement changed, in one sentence.
+    """What a refinement changed, or why it has no answer, in one sentence.
 
     Args:
         result: of `refine`.
         after: its free run on held-out records, if there are any.
     """
+    if not result.status.ok:
+        return f"No answer: {result.status}"
     units = result.plant.units
     parts = [
         f"{quantity(old, units.get(name, ''))} before, {quantity(new, units.get(name, ''))} after"
