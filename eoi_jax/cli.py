@@ -223,13 +223,13 @@ def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
     Raises:
         ValueError: a file that cannot be read.
     """
-    _check_output(output)
+    folder = output / f"{_stem(path)}.inspect"
+    runs.check_place(folder, "file")
     if shown is not None:
         shown("reading", 0, None, "")
     found = look(path)
     if shown is not None:
         shown("drawing", 0, None, "")
-    folder = output / f"{_stem(path)}.inspect"
     summary, text = found.summary(), str(found)
     runs.publish(folder, lambda draft: runs.write_inspection(draft, found, summary, text))
     return Ending(summary, text, folder)
@@ -253,6 +253,7 @@ def init(path: Path, target: Path | None, force: bool) -> Ending:
     rule = "must be a new file"
     check(force or not goal.exists(), "--output", rule, goal, "Replace it with --force.")
     check(not goal.is_dir(), "--output", "must be a file", goal)
+    runs.check_place(goal, "--output")
     with runs.quiet_records():
         found = look(path)
         text = checked(draft(found, goal), goal)
@@ -328,10 +329,11 @@ def _given(
     """The config's file, and what it stands for."""
     backend.configure()
     source = config or _default_config(example)
-    _check_output(output)
+    settings = _settings(source, passes)
+    runs.check_place(output / settings.name, "name")
     if shown is not None:
         shown("reading", 0, None, "")
-    return source, runs.job(_settings(source, passes), source.parent, data)
+    return source, runs.job(settings, source.parent, data)
 
 
 def _default_config(name: str) -> Path:
@@ -339,10 +341,6 @@ def _default_config(name: str) -> Path:
     package = Path(__file__).parent
     candidates = [package / "configs", package.parent / "configs"]
     return next((one for one in candidates if one.is_dir()), candidates[0]) / f"{name}.toml"
-
-
-def _check_output(output: Path) -> None:
-    check(not output.exists() or output.is_dir(), "--output", "must be a folder", output)
 
 
 def _settings(source: Path, passes: int | None) -> configs.Config:

@@ -1,18 +1,19 @@
 """A run of the command: what it takes from a config, what it says as JSON, what it writes."""
 
+import errno
 import json
 import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from eoi_jax import build
 from eoi_jax import config as configs
-from eoi_jax.checks import RecordWarning
+from eoi_jax.checks import RecordWarning, check
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Discovery
@@ -76,6 +77,43 @@ def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
             build.records(settings, model, folder, data),
             build.validation_records(settings, model, folder, data),
         )
+
+
+def check_place(folder: Path, named: str) -> None:
+    """A run's folder must be one that can be made: found out before the work, by making it.
+
+    Args:
+        folder: the run's, in that of ``--output``; it is left as it is.
+        named: the field that its own name is from.
+
+    Raises:
+        ValueError: it cannot be made, or not be written.
+    """
+    draft, made = _draft(folder), []
+
+    def undo() -> None:
+        for one in reversed(made):
+            with suppress(OSError):
+                one.rmdir()
+
+    with tidied(undo):
+        for one in (*reversed(draft.parents), draft):
+            try:
+                if not one.is_dir():
+                    made.append(one)
+                    one.mkdir()
+            except OSError as error:
+                long = one is draft and error.errno == errno.ENAMETOOLONG
+                check(not long, named, "must be short enough for a folder", folder.name)
+                there = isinstance(error, FileExistsError)
+                cause = f"{one} is a file" if there else error.strerror
+                rule = f"must be a folder that can be made and written ({cause})"
+                check(False, "--output", rule, folder.parent)
+
+
+def _draft(folder: Path) -> Path:
+    """Where a folder is filled before it takes its place."""
+    return folder.with_name(f".{folder.name}-{os.getpid()}")
 
 
 # -- as files ---------------------------------------------------------------------------------
@@ -218,7 +256,7 @@ def publish(folder: Path, fill: Callable[[Path], None]) -> None:
         fill: writes into the empty folder that it is given.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = folder.with_name(f".{folder.name}-{os.getpid()}")
+    draft = _draft(folder)
     new, old = draft / "new", draft / "old"
 
     def undo() -> None:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from eoi_command.commands import app
-from eoi_jax import backend
+from eoi_jax import backend, cli
 
 CONFIG = """
 name = "run"
@@ -123,6 +123,39 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
     done = CliRunner().invoke(app, ["identify", str(path), "--output", str(tmp_path / "file")])
     assert done.exit_code == 2
     assert "`--output` must be a folder" in done.stderr
+
+
+@pytest.fixture
+def no_work(monkeypatch: pytest.MonkeyPatch):
+    """A command that gets as far as its work fails."""
+    for name in ("run_passes", "run_discovery", "run_sweep", "look"):
+        monkeypatch.setattr(cli, name, lambda *_, **__: pytest.fail("it began to work"))
+
+
+@pytest.mark.parametrize("command", ["identify", "discover", "refine", "sweep", "inspect", "init"])
+def test_an_output_folder_that_cannot_be_made_is_noticed_before_the_work(
+    command: str, tmp_path: Path, no_work: None
+):
+    path = prepared(tmp_path)
+    if command in ("inspect", "init"):
+        path = path.with_name("record.csv")
+    (tmp_path / "file").write_text("")
+    place = tmp_path / "file" / "new" / "run.toml"
+    done = CliRunner().invoke(app, [command, str(path), "--output", str(place)])
+    assert done.exit_code == 2
+    assert "`--output` must be a folder that can be made and written" in done.stderr
+    assert f"({tmp_path / 'file'} is a file), got {place.parent}" in done.stderr
+    assert {one.name for one in tmp_path.iterdir()} == {"config.toml", "record.csv", "file"}
+
+
+def test_a_name_too_long_for_a_folder_is_noticed_before_the_work(tmp_path: Path, no_work: None):
+    path = prepared(tmp_path, ('name = "run"', f'name = "{300 * "n"}"'))
+    refused(path, 2, "`name` must be short enough for a folder", "nnn")
+    file = tmp_path / f"{245 * 'n'}.csv"
+    (tmp_path / "record.csv").rename(file)
+    done = CliRunner().invoke(app, ["inspect", str(file), "--output", str(tmp_path / "runs")])
+    assert "`file` must be short enough for a folder" in done.stderr
+    assert not (tmp_path / "runs").exists()
 
 
 def test_constant_input_and_output_give_no_answer_and_say_why(tmp_path: Path):
