@@ -19,9 +19,10 @@ from eoi_command.options import (
     Source,
     complete_config,
 )
-from eoi_command.terminal import failures, heard, progress, show
+from eoi_command.terminal import Commands, failures, heard, progress, show
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",

@@ -14,12 +14,15 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
 
 _INTERRUPTED = "interrupted; nothing half-written is left"
 _AGAIN = 0.5  # seconds; cleaning up takes less
 _BARS: list[Any] = []  # that are on the terminal now
+
+_WrongCall: Any = typer.BadParameter.__base__  # whichever click it is that typer is built on
 
 # A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
 Shown = Callable[[str, int, int | None, str], None]
@@ -117,6 +120,40 @@ def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None 
     if as_json:
         typer.echo(json.dumps({"error": message, **(summary or {})}, allow_nan=False))
     raise typer.Exit(code)
+
+
+class Commands(TyperGroup):
+    """The commands; of a wrong call, too, a program that asked for JSON gets its object."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read what stands before the command.
+
+        Args:
+            ctx: of the call.
+            args: its words.
+        """
+        with _told_as_json("--json" in args):
+            return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Read what stands behind the command, and run it.
+
+        Args:
+            ctx: of the call.
+        """
+        with _told_as_json("--json" in ctx.args):
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _told_as_json(wanted: bool) -> Iterator[None]:
+    """A wrong call as an object on stdout, beside what is said of it on stderr."""
+    try:
+        yield
+    except _WrongCall as error:
+        if wanted:
+            typer.echo(json.dumps({"error": error.format_message()}, allow_nan=False))
+        raise
 
 
 def show(ending: Any, as_json: bool, quiet: bool) -> None:

@@ -171,6 +171,26 @@ def test_with_json_a_refusal_is_one_object_too(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("identify --nope --json", "No such option: --nope"),
+        ("identify --passes 0 --json", "Invalid value for '--passes'"),
+        ("discover --json a.toml b.toml", "unexpected extra argument"),
+        ("inspect --json", "Missing argument"),
+        ("--nope identify --json", "No such option: --nope"),
+        ("identfy --json", "No such command 'identfy'"),
+    ],
+)
+def test_with_json_a_wrong_call_is_one_object_too(words: str, said: str):
+    done = CliRunner().invoke(app, words.split())
+    assert done.exit_code == 2
+    assert said in json.loads(done.stdout)["error"]
+    assert done.stderr
+    plain = CliRunner().invoke(app, [word for word in words.split() if word != "--json"])
+    assert (plain.exit_code, plain.stdout) == (2, "")
+
+
+@pytest.mark.parametrize(
     "arguments", [["identify", "--passes", "0"], ["identify", "--pases", "3"], ["idenify"]]
 )
 def test_a_wrong_call_is_refused_with_status_2(arguments: list[str]):
