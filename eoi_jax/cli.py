@@ -442,5 +442,5 @@ def _named(config: Path | None) -> str:
 
 def _with_command(command: str, source: Path) -> str:
     """The config's text under the command that it was run by."""
-    config = source.read_text(encoding="utf-8")
+    config = source.read_text(encoding="utf-8-sig")
     return f"# {command}\n{config}"

@@ -345,7 +345,7 @@ def load(path: Path) -> Config:
     """
     check(path.is_file(), "config", "must be a file that exists", path)
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows mark it
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"`config` must be a TOML file, got {path}: {error}.") from None
     data, validation = tables.get("data"), tables.get("validation")

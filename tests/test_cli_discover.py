@@ -157,6 +157,15 @@ def test_quiet_prints_only_the_folder(known, config, tmp_path):
     assert done.stdout == f"{tmp_path / 'runs' / 'hidden'}\n"
 
 
+def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_path):
+    config.write_text(HIDDEN, encoding="utf-8-sig")
+    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    copy = tmp_path / "runs" / "hidden" / "config.toml"
+    assert copy.read_text(encoding="utf-8").endswith(f"\n{HIDDEN}")
+    assert configs.load(copy) == configs.load(config)
+
+
 def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, config, tmp_path):
     status = eoi.Status("unexplained", "No effect tried is justified.")
     known["answer"] = dataclasses.replace(
