@@ -5,6 +5,7 @@ columns are then reached as ``name[0]`` … ``name[k-1]``.
 """
 
 import re
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,36 +13,36 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check, check_choice, check_positive
+from eoi_jax.checks import check, check_choice, check_kind, check_positive
 from eoi_jax.data.mat_file import add_columns, read_mat
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import Real
 from eoi_jax.data.table import Columns, Table
-from eoi_jax.data.text_table import read_lines, read_text
+from eoi_jax.data.text_table import line_of, read_lines, read_text
 
 
 def read_record(
     path: str | Path,
-    time: str | None = None,
-    inputs: str | Sequence[str] = (),
-    outputs: str | Sequence[str] = (),
+    time: str | int | None = None,
+    inputs: str | int | Sequence[str | int] = (),
+    outputs: str | int | Sequence[str | int] = (),
     name: str | None = None,
     sample_period: Real | None = None,
-    scale: Mapping[str, Real] | None = None,
-    units: Mapping[str, str] | None = None,
+    scale: Mapping[str, Real] | Mapping[int, Real] | None = None,
+    units: Mapping[str, str] | Mapping[int, str] | None = None,
     hold: str = "auto",
     burn_in: Real = 0.0,
     slice: tuple[int, int | None] | None = None,
-    renames: Mapping[str, str] | None = None,
+    renames: Mapping[str, str] | Mapping[int, str] | None = None,
 ) -> Record:
     """A record from named columns of a file.
 
     Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab, bar or spaces;
     decimal points or commas; a header line, which may start with % or #, a line of units below it,
-    or none: columns are then called ``0``, ``1``, …), .parquet, .mat (any version), .h5, .hdf5,
-    .npz, .xlsx (with openpyxl). Structures and groups are reached as ``structure.field`` in .mat
-    and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``, counted from 0. Columns of dates
-    and times of day count in seconds from the first.
+    or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet, .mat
+    (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
+    ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
+    counted from 0. Columns of dates and times of day count in seconds from the first.
 
     Args:
         path: the file.
@@ -71,8 +72,8 @@ def read_record(
     _check_clock(time, sample_period)
     table = read_table(path)
     columns = table.columns
-    u_columns = [inputs] if isinstance(inputs, str) else list(inputs)
-    y_columns = [outputs] if isinstance(outputs, str) else list(outputs)
+    clock = None if time is None else _named("time", time)
+    u_columns, y_columns = _all_named("inputs", inputs), _all_named("outputs", outputs)
     check(
         len(y_columns) > 0,
         "outputs",
@@ -80,18 +81,17 @@ def read_record(
         "none",
         f"Columns present: {_listed(columns)}.",
     )
-    picked = _pick(path, table, time, u_columns, y_columns)
-    for field, mapping in (("scale", scale), ("units", units), ("renames", renames)):
-        for key in mapping or {}:
-            check_choice(field, key, tuple(picked))
-    for key, factor in (scale or {}).items():
-        check(bool(np.isfinite(factor)), f"scale[{key}]", "must be finite", factor)
+    picked = _pick(path, table, clock, u_columns, y_columns)
+    factors = _by_name("scale", scale, picked)
+    for key, factor in factors.items():
+        good = bool(np.isfinite(factor)) and factor != 0
+        check(good, f"scale[{key}]", "must be finite and not zero", factor)
         picked[key] = picked[key] * float(factor)
     count = len(picked[y_columns[0]])
     rows = _rows(slice, count)
-    labels = {key: (renames or {}).get(key, key) for key in picked}
-    units = {"time" if key == time else labels[key]: unit for key, unit in (units or {}).items()}
-    stamps = float(sample_period or 0) * np.arange(count) if time is None else picked[time]
+    new_names, known_units = _by_name("renames", renames, picked), _by_name("units", units, picked)
+    labels = {key: new_names.get(key, key) for key in picked}
+    stamps = float(sample_period or 0) * np.arange(count) if clock is None else picked[clock]
     return Record(
         stamps[rows],
         _matrix(picked, u_columns, count)[rows],
@@ -99,13 +99,32 @@ def read_record(
         _stem(path) if name is None else name,
         input_names=[labels[key] for key in u_columns],
         output_names=[labels[key] for key in y_columns],
-        units=units,
+        units={"time" if key == clock else labels[key]: unit for key, unit in known_units.items()},
         hold=hold,
         burn_in=burn_in,
     )
 
 
 # -- choosing columns ---------------------------------------------------------------------
+
+
+def _named(field: str, column: str | int) -> str:
+    """A column's name; columns without one are called by their numbers."""
+    check_kind(field, column, (str, int, np.integer), "the name of a column, or its number")
+    return str(column)
+
+
+def _all_named(field: str, given: str | int | Sequence[str | int]) -> list[str]:
+    several = [given] if isinstance(given, str | int | np.integer) else list(given)
+    return [_named(field, one) for one in several]
+
+
+def _by_name(field: str, given: Mapping[Any, Any] | None, picked: Columns) -> dict[str, Any]:
+    """What is said of some of the columns that are read."""
+    named = {_named(field, key): value for key, value in (given or {}).items()}
+    for key in named:
+        check_choice(field, key, tuple(picked))
+    return named
 
 
 def _pick(
@@ -185,11 +204,13 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         try:
             float("nan" if value is None else value)
         except (TypeError, ValueError):
-            check(False, key, f"must be a numeric column of {path}", f"{value!r} in row {row}")
+            is_text = _READERS[_known_suffix(path)] is read_text
+            where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
+            check(False, key, f"must be a numeric column of {path}", f"{value!r} in {where}")
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
-def _check_clock(time: str | None, sample_period: Real | None) -> None:
+def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
     check(
         (time is None) != (sample_period is None),
         "time, sample_period",
@@ -305,10 +326,18 @@ def _read_hdf5(path: Path) -> Table:
 def _read_npz(path: Path) -> Table:
     columns: Columns = {}
     notes: list[str] = []
+    objects: dict[str, str] = {}
+    if not zipfile.is_zipfile(path):
+        raise ValueError("it is no archive of arrays, as `numpy.savez` writes it")
     with np.load(path, allow_pickle=False) as file:
         for key in file.files:
-            add_columns(columns, notes, key, file[key])
-    return Table(columns, notes=tuple(notes))
+            try:
+                add_columns(columns, notes, key, file[key])
+            except ValueError:  # NumPy would have to run what is in the file
+                objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
+    if objects and not columns:
+        raise ValueError(" ".join(objects.values()))
+    return Table(columns, notes=tuple(notes), objects=objects)
 
 
 _READERS: dict[str, Callable[[Path], Table]] = {

@@ -13,7 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -69,18 +69,45 @@ def read_text(path: Path) -> Table:
     Raises:
         ValueError: it is no text, holds no data, or repeats a name.
     """
-    compressed = path.suffix.lower() == ".gz"
-    with gzip.open(path, "rb") if compressed else path.open("rb") as stream:
-        first = stream.read(4096)
+    first = _beginning(path)
     kind = next((name for mark, name in _KINDS if first.startswith(mark)), None)
     if kind is not None:
         raise ValueError(
             f"it is {kind}, not text; give it the ending it should have, or export it as text"
         )
     encoding = _encoding(first)
-    opener = gzip.open if compressed else open
-    with opener(path, "rt", encoding=encoding, errors="replace", newline=None) as stream:
+    with _opened(path, encoding) as stream:
         return _read(path, list(islice(stream, _HEAD)), encoding)
+
+
+def line_of(path: Path, row: int) -> int:
+    """The line of a text file, from 1, that a row of its table stands on: blank lines hold none.
+
+    Args:
+        path: as of `read_text`.
+        row: from 0.
+    """
+    with _opened(path, _encoding(_beginning(path))) as stream:
+        head = list(islice(stream, _HEAD))
+        layout = _layout([line.rstrip("\r\n") for line in head])
+        blanks = " \r\n" if layout.separator == "\t" else None
+        numbered = islice(enumerate(chain(head, stream), 1), layout.start, None)
+        filled = (number for number, line in numbered if line.strip(blanks))
+        return next(islice(filled, row, None))
+
+
+def _beginning(path: Path) -> bytes:
+    with gzip.open(path, "rb") if _is_compressed(path) else path.open("rb") as stream:
+        return stream.read(4096)
+
+
+def _opened(path: Path, encoding: str) -> Any:
+    opener = gzip.open if _is_compressed(path) else open
+    return opener(path, "rt", encoding=encoding, errors="replace", newline=None)
+
+
+def _is_compressed(path: Path) -> bool:
+    return path.suffix.lower() == ".gz"
 
 
 def read_lines(text: str) -> Table:

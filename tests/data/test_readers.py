@@ -112,6 +112,10 @@ def test_a_table_without_a_header_has_numbered_columns(tmp_path):
     np.savetxt(path, np.c_[T, U, Y])
     record = read_record(path, "0", "1", ["2", "3"])
     np.testing.assert_allclose(record.outputs, Y)
+    same = read_record(path, 0, 1, [2, 3], scale={1: 2.0}, renames={2: "left"})
+    np.testing.assert_allclose(same.outputs, Y)
+    np.testing.assert_allclose(same.inputs[:, 0], 2.0 * U)
+    assert (same.input_names, same.output_names) == (("1",), ("left", "3"))
     np.savetxt(path, np.c_[T, U, Y], header="y1 y2", comments="# ")  # names two of four
     np.testing.assert_allclose(read_record(path, "0", "1", ["2", "3"]).outputs, Y)
 
@@ -181,7 +185,9 @@ def test_stamps_of_a_parquet_file_may_be_datetimes(tmp_path):
         ({"sample_period": 1}, "`time, sample_period` must be given one and not the other"),
         ({"time": None, "sample_period": -1}, "`sample_period` must be positive .*, got -1"),
         ({"scale": {"x": 2}}, "`scale` must be one of t, u, y, got 'x'"),
-        ({"scale": {"u": np.nan}}, r"`scale\[u\]` must be finite, got nan"),
+        ({"scale": {"u": np.nan}}, r"`scale\[u\]` must be finite and not zero, got nan"),
+        ({"scale": {"y": 0.0}}, r"`scale\[y\]` must be finite and not zero, got 0.0"),
+        ({"inputs": 1}, "`inputs` must be a column of .*present: t, u, y.*, got `1`"),
         ({"units": {"x": "m"}}, "`units` must be one of t, u, y, got 'x'"),
         ({"renames": {"x": "m"}}, "`renames` must be one of t, u, y, got 'x'"),
         ({"slice": (40, 20)}, r"`slice` must be \(start, stop\) .* ≤ 50, .*, got \(40, 20\)"),
@@ -229,6 +235,22 @@ def test_a_damaged_table_is_named(tmp_path, text, message):
         read(tmp_path / "run.csv")
 
 
+def test_an_archive_of_objects_is_named_and_nothing_in_it_is_run(tmp_path):
+    path, objects = tmp_path / "run.npz", np.array([object()] * N, dtype=object)
+    np.savez(path, t=T, u=objects, y=Y[:, 0])
+    with pytest.raises(ValueError, match=r"`inputs` must be readable in .*`u` holds Python obj"):
+        read(path)
+    assert len(read_record(path, "t", (), "y")) == N
+    np.savez(path, u=objects)
+    with pytest.raises(
+        ValueError, match=r"must be a readable \.npz file.*`u` holds Python objects"
+    ):
+        read(path)
+    path.write_text("x")
+    with pytest.raises(ValueError, match=r"it is no archive of arrays, as `numpy\.savez`"):
+        read(path)
+
+
 def test_a_file_without_arrays_is_named(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file.create_group("empty")
@@ -239,8 +261,25 @@ def test_a_file_without_arrays_is_named(tmp_path):
 def test_a_column_of_words_is_named_with_its_first_word(tmp_path):
     frame = pd.DataFrame({"t": T, "u": ["1"] * 9 + ["off"] * (N - 9), "y": Y[:, 0]})
     frame.to_csv(tmp_path / "run.csv", index=False)
-    with pytest.raises(ValueError, match=r"`u` must be a numeric column of .*, got 'off' in row 9"):
+    with pytest.raises(ValueError, match=r"`u` must be a numeric .*, got 'off' in line 11"):
         read(tmp_path / "run.csv")
+    frame.to_parquet(tmp_path / "run.parquet")
+    with pytest.raises(ValueError, match="got 'off' in row 9, counted from 0"):
+        read(tmp_path / "run.parquet")
+
+
+@pytest.mark.parametrize("separator", [",", "\t", " "])
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
+def test_the_line_of_a_word_is_counted_over_titles_and_blank_lines(tmp_path, separator, name):
+    lines = ["measured today", "", separator.join("tuy"), separator.join("sVm")]
+    lines += [separator.join((f"{t:.2f}", "1", "2")) for t in T]
+    lines[10:10] = ["", "  "]
+    wrong = lines[40].split(separator)
+    lines[40] = separator.join([wrong[0], "off", wrong[2]])
+    with (gzip.open if name.endswith("gz") else open)(tmp_path / name, "wt") as stream:
+        stream.write("\r\n".join(lines))
+    with pytest.raises(ValueError, match="got 'off' in line 41"):
+        read(tmp_path / name)
 
 
 def test_variables_of_other_lengths_or_shapes_are_named(tmp_path):

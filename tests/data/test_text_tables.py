@@ -107,11 +107,11 @@ def test_columns_of_words_stay_and_others_are_read(tmp_path):
     assert len(read_table(path).columns["0"]) == N
 
 
-def test_one_odd_cell_is_named_with_its_row_whatever_the_decimal_mark(tmp_path):
+def test_one_odd_cell_is_named_with_its_line_whatever_the_decimal_mark(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t;u;y\n" + rows(";", comma=True).replace("0,05;", "0,05;error", 1))
     with pytest.raises(
-        ValueError, match=r"`u` must be a numeric column of .*, got 'error1' in row 5"
+        ValueError, match=r"`u` must be a numeric column of .*, got 'error1' in line 7"
     ):
         read_record(path, "t", "u", "y")
 
