@@ -37,7 +37,9 @@ def check(
 def check_kind(name: str, value: object, kind: type | tuple[type, ...], what: str) -> None:
     """`value` must be of a class, or of one of several; `what` says it in words: ``a Plant``."""
     shown = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
-    check(isinstance(value, kind), name, f"must be {what}", shown)
+    held = [key for key in ("found", "plant") if isinstance(getattr(value, key, None), kind)]
+    advice = f"Give its `.{held[0]}`." if held else ""
+    check(isinstance(value, kind), name, f"must be {what}", shown, advice)
 
 
 def is_whole(value: object) -> bool:

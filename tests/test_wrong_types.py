@@ -84,6 +84,12 @@ CALLS = {
     "refine(plant, run, starts=[['x', 1, 2]])": "`starts` must be dicts of parameters, or rows",
     "LowPass('1 Hz')": "`cutoff` must be positive and finite, got 1 Hz",
     "observers.HighOrder(1.0, 2.0)": "`degree` must be an integer ≥ 1, got 2.0",
+    "uncertainty(found)": "`estimate` must be an estimate, got Discovery. Give its `.found`.",
+    "diagnose(found)": "`identification` must be what `identify` returned, got Discovery. Give its "
+    "`.found`.",
+    "refine(found, run)": "`plant` must be a Plant, got Discovery. Give its `.plant`.",
+    "validate(fit, run)": "`plant` must be a Plant, got Identification. Give its `.plant`.",
+    "profile(found, run, 'a')": "`refinement` must be what `refine` returned, got Discovery.",
     "LowPass(1.0, 2.5)": "`order` must be an integer ≥ 1, got 2.5",
     # What NumPy counts is a count.
     "LowPass(1.0, np.int64(2)).order": "accepted 2",
@@ -100,6 +106,10 @@ time = 0.01 * np.arange(500)
 run = eoi.Record(time, np.sin(time), np.cos(time))
 def law(t, x, u, p):
     return -p.k * x.y[0] + u
+fit, found = (object.__new__(kind) for kind in (eoi.Identification, eoi.Discovery))
+object.__setattr__(found, "found", fit)
+for one in (fit, found):
+    object.__setattr__(one, "plant", plant)
 for call in {calls!r}:
     try:
         value = eval("eoi." + call)
