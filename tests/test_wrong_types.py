@@ -13,8 +13,6 @@ CALLS = {
     "identify(plant, [3])": "`records` must be a Record or several, got int",
     "identify(plant, 3)": "`records` must be a Record or several, got int",
     "identify('pendulum', run)": "`plant` must be a Plant, got str",
-    "identify(plant, run, smoothing='a')": "`smoothing` must be a cut-off > 0 in rad/s, or False",
-    "identify(plant, run, transient='a')": "`transient` must be a time ≥ 0 in seconds, got a",
     "sweep(plant, run, substeps=2.5)": "`substeps` must be an integer ≥ 1, got 2.5",
     "refine(3, run)": "`plant` must be a Plant, got int",
     "validate('pendulum', run)": "`plant` must be a Plant, got str",

@@ -68,7 +68,7 @@ class Plant(eqx.Module):
         fixed: names that keep their nominal value.
         units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
             z2, …), for tables and figures.
-        name: what to call it.
+        name: what to call it; None: as its function is called, ``model`` where that has no name.
         actuator: ``a(t, u, p)``, what inputs go through on their way: from their means over the
             steps of a whole record, (S, nu), with the middles of the steps (S,), to those that f
             and g get. For delays and lags, which depend on nothing but past inputs.
@@ -118,7 +118,8 @@ class Plant(eqx.Module):
         self.names = tuple(parameters)
         self.inputs, self.outputs = _several("inputs", inputs), _several("outputs", outputs)
         self.fixed = _several("fixed", fixed)
-        self.name = name or getattr(dynamics, "__name__", "plant")
+        own = getattr(dynamics, "__name__", "<lambda>")
+        self.name = name or ("model" if own == "<lambda>" else own)
         _check_names(self.names, self.fixed, bounds or {})
         for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
             check(len(set(channels)) == len(channels), kind, "must have different names", channels)

@@ -1,5 +1,7 @@
 """The grey-box model: its regressor, its structure found by probing, what it refuses."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -360,3 +362,13 @@ def test_declared_anew_keeps_what_is_not_named():
     assert new.units == plant.units
     with pytest.raises(ValueError, match="must lie in its bounds"):
         plant.declared_anew({"a": 7.0})
+
+
+def test_a_plant_is_called_as_its_function_or_else_a_model():
+    def spring(t, x, u, p):
+        return -p.k * x.y[0]
+
+    assert Plant(spring, {"k": 1.0}).name == "spring"
+    assert Plant(spring, {"k": 1.0}, name="coil").name == "coil"
+    assert Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}).name == "model"
+    assert Plant(functools.partial(spring), {"k": 1.0}).name == "model"
