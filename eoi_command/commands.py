@@ -2,9 +2,10 @@
 
 import sys
 import webbrowser
+from collections.abc import Callable
 from importlib.metadata import version as version_of
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,7 +20,7 @@ from eoi_command.options import (
     Source,
     complete_config,
 )
-from eoi_command.terminal import Commands, failures, heard, progress, show
+from eoi_command.terminal import Commands, Shown, failures, heard, progress, show
 
 app = typer.Typer(
     cls=Commands,
@@ -41,6 +42,16 @@ def _examples(*lines: tuple[str, str]) -> str:
     width = max(len(call) for call, _ in lines)
     shown = [f"  [cyan]{call:{width}}[/cyan]  {what}" for call, what in lines]
     return "\n".join(["[bold]Examples[/bold]", *shown])
+
+
+def _answer(as_json: bool, quiet: bool, work: Callable[[Any, Shown | None], Any]) -> None:
+    """Do a command's work, given `eoi_jax.cli` and what shows its progress, and show its end."""
+    with failures(as_json):
+        with progress(not quiet) as shown:
+            from eoi_jax import cli
+
+            ending = work(cli, shown)
+        show(ending, as_json, quiet)
 
 
 @app.callback(
@@ -84,12 +95,7 @@ def identify(
     ] = None,
 ) -> None:
     """Identify a plant's parameters from simulated or measured records."""
-    with failures(as_json):
-        with progress(not quiet) as shown:
-            from eoi_jax import cli
-
-            ending = cli.identify(config, data, output, passes, shown)
-        show(ending, as_json, quiet)
+    _answer(as_json, quiet, lambda cli, shown: cli.identify(config, data, output, passes, shown))
 
 
 @app.command(
@@ -106,12 +112,7 @@ def discover(
     quiet: Quiet = False,
 ) -> None:
     """Find what a plant's model lacks: name the effect, add it, compare before and after."""
-    with failures(as_json):
-        with progress(not quiet) as shown:
-            from eoi_jax import cli
-
-            ending = cli.discover(config, data, output, shown)
-        show(ending, as_json, quiet)
+    _answer(as_json, quiet, lambda cli, shown: cli.discover(config, data, output, shown))
 
 
 @app.command(
@@ -128,12 +129,7 @@ def refine(
     quiet: Quiet = False,
 ) -> None:
     """Identify, then fit the free run itself: output error, with what it is sure of."""
-    with failures(as_json):
-        with progress(not quiet) as shown:
-            from eoi_jax import cli
-
-            ending = cli.refine(config, data, output, shown)
-        show(ending, as_json, quiet)
+    _answer(as_json, quiet, lambda cli, shown: cli.refine(config, data, output, shown))
 
 
 @app.command(
@@ -175,12 +171,7 @@ def inspect(
     quiet: Quiet = False,
 ) -> None:
     """Look at a data file before anything is configured: a table, and a picture."""
-    with failures(as_json):
-        with progress(not quiet) as shown:
-            from eoi_jax import cli
-
-            ending = cli.inspect(file, output, shown)
-        show(ending, as_json, quiet)
+    _answer(as_json, quiet, lambda cli, shown: cli.inspect(file, output, shown))
 
 
 @app.command(
@@ -204,12 +195,7 @@ def init(
     quiet: Quiet = False,
 ) -> None:
     """Write a commented config for a data file; it runs as it is, and says what is guessed."""
-    with failures(as_json):
-        with progress(not quiet):
-            from eoi_jax import cli
-
-            ending = cli.init(file, output, force)
-        show(ending, as_json, quiet)
+    _answer(as_json, quiet, lambda cli, _: cli.init(file, output, force))
 
 
 @app.command(
