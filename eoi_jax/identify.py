@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check_count
@@ -54,7 +54,8 @@ class Identification:
         parameters: estimate by name.
         standard_errors: by name; they know that filtered residuals are coloured
             (`regression/long_run.py`), and know nothing of bias: without instruments, that from
-            noise in the regressors.
+            noise in the regressors. NaN for a parameter that ended on its bound, beside which the
+            errors of the others hold; 0 for a fixed one.
         index: P of each pass and output, eq. (14), shape (passes, ny).
         increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
         parameter_history: θ of each pass, shape (passes, np).
@@ -254,6 +255,7 @@ class _Driver:
         if self.cure is not None and status.ok:
             better, why = self.cure(self.plant.with_parameters(theta), one, self.observer)
             reasons += why
+        bound = one.bound[0] if better is None else better.bound
         if better is not None:
             theta, increment = better.theta, np.zeros_like(theta)
         if trace is None or better is not None:
@@ -265,6 +267,7 @@ class _Driver:
             covariance, freedom = self._covariance(one, trace.Phi, left)
         else:
             covariance, freedom = better.covariance, better.degrees_of_freedom
+        covariance = np.where(bound | bound[:, None], np.nan, covariance)
         plant = self.plant.with_parameters(theta)
         power, observed = (mean(part, sums.weight) for part in (sums.square, sums.observed_square))
         sliding = mean(sums.sliding, sums.count)
@@ -289,7 +292,7 @@ class _Driver:
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
-            notes=notes + _sliding_note(self.plant, sliding),
+            notes=notes + _sliding_note(self.plant, sliding) + bound_notes(plant, bound),
             records=records,
             information=np.einsum("j,jab->ab", one.weights[0], sums.information),
             degrees_of_freedom=freedom,
@@ -299,7 +302,8 @@ class _Driver:
         """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
         inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
         root = np.sqrt(one.weights[0] * np.asarray(self.steps.score))
-        parts = _counted(root, left), _counted(root[..., None], np.asarray(Phi))
+        inside = np.where(one.bound[0], 0.0, 1.0)  # of what is on its bound no score sums to zero
+        parts = _counted(root, left), _counted(root[..., None], np.asarray(Phi)) * inside
         error, rows = (by_sample(part, self.steps, self.substeps) for part in parts)
         scores = np.einsum("sj,sja->sa", error, rows)
         if not (np.all(np.isfinite(scores)) and np.any(inverse)):
@@ -405,6 +409,17 @@ _UNTRACED = (
     "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
     "parameters, or excite the plant so that they differ"
 )
+
+
+def bound_notes(plant: Plant, bound: Bool[np.ndarray, " np"]) -> tuple[str, ...]:
+    """A sentence for each parameter on a bound.
+
+    Args:
+        plant: with the estimate.
+        bound: which parameters are on one.
+    """
+    each = zip(plant.parameters.items(), bound, strict=True)
+    return tuple(f"{name} ended on its bound, {value:g}" for (name, value), on in each if on)
 
 
 def _counted(root: np.ndarray, values: np.ndarray) -> np.ndarray:

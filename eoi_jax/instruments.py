@@ -23,7 +23,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
@@ -69,6 +69,7 @@ class Instrumented:
         degrees_of_freedom: of each variance, shape (np,).
         passes: how many it took.
         windows: runs that the longest record was cut into.
+        bound: which parameters ended on a bound, shape (np,).
     """
 
     theta: Float[np.ndarray, " np"]
@@ -76,6 +77,7 @@ class Instrumented:
     degrees_of_freedom: Float[np.ndarray, " np"]
     passes: int
     windows: int
+    bound: Bool[np.ndarray, " np"]
 
 
 def instrumented(
@@ -117,7 +119,9 @@ def instrumented(
         covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, inverse)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         if np.all(np.abs(increment) <= _SETTLED * errors + 1e-9 * np.abs(theta)):
-            return Instrumented(theta, covariance, freedom, number, runs.windows)
+            held = (theta == plant.lower) | (theta == plant.upper)
+            bound = held & ~np.any(inverse, axis=1) & (np.asarray(plant.free) > 0)
+            return Instrumented(theta, covariance, freedom, number, runs.windows, bound)
     return f"its passes did not settle within {_PASSES}"
 
 

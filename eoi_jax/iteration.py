@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax.passes import Steps, Sums
 from eoi_jax.plants.plant import Plant
+from eoi_jax.regression.bounded import bounded, outside
 from eoi_jax.regression.index import index as index_of
 from eoi_jax.regression.least_squares import Solution, least_squares
 
@@ -34,6 +35,7 @@ _ROUNDING = 1e-10
 _DAMPING = 0.1
 _LIGHT = 3e-3
 _RETRIES = 5
+_BESIDE = 64.0  # rounding errors of a bound within which a parameter is on it
 
 Thetas = Float[np.ndarray, "lanes np"]
 Watch = Callable[[int, np.ndarray, np.ndarray], None]
@@ -48,8 +50,9 @@ class Pass(eqx.Module):
         sums: that it added up.
         index: P, shape (lanes, ny).
         weights: of the outputs, shape (lanes, ny).
-        solution: of (11).
-        increment: Δθ, shape (lanes, np).
+        solution: of (11); its inverse is that of the parameters that are not on a bound.
+        increment: Δθ within the bounds, shape (lanes, np).
+        bound: which parameters are on a bound beyond which the index would fall, (lanes, np).
     """
 
     theta: Thetas
@@ -58,6 +61,7 @@ class Pass(eqx.Module):
     weights: Float[np.ndarray, "lanes ny"]
     solution: Solution
     increment: Thetas
+    bound: Bool[np.ndarray, "lanes np"]
 
     @property
     def cost(self) -> Float[np.ndarray, " lanes"]:
@@ -251,7 +255,7 @@ def sandwich(
 ) -> Float[np.ndarray, "lanes np np"]:
     r"""Sandwich [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹, S from sums of φᵀr over blocks longer than F's memory.
 
-    NaN where the records hold less than three blocks: too short to tell.
+    NaN on a bound, and where the records hold less than three blocks: too short to tell.
 
     Args:
         free: 1 for an estimated parameter.
@@ -266,7 +270,8 @@ def sandwich(
         return np.broadcast_to(unknown, meat.shape)
     # One for the estimate, at which the scores of all samples sum to zero.
     scale = tally.scored / tally.inside * blocks / (blocks - 1)
-    return scale * inverse @ meat @ inverse
+    on_bound = one.bound[:, :, None] | one.bound[:, None, :]
+    return np.where(on_bound, np.nan, scale * inverse @ meat @ inverse)
 
 
 def _shown(one: Pass) -> tuple[np.ndarray, ...]:
@@ -303,9 +308,11 @@ def _chosen(mask: Bool[np.ndarray, " lanes"], yes: Pass, no: Pass) -> Pass:
 
 
 _least_squares = jax.jit(jax.vmap(least_squares, (0, 0, None, 0)))
+_each_its_own = jax.jit(jax.vmap(least_squares))  # free parameters of each lane
 
 
 def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]) -> Pass:
+    theta = _on_bounds(plant, theta)
     power = np.asarray(index_of(sums.square, sums.weight))
     size = mean(sums.observed_square, sums.weight)
     # Rounding bounds how small an index can mean anything; it also keeps weights finite.
@@ -315,8 +322,49 @@ def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, "
     information = np.einsum("lj,ljab->lab", weights, sums.information)
     rhs = np.einsum("lj,lja->la", weights, sums.rhs)
     solution = jax.tree.map(np.asarray, _least_squares(information, rhs, plant.free, damping))
+    solution, bound = _within(plant, theta, solution, information, rhs, damping)
     moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
-    return Pass(theta, sums, power, weights, solution, moved - theta)
+    return Pass(theta, sums, power, weights, solution, moved - theta, bound)
+
+
+def _within(
+    plant: Plant,
+    theta: Thetas,
+    solution: Solution,
+    information: Float[np.ndarray, "lanes np np"],
+    rhs: Thetas,
+    damping: Float[np.ndarray, " lanes"],
+) -> tuple[Solution, Bool[np.ndarray, "lanes np"]]:
+    """A solution within the bounds, and which parameters are, and stay, on one.
+
+    What would leave its bounds is put on them and the rest solved anew: cut off alone, it would
+    leave the rest where they suit a model that the bounds exclude.
+    """
+    lower, upper, free = (np.asarray(one) for one in (plant.lower, plant.upper, plant.free))
+    room = lower - theta, upper - theta
+    unbounded = np.asarray(solution.increment)
+    if not outside(unbounded, room):
+        return solution, np.zeros(theta.shape, bool)
+
+    def solve(rhs: Thetas, inside: Bool[np.ndarray, "lanes np"]) -> Thetas:
+        return np.asarray(_each_its_own(information, rhs, free * inside, damping).increment)
+
+    damped = damping[:, None, None] * np.eye(len(free)) * solution.scale[:, :, None] ** 2
+    increment, side = bounded(solve, information + damped, rhs, unbounded, room)
+    bound = ((side < 0) & (theta == lower)) | ((side > 0) & (theta == upper))
+    inverse = np.asarray(_each_its_own(information, rhs, free * ~bound, damping).inverse)
+    inverse = np.where(np.any(bound, axis=1)[:, None, None], inverse, solution.inverse)
+    leaves = (increment, inverse)
+    return eqx.tree_at(lambda one: (one.increment, one.inverse), solution, leaves), bound
+
+
+def _on_bounds(plant: Plant, theta: Thetas) -> Thetas:
+    """θ with what rounding has left beside a bound put on it."""
+    for bound in (plant.lower, plant.upper):
+        finite = np.where(np.isfinite(bound), bound, np.nan)
+        near = np.abs(theta - finite) <= _BESIDE * np.finfo(float).eps * np.abs(finite)
+        theta = np.where(near, finite, theta)
+    return theta
 
 
 def mean(total: Any, weight: Any) -> np.ndarray:

@@ -85,7 +85,8 @@ def sweep(
 
     Returns:
         A dataset over (record, lowpass, observer, start, resample): ``parameters``,
-        ``standard_error`` (from ``blocks`` of scores, rougher than that of `identify`), ``index``
+        ``standard_error`` (from ``blocks`` of scores, rougher than that of `identify`; NaN on a
+        bound), ``index``
         of each pass, ``common_index``, ``sliding_fraction``, ``status`` (`flag_meanings` says
         which), ``ok``. A lane that goes wrong ends with its status, the others do not notice.
         After Ctrl-C: what is done, the rest ``not_run``.

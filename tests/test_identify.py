@@ -388,6 +388,35 @@ def test_bounds_are_kept():
     assert got.parameters["b"] == 3.5
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_parameter_on_its_bound_leaves_the_others_where_fixing_it_there_does(noise):
+    limit = 1.05 * TRUE["beta"]
+    at = {"lowpass": LOWPASS, "instruments": False, "smoothing": False}
+    bounds = {"beta": (limit, np.inf)}
+    start = {**NOMINAL.parameters, "beta": 1.2 * TRUE["beta"]}
+    bounded = Plant(NOMINAL.dynamics, start, 2, bounds=bounds)
+    fixed = Plant(NOMINAL.dynamics, {**start, "beta": limit}, 2, fixed=("beta",))
+    record = swaying(noise=noise)
+    got, want = (identify(one, record, OBSERVER, **at) for one in (bounded, fixed))
+    assert got.status.code == want.status.code == "converged"
+    assert got.parameters["beta"] == limit
+    assert got.parameters == pytest.approx(want.parameters, rel=1e-9)
+    np.testing.assert_allclose(got.index[got.best_pass], want.index[want.best_pass], rtol=1e-9)
+    assert got.notes[-1] == f"beta ended on its bound, {limit:g}"
+    assert np.isnan(got.standard_errors.pop("beta"))
+    want.standard_errors.pop("beta")
+    assert got.standard_errors == pytest.approx(want.standard_errors, rel=1e-6)
+
+
+def test_bounds_that_are_not_reached_change_nothing(swung):
+    bounds = {"beta": (0.5 * TRUE["beta"], 2.0 * TRUE["beta"])}
+    plant = NOMINAL.declared_anew(bounds=bounds)
+    got = identify(plant, swung.record, OBSERVER, LOWPASS)
+    assert got.parameters == swung.got.parameters
+    assert got.standard_errors == swung.got.standard_errors
+    assert got.notes == swung.got.notes
+
+
 def test_fixed_parameters_keep_their_value():
     plant = Plant(load, {"m": 2.0, "b": 2.0, "k": 100.0}, 2, fixed=("m", "b"))
     u, y = moved_load(grid(SAMPLES, H), {"m": 2.0, "b": 2.0, "k": 150.0})

@@ -360,6 +360,8 @@ def test_fixed_parameters_and_bounds_are_kept(clean):
     assert got.parameters["rho"] == TRUTH.parameters["rho"]
     assert got.parameters["beta"] == 10.4  # the truth lies beyond
     assert got.standard_errors["rho"] == 0.0
+    assert np.isnan(got.standard_errors["beta"])
+    assert got.notes[-1] == "beta ended on its bound, 10.4"
     assert any("instrumental variables in" in reason for reason in got.reasons)
 
 

@@ -93,6 +93,22 @@ def test_every_lane_is_what_identify_gives(whole, record, lowpass, observer):
         agrees(result.isel(place).sel(resample=0), one)
 
 
+def test_lanes_on_a_bound_are_what_identify_gives_and_others_do_not_notice():
+    truth = TRUE["beta"]
+    plant = PLANT.declared_anew({"beta": 1.2 * truth}, bounds={"beta": (1.05 * truth, np.inf)})
+    lanes = sweep(plant, RECORDS[0], OBSERVERS[::2], FILTERS[0], **SETTINGS)
+    for i, observer in enumerate(OBSERVERS[::2]):
+        lane = lanes.isel(record=0, lowpass=0, observer=i, start=0).sel(resample=0)
+        agrees(lane, eoi.identify(plant, RECORDS[0], observer, FILTERS[0], **SETTINGS))
+        errors = lane.standard_error.values
+        np.testing.assert_array_equal(np.isnan(errors), [False, True, False])
+    wide = PLANT.declared_anew(bounds={"beta": (0.0, np.inf)})
+    starts = [{}, {"beta": 0.0}]  # a start on a bound that does not hold it
+    free, kept = (sweep(one, RECORDS[0], OBSERVERS[0], FILTERS[0], starts=starts, **SETTINGS)
+                  for one in (PLANT, wide))  # fmt: skip
+    same(free, kept)
+
+
 def test_the_scan_gives_the_same_numbers(whole):
     result, starts = whole
     scanned = sweep(PLANT, RECORDS[1], OBSERVERS[0], FILTERS[0], starts=starts, engine=Scan(),
