@@ -33,7 +33,7 @@ from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
 from eoi_jax.prepare import check_records, ready
 from eoi_jax.ranking import ends, ranking
-from eoi_jax.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
+from eoi_jax.refit import SEARCHED, free_runs, not_simulated, on_bounds, refitted, window_of
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction
@@ -179,7 +179,7 @@ def _searched(
         rounds.append(one)
         if not one.chosen.atoms:
             break
-        added = read_friction(model, one.chosen)
+        added = read_friction(model, one.kept)
         placed += list(added)
         model = one.augmented(added)
         steps.append((model, tuple(placed), tuple(rounds)))
@@ -198,7 +198,9 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
         return replace(found, notes=(*found.notes, better))
     # What was said of the estimate before does not hold any more.
     stale = (SEARCHED, _REFITTED, _HARDLY)
+    stale += tuple(on_bounds(task.plant, found.plant))
     notes = [one for one in found.notes if not one.startswith(stale)]
+    notes += on_bounds(task.plant, better.refinement.plant)
     short = better.refinement.window
     length = "" if short is None else f" over windows of {short:.3g} s"
     notes.append(f"refined{length}: {better.refinement.status}")
@@ -433,9 +435,9 @@ def _added(plant: Plant, found: Identification, one: Placed) -> Added:
 
 
 def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Round]) -> list[str]:
-    """A note for each shape parameter that ended where its search did."""
+    """A note for each declared parameter on a bound, and each shape that ended with its grid."""
     spans = {placed: span for one in rounds for placed, span in one.found.spans.items()}
-    notes = []
+    notes = on_bounds(rounds[0].task.plant, found.plant)
     for one in kept:
         if one not in spans:
             continue

@@ -4,12 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom
 from eoi_jax.modes import Stretch, model_rows
 from eoi_jax.plants.plant import Plant
+from eoi_jax.regression.bounded import bounded, outside
 
 _STEPS = 6  # of Gauss–Newton
 _STEP = 1e-3  # of the numerical derivative, in units of the distance on the grid
@@ -38,6 +39,7 @@ class Base:
         free: their indices among all parameters.
         noise, local: of `noise_model`.
         output: to which each row belongs.
+        room: smallest and largest increment of the free parameters; None without bounds.
     """
 
     target: Rows
@@ -46,6 +48,7 @@ class Base:
     noise: Rows
     local: Rows
     output: Int[np.ndarray, " rows"]
+    room: tuple[Free, Free] | None = None
 
     def signal_power(self, residual: Rows) -> float:
         """Σ |R|² over modes, each weighed by how far it stands above the noise (Wiener)."""
@@ -113,6 +116,39 @@ def fitted(base: Base, atoms: Sequence[Atom], power: Rows) -> Fit:
     residual = target - matrix @ theta
     cost = float(np.sum(residual**2 / power))
     return Fit(ordered, theta, residual, cost, _physical(ordered, theta))
+
+
+def within_bounds(base: Base, fit: Fit, power: Rows) -> Fit:
+    """A set with all parameters within their bounds; itself where they are.
+
+    The search leaves the declared parameters free, so that no effect makes up for a bound. What the
+    model can then do that is made of the answer is another matter.
+
+    Args:
+        base: the declared model.
+        fit: the set.
+        power: S of each mode.
+    """
+    gains = [one for atom in fit.atoms for one in atom.placed.effect.gains]
+    room = base.room or (np.full(len(base.free), -np.inf), np.full(len(base.free), np.inf))
+    low = np.append(room[0], [one.lower for one in gains])[None]
+    high = np.append(room[1], [one.upper for one in gains])[None]
+    if not outside(fit.theta[None], (low, high)):
+        return fit
+    target, matrix = system(base, fit.atoms)
+    weighed = matrix / np.sqrt(power)[:, None]
+    gram, right = (weighed.T @ weighed)[None], (weighed.T @ (target / np.sqrt(power)))[None]
+
+    def solved(
+        right: Float[np.ndarray, "1 columns"], inside: Bool[np.ndarray, "1 columns"]
+    ) -> Float[np.ndarray, "1 columns"]:
+        mask = inside[0]
+        return solve_normal(gram * np.outer(mask, mask), right * mask)
+
+    theta = bounded(solved, gram, right, fit.theta[None], (low, high))[0][0]
+    residual = target - matrix @ theta
+    cost = float(np.sum(residual**2 / power))
+    return Fit(fit.atoms, theta, residual, cost, _physical(fit.atoms, theta))
 
 
 def system(base: Base, atoms: Sequence[Atom]) -> tuple[Rows, Float[np.ndarray, "rows columns"]]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.held_out import INITIAL
-from eoi_jax.identify import Identification, estimate
+from eoi_jax.identify import Identification, bound_notes, estimate
 from eoi_jax.plants.plant import Plant
 from eoi_jax.rounds import Task
 from eoi_jax.side_by_side import aside
@@ -15,6 +15,7 @@ from eoi_jax.trajectory import frictional
 from eoi_jax.validate import FreeRuns, validate, whole_and_windows
 from eoi_jax.windows import window_length
 
+_BEYOND = ": what it would take beyond stays unexplained"
 SEARCHED = "parameters are those of the search: in free runs better than the refit's"
 
 
@@ -45,6 +46,20 @@ def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
         return found
     notes.append(SEARCHED)
     return replace(estimate(model, task.prepared, passes=1), status=found.status)
+
+
+def on_bounds(declared: Plant, plant: Plant) -> list[str]:
+    """A note for each declared parameter that is on a bound.
+
+    Args:
+        declared: the plant without effects.
+        plant: with the answer.
+    """
+    theta = np.asarray(plant.theta)
+    bound = (theta == np.asarray(plant.lower)) | (theta == np.asarray(plant.upper))
+    bound &= np.arange(len(bound)) < len(declared.names)
+    bound &= np.asarray(plant.free) > 0
+    return [note + _BEYOND for note in bound_notes(plant, bound)]
 
 
 def not_simulated(plant: Plant) -> str:

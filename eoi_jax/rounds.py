@@ -20,7 +20,7 @@ from eoi_jax.effects import (
 )
 from eoi_jax.effects.effect import AbstractActuator, AbstractEffect, AbstractTerm
 from eoi_jax.effects.products import ModulatedSinusoid, Product
-from eoi_jax.fit import Base, Fit, fitted, settled, system
+from eoi_jax.fit import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.identify import Identification
 from eoi_jax.lags import lags
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
@@ -159,7 +159,17 @@ class Round:
     def exhausted(self) -> bool:
         """Whether the chosen set leaves no more than noise."""
         power = known_power(self.base.noise, self.base.local, self.base.output)
-        return float(np.mean(self.chosen.residual**2 / power)) < _NOISE_LIKE
+        return float(np.mean(self.kept.residual**2 / power)) < _NOISE_LIKE
+
+    @property
+    def declared(self) -> Fit:
+        """The model without anything added, within its bounds."""
+        return within_bounds(self.base, self.found.fit([]), self.found.power)
+
+    @cached_property
+    def kept(self) -> Fit:
+        """The chosen set within the bounds of the model: what is added, and judged."""
+        return within_bounds(self.base, self.chosen, self.found.power)
 
     def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:
         """The model with the chosen set, at its fitted values.
@@ -167,7 +177,7 @@ class Round:
         Args:
             added: the effects as they are read, with their parameters.
         """
-        return self._grown(self.chosen, added)
+        return self._grown(self.kept, added)
 
     def _grown(self, fit: Fit, added: dict[Placed, tuple[float, ...]]) -> Plant:
         """The model with a set; fitted once more where internal states bend the columns."""
@@ -391,6 +401,10 @@ def base_of(model: Plant, stretches: Sequence[Stretch]) -> Base:
         np.concatenate(noise),
         np.concatenate(parts),
         np.concatenate(output),
+        (
+            (np.asarray(model.lower) - model.theta)[free],
+            (np.asarray(model.upper) - model.theta)[free],
+        ),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.augment import Placed
-from eoi_jax.fit import Base, fitted
+from eoi_jax.fit import Base, fitted, within_bounds
 from eoi_jax.results import Status
 from eoi_jax.rounds import Round
 
@@ -42,13 +42,15 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
 
     And whether that is noise: white as predicted, or less than the noise is. Of what the rounds
-    found, or of a `plain` model that stands in its place, which was not searched.
+    found, or of a `plain` model that stands in its place, which was not searched; all of them with
+    their parameters within the bounds.
     """
     first, last = rounds[0], rounds[-1]
-    before = first.found.fit([]).residual
-    after = last.found.fit([]).residual if not last.chosen.atoms else last.chosen.residual
+    before = first.declared.residual
+    after = last.declared.residual if not last.chosen.atoms else last.kept.residual
     if plain is not None:
-        after = fitted(plain.base, [], last.found.power).residual
+        power = last.found.power
+        after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
     return _taken(first, last, before, after)
 
 
@@ -57,7 +59,7 @@ def unless_denied(status: Status, first: Round) -> Status:
     fit = first.denied
     if status.code != "unexplained" or fit is None or first.chosen.atoms:
         return status
-    share, _, _ = _taken(first, first, first.found.fit([]).residual, fit.residual)
+    share, _, _ = _taken(first, first, first.declared.residual, fit.residual)
     names = " and ".join(names_of([one.placed for one in fit.atoms]))
     told = Status("unexplained", _DENIED.format(names, share))
     return told if share >= _MAINLY else status

@@ -601,6 +601,32 @@ def test_share_that_is_held_out_lies_between_zero_and_one():
         eoi.discover(MASS, records("nothing")[0], 1.5)
 
 
+# -- bounds ---------------------------------------------------------------------------------------
+
+
+def test_what_a_bound_takes_away_is_not_explained():
+    """The stiffness may not reach its true value: effects are judged beside that on the bound."""
+    plant = MASS.declared_anew({"k": 18.0}, bounds={"k": (10.0, 19.8)})
+    fit, held = records("coulomb")
+    got = eoi.discover(plant, fit, held, "coulomb_friction")
+    assert got.plant.parameters["k"] == 19.8
+    assert got.notes[-1].startswith("k ended on its bound, 19.8: ")
+    assert got.effects == ("coulomb_friction",)
+    assert np.isnan(got.found.standard_errors["k"])
+    before, after = (one.index[one.best_pass, 0] for one in (got.declared, got.found))
+    assert after > 0.01 * before
+    assert got.explained == pytest.approx(1.0 - after / before, abs=0.02)
+
+
+def test_a_model_that_a_bound_keeps_from_the_records_lacks_something():
+    plant = MASS.declared_anew({"k": 15.0}, bounds={"k": (10.0, 16.0)})
+    fit, held = records("nothing")
+    got = eoi.discover(plant, fit, held, "coulomb_friction")
+    assert got.status.code == "unexplained"
+    assert got.added == ()
+    assert any(one.startswith("k ended on its bound, 16: ") for one in got.notes)
+
+
 # -- what the records cannot tell apart -----------------------------------------------------------
 
 

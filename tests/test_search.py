@@ -1,6 +1,7 @@
 """The search over sets of effects, on columns made by hand; fits, candidates, noise model."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from eoi_jax import effects
 from eoi_jax.augment import Placed
 from eoi_jax.candidates import Atom, atoms, candidates, seen_at
 from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base, Fit, Span, fitted, refined, solve
+from eoi_jax.fit import Base, Fit, Span, fitted, refined, solve, within_bounds
 from eoi_jax.modes import stretch
 from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.search import Search
@@ -95,6 +96,22 @@ def test_gain_outside_its_bounds_is_not_physical():
     known = base(-0.7 * parts[:, 2], parts[:, :2])
     assert not fitted(known, [atom(friction, parts[:, 2])], np.ones(ROWS)).physical
     assert fitted(known, [atom(spring, parts[:, 2])], np.ones(ROWS)).physical
+
+
+def test_a_set_within_bounds_is_the_least_squares_of_what_they_leave():
+    parts = columns(0, 3)
+    known = replace(base(0.7 * parts[:, 2], parts[:, :2] + 0.3 * parts[:, 2:]),
+                    room=(np.array([-1.0, -0.1]), np.ones(2)))  # fmt: skip
+    fit = fitted(known, [atom(effects.CoulombFriction(), parts[:, 2])], np.ones(ROWS))
+    np.testing.assert_allclose(fit.theta[:2], [0.3, -0.2], atol=0.02)
+    kept = within_bounds(known, fit, np.ones(ROWS))
+    assert kept.theta[1] == -0.1
+    beside = np.stack([known.columns[:, 0], parts[:, 2]], axis=1)
+    rest = known.target + 0.1 * known.columns[:, 1]
+    want, (square,), *_ = np.linalg.lstsq(beside, rest)
+    np.testing.assert_allclose(kept.theta[[0, 2]], want, rtol=1e-9)
+    assert kept.cost == pytest.approx(square)
+    assert within_bounds(replace(known, room=(-np.ones(2), np.ones(2))), fit, np.ones(ROWS)) is fit
 
 
 def test_column_that_overflows_is_no_answer():
