@@ -15,11 +15,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.checks import check, check_kind, real
 from eoi_jax.identify import Identification
-from eoi_jax.plants.plant import parameter_type
+from eoi_jax.plants.plant import Plant, parameter_type
 from eoi_jax.refinement import Refinement
 from eoi_jax.regression.combinations import in_weights, told
 from eoi_jax.regression.least_squares import least_squares
@@ -39,7 +39,7 @@ class Uncertainty:
         covariance: of them, shape (np, np); 0 for what is fixed, NaN where it is not known.
         degrees_of_freedom: of each variance, shape (np,); infinite where they are not known.
         untraced: directions that left no trace, one a column, shape (np, k).
-        unclear: sentences on what cannot, or can hardly, be told apart.
+        unclear: sentences on what ended on a bound, and what cannot, or can hardly, be told apart.
         units: by name, as far as they are known.
         draws: estimates of a bootstrap, shape (resamples, np); None without.
     """
@@ -54,7 +54,7 @@ class Uncertainty:
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """By name; infinite where the data leave a parameter open."""
+        """By name; infinite where the data leave a parameter open, NaN for one on its bound."""
         errors = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
         errors = np.where(np.any(self.untraced != 0, axis=1), np.inf, errors)
         return {name: float(one) for name, one in zip(self.parameters, errors, strict=True)}
@@ -191,15 +191,21 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     theta = np.asarray(plant.theta, dtype=float)
     freedom = estimate.degrees_of_freedom
     freedom = np.full(len(theta), np.inf if freedom is None else freedom)
+    bound = _on_bounds(theta, plant, covariance)
     information = getattr(estimate, "information", None)
     untraced = np.zeros((len(theta), 0))
     if information is not None:
-        untraced = _untraced(np.asarray(information), plant.free)
+        untraced = _untraced(np.asarray(information), np.where(bound, 0.0, plant.free))
     units = {name: unit for name, unit in plant.units.items() if name in plant.names}
     known = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
     precision = _precision(covariance, freedom) if information is None else np.asarray(information)
     errors = np.asarray(list(known.standard_errors.values()))
-    unclear = _open(untraced, theta, plant.names) + _weak(precision, errors, theta, plant.names)
+    unclear = [
+        _BOUND.format(name, value)
+        for name, value, on in zip(plant.names, theta, bound, strict=True)
+        if on
+    ]
+    unclear += _open(untraced, theta, plant.names) + _weak(precision, errors, theta, plant.names)
     return replace(known, unclear=tuple(unclear))
 
 
@@ -212,6 +218,16 @@ def student(level: float, freedom: Float[np.ndarray, " np"]) -> Float[np.ndarray
 
 
 # -- what cannot be told apart ----------------------------------------------------------------
+
+_BOUND = "{} ended on its bound, {:g}: it has no error, and those of the others hold beside it"
+
+
+def _on_bounds(
+    theta: Float[np.ndarray, " np"], plant: Plant, covariance: Float[np.ndarray, "np np"]
+) -> Bool[np.ndarray, " np"]:
+    """Which parameters are on a bound, and were estimated no further: the others beside them."""
+    on = (theta == np.asarray(plant.lower)) | (theta == np.asarray(plant.upper))
+    return on & np.isnan(np.diagonal(covariance)) & (np.asarray(plant.free) > 0)
 
 
 def _untraced(

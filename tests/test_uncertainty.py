@@ -215,6 +215,31 @@ def test_what_left_no_trace_alone_is_named_alone():
     assert np.isfinite(known.standard_errors["mass"])
 
 
+def test_what_ended_on_a_bound_is_not_taken_for_what_left_no_trace():
+    """Its information is left out, and its error NaN: `refine`."""
+    plant = PLANT.declared_anew(bounds={"drag": (1.0, 2.6)})
+    covariance, information = np.diag([0.01, np.nan, 0.03]), np.diag([100.0, 0.0, 30.0])
+    known = uncertainty(refined(plant=plant, covariance=covariance, information=information))
+    (sentence,) = known.unclear
+    assert sentence.startswith("drag ended on its bound, 2.6: it has no error")
+    assert sentence in str(known)
+    assert np.all(np.isnan(known.intervals()["drag"]))
+    assert known.standard_errors["mass"] == pytest.approx(0.1)
+
+
+def test_an_identification_on_a_bound_says_so_and_no_interval_leaves_the_bounds():
+    record = refined().records[0]
+    start = {"gain": 2.0, "rate": 1.0}
+    rates = eoi.Plant(
+        lambda t, x, u, p: p.gain * u - p.rate * x.y[0], start, bounds={"rate": (0.0, 1.2)}
+    )
+    known = uncertainty(eoi.identify(rates, record))  # the truth is 2.6/1.7
+    (sentence,) = known.unclear
+    assert sentence.startswith("rate ended on its bound, 1.2: ")
+    assert np.all(np.isnan(known.intervals()["rate"]))
+    assert np.isfinite(known.standard_errors["gain"])
+
+
 def test_a_direction_without_whole_numbers_is_told_in_weights():
     direction = np.asarray([1.0, 0.37, 0.0])
     information = np.eye(3) - np.outer(direction, direction) / (direction @ direction)
