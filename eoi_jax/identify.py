@@ -34,7 +34,7 @@ from eoi_jax.prepare import (
     prepare,
     ready,
 )
-from eoi_jax.regression.least_squares import untraced
+from eoi_jax.regression.least_squares import standard_errors, untraced
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer, default_transient
@@ -55,7 +55,8 @@ class Identification:
         standard_errors: by name; they know that filtered residuals are coloured
             (`regression/long_run.py`), and know nothing of bias: without instruments, that from
             noise in the regressors. NaN for a parameter that ended on its bound, beside which the
-            errors of the others hold; 0 for a fixed one.
+            errors of the others hold; infinite for one that the data leave open, alone or in a
+            combination without a trace; 0 for a fixed one.
         index: P of each pass and output, eq. (14), shape (passes, ny).
         increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
         parameter_history: θ of each pass, shape (passes, np).
@@ -268,13 +269,14 @@ class _Driver:
         else:
             covariance, freedom = better.covariance, better.degrees_of_freedom
         covariance = np.where(bound | bound[:, None], np.nan, covariance)
+        information = np.einsum("j,jab->ab", one.weights[0], sums.information)
         plant = self.plant.with_parameters(theta)
         power, observed = (mean(part, sums.weight) for part in (sums.square, sums.observed_square))
         sliding = mean(sums.sliding, sums.count)
         taken = slice(int(done.passes[0]))
         return Identification(
             parameters=plant.parameters,
-            standard_errors=self._standard_errors(covariance),
+            standard_errors=self._standard_errors(status, covariance, information, bound),
             index=done.index[0, taken],
             increments=done.increment[0, taken],
             parameter_history=done.theta[0, taken],
@@ -294,7 +296,7 @@ class _Driver:
             reasons=reasons,
             notes=notes + _sliding_note(self.plant, sliding) + bound_notes(plant, bound),
             records=records,
-            information=np.einsum("j,jab->ab", one.weights[0], sums.information),
+            information=information,
             degrees_of_freedom=freedom,
         )
 
@@ -339,8 +341,13 @@ class _Driver:
         sums, trace = self.one_pass(theta, store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
 
-    def _standard_errors(self, covariance: np.ndarray) -> dict[str, float]:
+    def _standard_errors(
+        self, status: Status, covariance: np.ndarray, information: np.ndarray, bound: np.ndarray
+    ) -> dict[str, float]:
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        if status.code not in ("no_data", "diverged"):
+            free = np.where(bound, 0.0, self.plant.free)
+            errors = standard_errors(covariance, information, free)
         return {name: float(one) for name, one in zip(self.plant.names, errors, strict=True)}
 
     def _per_sample(

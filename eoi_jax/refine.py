@@ -38,7 +38,7 @@ from eoi_jax.output_error import (
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
 from eoi_jax.refinement import Refinement, Start
-from eoi_jax.regression.least_squares import least_squares, untraced
+from eoi_jax.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.regression.orthonormal import orthonormal
 from eoi_jax.results import Status
@@ -367,6 +367,9 @@ def _refinement(
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
     certainty = _certainty(fit, plant, bound, spans)
     errors = np.sqrt(np.diagonal(certainty.covariance))
+    if fit.differentiable:
+        inside = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
+        errors = standard_errors(certainty.covariance, certainty.information, inside)
     return Refinement(
         plant.parameters,
         {name: float(one) for name, one in zip(plant.names, errors, strict=True)},

@@ -22,7 +22,7 @@ from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant, parameter_type
 from eoi_jax.refinement import Refinement
 from eoi_jax.regression.combinations import in_weights, told
-from eoi_jax.regression.least_squares import least_squares
+from eoi_jax.regression.least_squares import traceless
 
 _EXACT = 1e-3  # tolerance of a weight that stands for a whole number, where nothing is left of it
 _ROUGH = 0.05  # the same where noise hides it
@@ -195,7 +195,7 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     information = getattr(estimate, "information", None)
     untraced = np.zeros((len(theta), 0))
     if information is not None:
-        untraced = _untraced(np.asarray(information), np.where(bound, 0.0, plant.free))
+        untraced = traceless(np.asarray(information), np.where(bound, 0.0, plant.free))
     units = {name: unit for name, unit in plant.units.items() if name in plant.names}
     known = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
     precision = _precision(covariance, freedom) if information is None else np.asarray(information)
@@ -228,19 +228,6 @@ def _on_bounds(
     """Which parameters are on a bound, and were estimated no further: the others beside them."""
     on = (theta == np.asarray(plant.lower)) | (theta == np.asarray(plant.upper))
     return on & np.isnan(np.diagonal(covariance)) & (np.asarray(plant.free) > 0)
-
-
-def _untraced(
-    information: Float[np.ndarray, "np np"], free: Float[np.ndarray, " np"]
-) -> Float[np.ndarray, "np k"]:
-    """Directions of θ without information, each of length one in its largest part."""
-    solution = least_squares(jnp.asarray(information), jnp.zeros(len(free)), jnp.asarray(free))
-    lost = ~np.asarray(solution.identified)
-    scaled = np.asarray(solution.directions)[:, lost]
-    # Rounding is no part of a direction.
-    scaled = np.where(np.abs(scaled) > 1e-6, scaled, 0.0)
-    directions = scaled / np.asarray(solution.scale)[:, None] * free[:, None]
-    return directions / np.max(np.abs(directions), axis=0, initial=1e-300)
 
 
 def _open(

@@ -37,6 +37,7 @@ from eoi_jax.plants import (
 )
 from eoi_jax.prepare import ready
 from eoi_jax.simulate import simulate
+from eoi_jax.uncertainty import uncertainty
 
 H = 2e-3
 SAMPLES = 2001
@@ -495,6 +496,8 @@ def test_status_names_a_parameter_that_never_enters():
     for name, value in TRUE.items():  # the rest is right all the same
         assert got.parameters[name] == pytest.approx(value, rel=5e-4)
     assert got.parameters["ghost"] == 7.0
+    assert got.standard_errors.pop("ghost") == np.inf
+    assert all(0.0 < error < np.inf for error in got.standard_errors.values())
 
 
 def test_status_names_a_combination_that_leaves_no_trace():
@@ -509,6 +512,10 @@ def test_status_names_a_combination_that_leaves_no_trace():
     assert "beta" not in got.status.message
     total = got.parameters["stiffness"] + got.parameters["gravity"]
     assert total == pytest.approx(TRUE["alpha"], rel=5e-4)
+    known = uncertainty(got).standard_errors
+    assert known["stiffness"] == known["gravity"] == np.inf
+    assert got.standard_errors == known
+    assert " inf " in str(got)
 
 
 def test_status_says_that_a_plant_at_rest_gives_no_data():

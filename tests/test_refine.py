@@ -565,6 +565,8 @@ def test_parameters_that_cannot_be_told_apart_are_named(faded):
     assert "a" in result.status.message.split(":")[0]
     assert "b" in result.status.message.split(":")[0]
     assert result.rmse[0] < 1e-6
+    assert result.standard_errors["a"] == result.standard_errors["b"] == np.inf
+    assert result.standard_errors == eoi.uncertainty(result).standard_errors
 
 
 def test_a_start_without_derivatives_is_said(faded):

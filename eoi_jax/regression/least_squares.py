@@ -108,3 +108,42 @@ def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, "
         else:
             combinations.append(" ".join(f"{weight:+.2g}·{name}" for weight, name in terms))
     return combinations
+
+
+def traceless(
+    information: Float[np.ndarray, "np np"], free: Float[np.ndarray, " np"]
+) -> Float[np.ndarray, "np k"]:
+    """Directions of θ without information, each of length one in its largest part.
+
+    Args:
+        information: Σ φᵀφ.
+        free: 1 for an estimated parameter, 0 for a fixed one.
+
+    Returns:
+        One a column.
+    """
+    solution = least_squares(jnp.asarray(information), jnp.zeros(len(free)), jnp.asarray(free))
+    lost = ~np.asarray(solution.identified)
+    scaled = np.asarray(solution.directions)[:, lost]
+    # Rounding is no part of a direction.
+    scaled = np.where(np.abs(scaled) > 1e-6, scaled, 0.0)
+    directions = scaled / np.asarray(solution.scale)[:, None] * free[:, None]
+    return directions / np.max(np.abs(directions), axis=0, initial=1e-300)
+
+
+def standard_errors(
+    covariance: Float[np.ndarray, "np np"],
+    information: Float[np.ndarray, "np np"],
+    free: Float[np.ndarray, " np"],
+) -> Float[np.ndarray, " np"]:
+    """Roots of the variances; infinite for what a direction without a trace leaves open.
+
+    Args:
+        covariance: in the directions that left a trace.
+        information: Σ φᵀφ.
+        free: 1 for an estimated parameter, 0 for a fixed one, or one on its bound.
+    """
+    errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if not np.all(np.isfinite(information)):
+        return errors
+    return np.where(np.any(traceless(information, free) != 0, axis=1), np.inf, errors)
