@@ -31,13 +31,14 @@ from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
 from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
-from eoi_jax.prepare import check_records, ready
+from eoi_jax.prepare import Ready, check_records, ready
 from eoi_jax.ranking import ends, ranking
 from eoi_jax.refit import SEARCHED, free_runs, not_simulated, on_bounds, refitted, window_of
 from eoi_jax.results import Status
 from eoi_jax.rivals import advice, ambiguous, unrivalled
 from eoi_jax.rounds import Round, Task, read_friction
 from eoi_jax.side_by_side import aside
+from eoi_jax.tuning import brief_notes, too_short
 from eoi_jax.validate import FreeRuns
 from eoi_jax.verdict import answered, explained, judged, names_of, unless_denied
 
@@ -108,7 +109,7 @@ def discover(
     runs = check_runs(plant, several, held, window)
     told = callback or _untold
     told("fitting the declared model", 0, _STAGES)
-    prepared = ready(plant, several, lowpass)
+    prepared, several, brief = _telling(plant, several, lowpass)
     declared = estimate(plant, prepared)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
@@ -119,7 +120,21 @@ def discover(
         found = _polished(task, found, None if effects is None else tried)
     found = _doubted(task, found, refine)
     unfit = [] if effects is None else _unfit(tried, fitting, found)
-    return replace(found, notes=(*found.notes, *unfit, *runs))
+    return replace(found, notes=(*brief, *found.notes, *unfit, *runs))
+
+
+def _telling(
+    plant: Plant, records: tuple[Record, ...], lowpass: LowPass | None
+) -> tuple[Ready, tuple[Record, ...], list[str]]:
+    """Records made ready, without those too short to tell anything beside the others."""
+    prepared = ready(plant, records, lowpass)
+    cutoff = prepared.lowpass.cutoff
+    left = brief_notes(records, cutoff, "left out")
+    if left:
+        each = zip(records, too_short(records, cutoff), strict=True)
+        records = tuple(one for one, short in each if not short)
+        prepared = ready(plant, records, lowpass)
+    return prepared, records, left
 
 
 def _doubted(task: Task, found: Discovery, refined: bool) -> Discovery:

@@ -37,7 +37,7 @@ from eoi_jax.prepare import (
 from eoi_jax.regression.least_squares import standard_errors, untraced
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.results import Status
-from eoi_jax.tuning import default_observer, default_transient
+from eoi_jax.tuning import brief_notes, default_observer, default_transient
 
 # Up to so many values every pass stores its signals, which are wanted of the first and the best:
 # a second kernel that stores nothing, and the best pass once more, would take longer.
@@ -227,6 +227,7 @@ def estimate(
     )
     filters = _stacked([lowpass.discretise(record.sample_period) for record in fine])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
+    notes += brief_notes(prepared.records, lowpass.cutoff, _BRIEF)
     notes += _precision_note()
     run = alone(plant, observer, filters, steps)
     driver = _Driver(plant, observer, run, steps, prepared.substeps, passes, callback, cure)
@@ -391,6 +392,7 @@ class _Driver:
         return Status(code, messages[code])
 
 
+_BRIEF = "filter, transient and instruments are chosen without it"
 _STILL = (
     "the outputs ({}) are constant throughout, so that no parameter leaves a trace: excite the "
     "plant, or check which columns are read"

@@ -17,7 +17,7 @@ T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identifica
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -36,6 +36,7 @@ from eoi_jax.prepare import Ready, prepare, step_inputs
 from eoi_jax.regression.instrumental import within_bounds
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.trajectory import REACHES, frictional
+from eoi_jax.tuning import too_short
 from eoi_jax.types import Scalar
 from eoi_jax.validate import validate
 
@@ -146,6 +147,7 @@ def cured(
     Returns:
         Their estimate, or none; and what was chosen and why.
     """
+    records, prepared = _telling(records, prepared)
     why = "as asked for"
     if not wanted:
         level = float(np.max([_level(record) for record in records]))
@@ -164,6 +166,21 @@ def cured(
     )
     made = f"instrumental variables in {found.passes} passes{windows}"
     return found, (f"{made}: {why}",)
+
+
+def _telling(records: Sequence[Record], prepared: Ready) -> tuple[Sequence[Record], Ready]:
+    """Without records in which neither filter nor free run settles: one would rule out the rest."""
+    brief = too_short(records, prepared.lowpass.cutoff)
+    if not any(brief):
+        return records, prepared
+
+    def kept(several: Sequence[Any]) -> tuple[Any, ...]:
+        return tuple(one for one, short in zip(several, brief, strict=True) if not short)
+
+    return kept(records), replace(
+        prepared, records=kept(prepared.records), fine=kept(prepared.fine),
+        inputs=kept(prepared.inputs), velocity_noise=kept(prepared.velocity_noise),
+    )  # fmt: skip
 
 
 def _spread(records: Sequence[Record]) -> Float[np.ndarray, " ny"]:

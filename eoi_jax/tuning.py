@@ -5,7 +5,8 @@ whose density grows as ω^2r. The cut-off is the highest at which that noise sta
 thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the power of y^(r), so
 that the plant's own dynamics stay inside, and at most the one below which 99 % of it lies. Lines
 that no input has (hum, vibration) count neither as dynamics nor as what noise is held against. One
-pole more than the derivatives that are taken bounds the noise at any sampling rate.
+pole more than the derivatives that are taken bounds the noise at any sampling rate. Records too
+short for that, beside longer ones, have no say: what their spectra show is their length.
 
 **Relay.** It is set well above all that it may have to inject, so that the implicit observer stays
 in sliding; in the implicit form a large relay costs nothing (no chatter), and what noise it lets
@@ -44,15 +45,65 @@ _SMOOTH_BAND = 5.0  # of the smoothing over the cut-off of F
 _FINE = 0.012  # cut-off times step
 _MOST_SUBSTEPS = 20
 _MOST_SAMPLES = 2_000_000  # beyond this the memory of a sub-stepped record would show
+# A record below both has no say: its length in time constants of F, and over the longest one.
+_TELLS, _SHORT = 20.0, 0.1
 _RELAY = 2.0  # relay over the largest injection foreseen
 
 
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
     """The filter (19) for these records, and the reason for its cut-off."""
     order = plant.relative_degree + 1
-    spectra = [
-        spectrum(record, j, degree) for record in records for j, degree in enumerate(plant.degrees)
+    several = [
+        [spectrum(record, j, degree) for j, degree in enumerate(plant.degrees)]
+        for record in records
     ]
+
+    def chosen(brief: Sequence[bool]) -> tuple[float, str]:
+        kept = [i for i, short in enumerate(brief) if not short]
+        spectra = [one for i in kept for one in several[i]]
+        return _cutoff(spectra, [records[i] for i in kept], order)
+
+    shortest = too_short(records, 0.0)
+    cutoff, reason = chosen(shortest)
+    brief = too_short(records, cutoff)
+    if brief != shortest:
+        cutoff, reason = chosen(brief)
+    return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
+
+
+def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
+    """Which records are too short, beside the longest, to have a say in what is chosen.
+
+    Args:
+        records: of one estimate.
+        cutoff: of F [rad/s]; 0 for whatever F.
+    """
+    lengths = [record.sample_period * len(record) for record in records]
+    least = _SHORT * max(lengths)
+    return tuple(one < least and one * cutoff < _TELLS for one in lengths)
+
+
+def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str]:
+    """A sentence for each of these.
+
+    Args:
+        records: of one estimate.
+        cutoff: of F [rad/s].
+        what: is done with them.
+    """
+    each = zip(records, too_short(records, cutoff), strict=True)
+    return [
+        f"{one.name}: {one.sample_period * len(one):.3g} s are too short beside the other records, "
+        f"less than {_TELLS:g} time constants of the filter: {what}"
+        for one, short in each
+        if short
+    ]
+
+
+def _cutoff(
+    spectra: Sequence["Spectrum"], records: Sequence[Record], order: int
+) -> tuple[float, str]:
+    """Cut-off [rad/s] for records with these spectra of y^(r), and the reason."""
     half = max(one.below(0.5, one.own) for one in spectra)
     most = max(one.below(0.99, one.signal) for one in spectra)
     quiet = min(one.quiet_cutoff(_NOISE_SHARE, order) for one in spectra)
@@ -71,7 +122,7 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
     ):
         if limit(cutoff, bound) != cutoff:
             reason, cutoff = why, bound
-    return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
+    return cutoff, reason
 
 
 def default_observer(
@@ -118,16 +169,18 @@ def default_smoothing(
     wrong in the mean, and no filter behind it can mend that.
     """
     smoothing = _SMOOTH_BAND * cutoff
+    brief = too_short(records, cutoff)
+    telling = [one for one, short in zip(records, brief, strict=True) if not short]
     moving = np.asarray(plant.degrees) > 1
     noisy = False
-    for record in records:
+    for record in telling:
         rates = np.diff(record.outputs, axis=0) / record.sample_period
         rms = np.sqrt(np.mean(rates**2, axis=0))
         noisy |= bool(np.any((rate_noise(record, False) > _NOISY_RATE * rms) & moving))
     if not noisy or smoothing > 0.9 * min(np.pi / record.sample_period for record in records):
         return False, []
     before, after = (
-        max(float(np.max(rate_noise(record, one))) for record in records)
+        max(float(np.max(rate_noise(record, one))) for record in telling)
         for one in (False, smoothing)
     )
     reason = (
@@ -163,11 +216,13 @@ def velocity_noise(
 
 
 def default_transient(records: Sequence[Record], lowpass: LowPass, explicit: bool) -> float:
-    """Ten time constants of F, at most a fifth of the shortest record [s].
+    """Ten time constants of F, at most a fifth of the shortest record that has a say [s].
 
     The explicit observer also has to reach its surface; published gains take about a second.
     """
-    shortest = min(record.sample_period * len(record) for record in records)
+    brief = too_short(records, lowpass.cutoff)
+    each = zip(records, brief, strict=True)
+    shortest = min(record.sample_period * len(record) for record, short in each if not short)
     return min(10.0 / lowpass.cutoff + (1.0 if explicit else 0.0), 0.2 * shortest)
 
 

@@ -601,6 +601,17 @@ def test_share_that_is_held_out_lies_between_zero_and_one():
         eoi.discover(MASS, records("nothing")[0], 1.5)
 
 
+def test_a_record_too_short_to_tell_anything_is_left_out_with_a_note():
+    fit, held = records("coulomb")
+    alone = eoi.discover(MASS, fit, held, "coulomb_friction")
+    both = eoi.discover(MASS, [fit[1000:1020], fit], held, "coulomb_friction")
+    assert both.plant.parameters == alone.plant.parameters
+    assert both.status == alone.status
+    (note,) = set(both.notes) - set(alone.notes)
+    assert note.startswith("run 1: 0.1 s are too short beside the other records")
+    assert note.endswith("left out")
+
+
 # -- bounds ---------------------------------------------------------------------------------------
 
 

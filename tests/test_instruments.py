@@ -376,6 +376,19 @@ def test_several_records_with_gaps_make_one_estimate(clean):
     assert np.all(np.abs(errors) < 4.0 * np.array(list(got.standard_errors.values())))
 
 
+def test_a_record_too_short_for_instruments_leaves_them_to_the_others(clean):
+    record = noisy(clean, 1e-2, 1)
+    alone, both = (identify(NOMINAL, several, substeps=2) for several in
+                   (record, [record, record[1000:1020]]))  # fmt: skip
+    assert any("instrumental variables in" in reason for reason in alone.reasons)
+    assert both.reasons == alone.reasons
+    assert both.parameters == pytest.approx(alone.parameters, rel=1e-9)
+    assert both.standard_errors == pytest.approx(alone.standard_errors, rel=1e-6)
+    assert both.notes[-1].startswith("noisy: 0.")
+    assert "too short beside the other records" in both.notes[-1]
+    assert len(both.injection) == 2
+
+
 # -- when a free run departs ------------------------------------------------------------------
 
 

@@ -13,11 +13,15 @@ from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.plants import Plant, level_tank, mass_spring_damper
 from eoi_jax.tuning import (
     Spectrum,
+    brief_notes,
     default_lowpass,
     default_observer,
+    default_smoothing,
     default_substeps,
+    default_transient,
     foreign_lines,
     spectrum,
+    too_short,
 )
 
 H = 2e-3
@@ -34,6 +38,32 @@ def made(motion=SWAY, samples=8001, h=H, noise=0.0):
 
 def cutoff_of(*records, plant=PLANT):
     return default_lowpass(plant, records)[0].cutoff
+
+
+@pytest.mark.parametrize("samples", [10, 20, 60, 150])
+def test_one_very_short_record_has_no_say(samples):
+    """Over its few samples any spectrum looks as wide as they are short."""
+    record = made(noise=1e-3)
+    several = [record, record[1000 : 1000 + samples]]
+    lowpass, reason = default_lowpass(PLANT, [record])
+    assert default_lowpass(PLANT, several) == (lowpass, reason)
+    assert default_lowpass(PLANT, several[::-1]) == (lowpass, reason)
+    for chosen in (
+        lambda some: default_smoothing(PLANT, some, lowpass.cutoff),
+        lambda some: default_transient(some, lowpass, explicit=False),
+    ):
+        assert chosen(several) == chosen([record])
+    (note,) = brief_notes(several, lowpass.cutoff, "left out")
+    assert note.startswith(f"{record.name}: {samples * H:.3g} s are too short")
+
+
+def test_records_of_similar_length_all_have_their_say():
+    """The shortest a fifth of the longest: its own band, which is wider, counts."""
+    quick = made(Motion((1.0, 0.5), (4.0, 60.0), (0.0, 1.0)), 1601)
+    slow = made(Motion((1.0, 0.5), (4.0, 8.0), (0.0, 1.0)))
+    assert too_short([slow, quick], 0.1) == (False, False)
+    assert cutoff_of(slow, quick) == pytest.approx(60.0, abs=5.0)
+    assert cutoff_of(slow) < 10.0
 
 
 @pytest.mark.parametrize("top", [15.0, 60.0])
