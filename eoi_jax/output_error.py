@@ -63,6 +63,27 @@ def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
     return spans
 
 
+def used_window(
+    records: Sequence[Record], spans: Sequence[Span], window: float | None
+) -> float | None:
+    """Length of runs [s] that cuts these records into these runs; None for whole records.
+
+    The mean length where that does. What was asked for stays where runs are as long to a sample.
+    """
+    pieces = [sum(span.record == i for span in spans) for i in range(len(records))]
+    if window is None or max(pieces) == 1:
+        return None
+    lengths = [(len(record) - 1) * record.sample_period for record in records]
+    each = [length / count for length, count in zip(lengths, pieces, strict=True)]
+    if all(abs(one - window) <= r.sample_period for one, r in zip(each, records, strict=True)):
+        return window
+    cuts = [(span.record, span.first) for span in spans]
+    for one in (sum(lengths) / len(spans), min(each), max(each)):
+        if [(span.record, span.first) for span in spans_of(records, one)] == cuts:
+            return one
+    return window
+
+
 class Unknowns(eqx.Module):
     """Free parameters, and the initial state of each run (outputs and derivatives, then z)."""
 

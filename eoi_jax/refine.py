@@ -33,6 +33,7 @@ from eoi_jax.output_error import (
     shaken,
     signals,
     spans_of,
+    used_window,
     weighed,
 )
 from eoi_jax.plants.plant import Plant, State
@@ -72,8 +73,9 @@ def refine(
     Args:
         plant: the model with the parameters to start from, or an identification.
         records: one or several; masked samples and a record's burn-in are not scored.
-        window: length of each run [s], about: every record is cut into runs of equal length. The
-            state is estimated anew at the start of each. None: whole records.
+        window: length of each run [s], about: every record is cut into runs of equal length, of a
+            few samples at least; the answer has the length that was used. The state is estimated
+            anew at the start of each. None: whole records.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the plant is too fast for them, and twice as many as long as their
             error would show in the estimate and the fit does not suffer.
@@ -122,6 +124,7 @@ def refine(
     check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     spans = spans_of(several, window)
+    window = used_window(several, spans, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
     problem, unknowns, before = _begun(nominal, several, spans, substeps)

@@ -45,7 +45,8 @@ class Refinement:
             initial states fitted to the first samples of each run.
         cost: Σ_j log rmse_j², which is minimised. cost_before: the same at the starting point.
         residual: y - ŷ, one array (N, ny) per record, NaN where not scored.
-        steps: of the solver. window: length of the runs [s], None for whole records.
+        steps: of the solver. window: length of the runs [s] as used, their mean where records
+            differ; None for whole records.
         status: how it ended.
         notes: what else there is to know.
         information: Σ φᵀφ over the scored samples, φ the derivative of the free runs with the

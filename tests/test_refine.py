@@ -12,7 +12,14 @@ from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
 from eoi_jax.multistart import _varied, points_of
-from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, signals, spans_of
+from eoi_jax.output_error import (
+    Unknowns,
+    guessed_starts,
+    problem_of,
+    signals,
+    spans_of,
+    used_window,
+)
 from eoi_jax.refine import refine
 
 PERIOD = 5e-3
@@ -398,6 +405,31 @@ def test_starts_are_named_or_rows_within_the_bounds():
         refine(bounded, record, starts=[{"damping": 3.0}])
     with pytest.raises(ValueError, match=r"`starts\[0\]`"):
         refine(bounded, record, starts=[[1.0]])
+
+
+@pytest.mark.parametrize("window", [1e-4, 0.03, 0.1, 0.37, 1.7, 2.0, 4.0, 9.0])
+def test_the_window_that_was_used_cuts_records_alike(window):
+    several = [beginning(run(MASS, count=2001), count) for count in (2001, 1000, 1337)]
+    spans = spans_of(several, window)
+    used = used_window(several, spans, window)
+    again = spans_of(several, used)
+    assert [(one.record, one.first, one.count) for one in again] == [
+        (one.record, one.first, one.count) for one in spans
+    ]
+    if used is not None:
+        lengths = [one.count * PERIOD for one in spans]
+        assert min(lengths) - PERIOD <= used <= max(lengths) + PERIOD
+
+
+def test_the_answer_has_the_window_that_was_used():
+    record = run(MASS, noise=1e-4)
+    few = refine(MASS, record, window=1e-3, max_steps=1)
+    assert few.window == pytest.approx(1000 / 125 * PERIOD)  # eight steps at least
+    assert f"125 run(s), windows of {few.window:g} s" in str(few)
+    assert refine(MASS, record, window=1.0, max_steps=1).window == 1.0
+    whole = refine(MASS, record, window=1e3, max_steps=1)
+    assert whole.window is None
+    assert "1 run(s), whole records" in str(whole)
 
 
 def test_a_parameter_on_its_bound_leaves_the_others_at_their_best():
