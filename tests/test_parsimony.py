@@ -12,6 +12,7 @@ from eoi_jax import effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.identify import estimate
 from eoi_jax.prepare import ready
+from eoi_jax.refit import free_runs
 from eoi_jax.rounds import Round, Task
 
 STEP, DRY = 4e-3, np.array([0.8, 0.5])
@@ -62,7 +63,7 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
         for name, value in zip(one.names, (level, 0.1, 0.02), strict=True)
     }
     found = estimate(augmented(declared.plant, wide, values), prepared)
-    runs = discovery._free_runs(task, found.plant)
+    runs = free_runs(task, found.plant)
     first = Round(task, declared.plant, ())
     placed, fewer, _ = discovery._plainest(task, wide, found, runs, first)
     assert [one.effect.name for one in placed] == ["coulomb_friction"] * 2
@@ -86,7 +87,7 @@ def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offs
     values = {"coulomb_friction_near": 0.8, "constant_offset_near": 0.02, far.names[0]: 0.5}
     placed = (*both, far)
     found = estimate(augmented(PLANT, placed, values), prepared)
-    runs = discovery._free_runs(task, found.plant)
+    runs = free_runs(task, found.plant)
     first = Round(task, task.declared.plant, ())
     left, _, _ = discovery._plainest(task, placed, found, runs, first)
     assert left == (placed if kept else (both[0], far))
