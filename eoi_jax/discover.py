@@ -42,6 +42,7 @@ from eoi_jax.tuning import brief_notes, too_short
 from eoi_jax.validate import FreeRuns
 from eoi_jax.verdict import answered, explained, judged, names_of, unless_denied
 
+_PASSES = 30  # of the declared model at most: what it lacks is looked for where it has converged
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
 _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
@@ -110,7 +111,7 @@ def discover(
     told = callback or _untold
     told("fitting the declared model", 0, _STAGES)
     prepared, several, brief = _telling(plant, several, lowpass)
-    declared = estimate(plant, prepared)
+    declared = estimate(plant, prepared, passes=_PASSES)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
