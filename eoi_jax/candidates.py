@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.along import Values, input_slopes
 from eoi_jax.augment import Placed, augmented, own_states, place
 from eoi_jax.effects.effect import (
     INPUT_EFFECTS,
@@ -31,12 +32,10 @@ from eoi_jax.effects.effect import (
 )
 from eoi_jax.modes import (
     Stretch,
-    Values,
     each_of,
     integrated,
     internal_along,
     model_rows,
-    push_along,
 )
 from eoi_jax.plants.plant import Plant
 from eoi_jax.thinning import averaged, thinned
@@ -236,7 +235,7 @@ def _term_rows(
 def _pushes(plant: Plant, placed: Placed, one: Stretch) -> Float[np.ndarray, "S ny"]:
     """What one unit of an effect adds to y^(r) of each output."""
     if placed.through is not None:
-        return np.asarray(push_along(plant, plant.theta, (one.time, one.y, one.u), placed.through))
+        return np.asarray(input_slopes(plant, one.time, one.y, one.u, placed.through))
     own = np.arange(len(plant.outputs)) == placed.channel
     return np.broadcast_to(own.astype(float), (len(one.time), len(own)))
 

@@ -23,21 +23,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from eoi_jax.along import state_slopes
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
 from eoi_jax.iteration import Pass, by_sample, mean
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.pairs import PairSums, Rows, run_pairs, together
 from eoi_jax.passes import Steps
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import Ready, prepare, step_inputs
 from eoi_jax.regression.instrumental import within_bounds
 from eoi_jax.regression.long_run import long_run
 from eoi_jax.trajectory import REACHES, frictional
 from eoi_jax.tuning import too_short
-from eoi_jax.types import Scalar
 from eoi_jax.validate import validate
 
 _PASSES = 8  # at most
@@ -384,7 +384,7 @@ def noise_in_residual(plant: Plant, one: Pass, records: Sequence[Record], prepar
         for _ in range(1, plant.relative_degree):
             rows.append(np.gradient(rows[-1], smooth.sample_period, axis=0))
         states = np.stack(rows, axis=1)[:-1]
-        slopes = np.asarray(_slopes(plant, smooth.time[:-1][some], states[some], u[some]))
+        slopes = np.asarray(state_slopes(plant, smooth.time[:-1][some], states[some], u[some]))
         with np.errstate(invalid="ignore"):
             square = np.nan_to_num(np.mean(slopes**2, axis=0))
         highest = np.asarray([powers[degree, j] for j, degree in enumerate(plant.degrees)])
@@ -398,19 +398,6 @@ def _noise_powers(record: Record, prepared: Ready, degree: int) -> Float[np.ndar
     gain = 1.0 / (1.0 + (omega / prepared.lowpass.cutoff) ** (2 * prepared.lowpass.order))
     means = np.mean(gain * omega ** (2 * np.arange(degree + 1)[:, None]), axis=1)
     return means[:, None] * record.noise**2
-
-
-@jax.jit
-def _slopes(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny r ny"]:
-    """∂f/∂y, ∂f/∂y', … along a record, with the internal states where they start."""
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-    u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)
-
-    def one(t: Scalar, y: Array, u: Array) -> Array:
-        return jax.jacfwd(lambda y: plant.derivative(t, State(y, z), u, theta))(y)
-
-    return jax.vmap(one)(jnp.asarray(time), jnp.asarray(states), u)
 
 
 def _level(record: Record) -> Float[np.ndarray, " ny"]:

@@ -12,7 +12,8 @@ Source:
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.modes import Rows, Stretch, push_along
+from eoi_jax.along import input_slopes
+from eoi_jax.modes import Rows, Stretch
 from eoi_jax.plants.plant import Plant
 from eoi_jax.thinning import averaged, thinned
 
@@ -35,7 +36,7 @@ def lags(
     """
     spacing, length = len(one.kernel) * one.sample_period, len(one.highest[0])
     size = 2 ** int(np.ceil(np.log2(2 * length)))
-    push = np.asarray(push_along(plant, plant.theta, (one.time, one.y, one.u), channel))
+    push = np.asarray(input_slopes(plant, one.time, one.y, one.u, channel))
     product, scale = np.zeros(size), 0.0
     for j, degree in enumerate(plant.degrees):
         driven = averaged(degree, push[:, j] * one.u[:, channel])

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.along import Values, state_slopes
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
 from eoi_jax.plants.plant import Plant, State
@@ -52,8 +53,6 @@ _MOST_LOST = 0.5  # of the weight of all samples, to moments of rest
 _MOST_POWER = 0.99  # of y^(r), below the frequency half of the band
 
 Rows = Float[np.ndarray, "*batch modes"]
-# Arrays of the host go into kernels as they are: to hand each over first takes a kernel of its own.
-Values = Array | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     smooth = raw if cutoff is None else calm.resample(substeps)
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
-    slopes = _slopes(plant, plant.theta, (time, y, u))
+    slopes = state_slopes(plant, time, y, u)
     good = _usable(plant, raw, smooth, velocity_noise(plant.degrees, record, cutoff or False), band)
     weight = _weights(plant, record, smooth, good, h, band)
     kernel = thinning(band * h)
@@ -319,19 +318,6 @@ def _noise(
     return noise
 
 
-@eqx.filter_jit
-def _slopes(plant: Plant, theta: Values, rows: tuple) -> Float[Array, "S ny r ny"]:
-    """∂f/∂(y, ẏ, …) along a stretch."""
-    theta = jnp.asarray(theta)
-    z = plant.internal_start(theta)
-
-    def one(t: Array, y: Array, u: Array) -> Array:
-        return jax.jacfwd(lambda y: plant.derivative(t, State(y, z), u, theta))(y)
-
-    time, y, u = (jnp.asarray(signal) for signal in rows)
-    return jax.vmap(one)(time, y, plant.driven(time, u, theta))
-
-
 # -- models along a stretch ---------------------------------------------------------------
 
 
@@ -406,20 +392,6 @@ def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
     h = jnp.asarray(one.sample_period)
     u = plant.driven(jnp.asarray(one.time), jnp.asarray(one.u), theta)
     return np.asarray(_internal(plant, theta, (one.time, one.y, u), one.bend, h))
-
-
-@eqx.filter_jit
-def push_along(
-    plant: Plant, theta: Float[Values, " np"], rows: tuple, i: int
-) -> Float[Array, "S ny"]:
-    """∂f/∂u_i along a stretch (`time`, `y`, `u`)."""
-    theta, (time, y, u) = jnp.asarray(theta), rows
-    z = plant.internal_start(theta)
-
-    def one(t: Array, y: Array, u: Array) -> Array:
-        return plant.input_slopes(t, State(y, z), u, theta)[:, i]
-
-    return jax.vmap(one)(time, y, plant.driven(time, u, theta))
 
 
 def integrated(

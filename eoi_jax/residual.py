@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.along import state_slopes
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
 from eoi_jax.lowpass import DiscreteFilter
@@ -246,25 +247,12 @@ def _noise_moments(
     c is one at the degree of output i = j, less ∂f_i/∂y_j^(m); taken at up to 400 samples.
     """
     picked = np.linspace(0, len(time) - 1, min(len(time), _SLOPES)).astype(int)
-    slopes = np.asarray(_slopes(plant, time[picked], states[picked], inputs[picked]))
+    slopes = np.asarray(state_slopes(plant, time[picked], states[picked], inputs[picked]))
     ny, r = len(plant.outputs), plant.relative_degree
     c = np.zeros((len(picked), ny, ny, r + 1))
     c[..., :r] = -np.swapaxes(np.nan_to_num(slopes, posinf=0.0, neginf=0.0), 2, 3)
     c[:, np.arange(ny), np.arange(ny), np.asarray(plant.degrees)] += 1.0
     return np.mean(c[..., :, None] * c[..., None, :], axis=0)
-
-
-@eqx.filter_jit
-def _slopes(plant: Plant, time: Any, states: Any, inputs: Any) -> Any:
-    """∂f/∂y at every sample, (samples, ny, r, ny)."""
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-
-    def one(t: Any, y: Any, u: Any) -> Any:
-        return jax.jacfwd(lambda value: plant.derivative(t, State(value, z), u, theta))(y)
-
-    u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)
-    return jax.vmap(one)(time, states, u)
 
 
 class _Gain(NamedTuple):

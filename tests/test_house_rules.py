@@ -27,7 +27,7 @@ LAYERS = (
     ("data",),
     ("inspection",),
     ("plants",),
-    ("effects",),
+    ("along", "effects"),
     ("augment",),
     ("equations",),
     ("complementarity",),

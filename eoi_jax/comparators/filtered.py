@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.along import state_slopes
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import low_pass
 from eoi_jax.plants.plant import Plant, State
@@ -282,10 +283,8 @@ def linearised(
     Returns:
         None where it does not forget within a record: an integrator would add up offsets.
     """
-    slopes = [
-        np.asarray(_slope(plant, *(jnp.asarray(a) for a in (m.time, m.y, m.u, theta))))
-        for m in motions
-    ]
+    model = plant.with_parameters(theta)
+    slopes = [np.mean(state_slopes(model, m.time, m.y, m.u), axis=0) for m in motions]
     pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
     transition = np.eye(len(pairs), k=1)
     last = np.cumsum(plant.degrees) - 1
@@ -296,14 +295,3 @@ def linearised(
         return None
     slowest = -np.max(np.linalg.eigvals(transition).real)
     return Response(transition, plant.degrees) if slowest * duration > _DECAY else None
-
-
-@eqx.filter_jit
-def _slope(plant: Plant, time: Array, y: Array, u: Array, theta: Array) -> Float[Array, "ny r ny"]:
-    """Mean of ∂f/∂x over a record."""
-    none = jnp.zeros(0, theta.dtype)
-
-    def one(t: Array, y: Array, u: Array) -> Array:
-        return jax.jacfwd(lambda at: plant.derivative(t, State(at, none), u, theta))(y)
-
-    return jnp.mean(jax.vmap(one)(time, y, plant.driven(time, u, theta)), axis=0)

@@ -18,8 +18,6 @@ from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Kernel, Steps, Sums
 from eoi_jax.plants.plant import Plant
 
-STORES = ("nothing", "scores")
-
 
 class Lanes(eqx.Module):
     """What differs between passes over one record; every array has a leading axis (lanes,).

@@ -16,7 +16,6 @@ from eoi_jax.equations.expression import Symbol as Symbol
 
 # How tightly an operation binds.
 _COMPARISON, _SUM, _PRODUCT, _POWER, _ATOM = range(5)
-_BINDING = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "^": _POWER}
 
 
 @dataclass(frozen=True)
