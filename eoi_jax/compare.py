@@ -18,6 +18,7 @@ from jaxtyping import Float
 from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.comparators import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
+from eoi_jax.held_out import held_out
 from eoi_jax.identify import estimate
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records, ready
@@ -123,7 +124,8 @@ def compare(
     Args:
         plant: the model with its nominal parameters, from which every method starts.
         records: one or several; every method fits all of them.
-        validation: held-out records, on which free runs are scored; if left out, those of the fit.
+        validation: held-out records, on which free runs are scored, none of them seen by a fit; if
+            left out, those of the fit.
         truth: parameters that made the records, by name, where they are known.
         methods: comparators, one's own among them, and names of those in `comparators.standard()`;
             by default all of these.
@@ -137,7 +139,11 @@ def compare(
             one that is no comparator, two of one name.
     """
     several = check_records(plant, records)
-    held = several if validation is None else check_records(plant, validation)
+    apart = held_out(plant, several, validation)
+    check(
+        validation is None or len(apart) > 0, "validation", "must hold at least one record", "none"
+    )
+    held = apart or several
     check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:
         check_choice("truth", name, plant.names)
@@ -150,7 +156,7 @@ def compare(
         entries,
         plant,
         judge.truth,
-        validation is not None,
+        bool(apart),
         judge.window,
         judge.index.reasons,
         judge.notes,

@@ -43,7 +43,7 @@ def held_out(
     except ValueError as error:
         raise ValueError(str(error).replace("`records", "`validation", 1)) from error
     hashes = {one.data_hash for one in records}
-    advice = "Give another record, or a share of these such as 0.3."
+    advice = "Give another record, or keep a part of this one back: `record.split(0.7)`."
     for one in held:
         name, rule = f"validation[{one.name}]", "must not be one of the records of the fit"
         check(one.data_hash not in hashes, name, rule, "the same data", advice)

@@ -231,6 +231,13 @@ def test_a_held_out_record_that_cannot_be_scored_is_a_note(plant, record, held, 
     assert any("valid samples after the first" in note for note in found.notes)
 
 
+def test_a_record_of_the_fit_cannot_judge(plant, record):
+    with pytest.raises(ValueError, match=r"must not be one of the records of the fit.*split"):
+        eoi.compare(plant, record, record, methods=["svf"])
+    with pytest.raises(ValueError, match=r"must not hold samples that the fit sees"):
+        eoi.compare(plant, record, record[100:], methods=["svf"])
+
+
 def test_without_held_out_records_it_says_so(plant, record, truth):
     found = eoi.compare(plant, record, methods=[Given("given", truth)])
     assert not found.held_out
@@ -247,7 +254,7 @@ def test_without_held_out_records_it_says_so(plant, record, truth):
         ({"methods": []}, "`methods` must hold at least one comparator"),
         ({"methods": [Given("a", None), Given("a", None)]}, "`methods` must have different names"),
         ({"truth": {"alfa": 1.0}}, r"`truth` must be one of alpha, beta, rho.*`alpha`"),
-        ({"validation": []}, "`records` must hold at least one record"),
+        ({"validation": []}, "`validation` must hold at least one record"),
     ],
 )
 def test_wrong_calls_say_what_to_do(plant, record, arguments, message):
