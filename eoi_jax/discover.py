@@ -82,8 +82,9 @@ def discover(
         window: length of re-initialised free runs [s]; by default a tenth of a record.
         refine: whether the answer is then refined by output error (`refine`), and what only its
             free run shows is added (`remaining`): what the injection hardly sees may be most of
-            that error. Additions are kept where all free runs on held-out data get better by
-            more than a hundredth, a mere refinement where none gets worse by one. Takes longer.
+            that error. Additions, and a fit to short runs in place of whole records, are kept
+            where all free runs on held-out data get better by more than a hundredth, a mere
+            refinement where none gets worse by one. Takes longer.
         callback: called at each stage with what is done now, how many stages are over, and how
             many there are at most.
 

@@ -5,7 +5,11 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.experimental.buffer_callback import buffer_callback
+
+try:
+    from jax.experimental.buffer_callback import buffer_callback
+except ImportError:  # it is experimental: a JAX without it copies the arrays
+    buffer_callback = None
 
 
 def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:
@@ -26,6 +30,6 @@ def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *
         np.asarray(out)[...] = given(*parts)
 
     # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
-    if jax.default_backend() == "cpu":
+    if buffer_callback is not None and jax.default_backend() == "cpu":
         return buffer_callback(written, result, vmap_method="expand_dims")(*args)
     return jax.pure_callback(given, result, *args, vmap_method="expand_dims")
