@@ -69,7 +69,8 @@ def test_an_answer_of_nothing_stands_where_free_runs_agree(records):
 def _as_declared(estimate):
     """The estimator, but that it leaves the parameters where they are."""
 
-    def fake(model, prepared):
-        return replace(estimate(model, prepared), plant=model, parameters=model.parameters)
+    def fake(model, prepared, passes):
+        found = estimate(model, prepared, passes=passes)
+        return replace(found, plant=model, parameters=model.parameters)
 
     return fake
