@@ -18,7 +18,7 @@ from jaxtyping import Float
 from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.comparators import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
-from eoi_jax.held_out import held_out
+from eoi_jax.held_out import INITIAL, held_out
 from eoi_jax.identify import estimate
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import check_records, ready
@@ -27,7 +27,6 @@ from eoi_jax.tuning import default_observer
 from eoi_jax.validate import validate
 from eoi_jax.windows import window_length
 
-_INITIAL = 50  # samples from which a free run's start is estimated, less on a short record
 _FEWEST = 20  # samples of a re-initialised run, at least
 
 
@@ -267,7 +266,7 @@ class _Judge:
         samples = min(len(one) for one in self.held)
         if window is not None:
             samples = min(round(window / one.sample_period) for one in self.held)
-        initial = min(_INITIAL, max(samples // 2, 1))
+        initial = min(INITIAL, max(samples // 2, 1))
         try:
             at = self.plant.with_parameters(values)
             return validate(at, self.held, initial_samples=initial, window=window).rmse

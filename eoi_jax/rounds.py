@@ -235,11 +235,16 @@ class Round:
         """Lags at which the residual of the declared model follows an input."""
         if not isinstance(placed.effect, AbstractActuator):
             return np.zeros(0)
-        base, (one, *_) = self.base, self.stretches
-        residual = fitted(base, [], np.ones_like(base.target)).residual
-        power = fitted_power(residual, base.noise, base.local, base.output)
+        (one, *_), (residual, power) = self.stretches, self._left
         own = slice(len(self.model.outputs) * len(one.omega))
         return lags(self.model, one, residual[own], power[own], placed.channel)
+
+    @cached_property
+    def _left(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+        """What the declared model leaves, and its power S."""
+        base = self.base
+        residual = fitted(base, [], np.ones_like(base.target)).residual
+        return residual, fitted_power(residual, base.noise, base.local, base.output)
 
     def _late(self, placed: Placed) -> str | None:
         """The time by which an effect that is in the model delays the same input."""
