@@ -18,6 +18,7 @@ from dataclasses import replace
 from eoi_jax.augment import Placed
 from eoi_jax.blas import one_thread
 from eoi_jax.candidates import candidates
+from eoi_jax.certainty import Certainty
 from eoi_jax.checks import check, check_choice, check_count, check_kind, real
 from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.data.record import Record
@@ -228,9 +229,9 @@ def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | 
     # One pass, for the injection that is left; parameters and errors are those of the refinement.
     one = estimate(result.plant, task.prepared, passes=1)
     fit = replace(
-        one, parameters=result.parameters, standard_errors=result.standard_errors,
-        covariance=result.covariance, information=result.information,
-        degrees_of_freedom=result.degrees_of_freedom, plant=result.plant, status=result.status,
+        one, parameters=result.parameters, information=result.information, plant=result.plant,
+        certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
+        status=result.status,
     )  # fmt: skip
     kept = [replace(one, parameters={name: result.parameters[name] for name in one.parameters},
                     standard_errors={name: result.standard_errors[name] for name in one.parameters})

@@ -6,6 +6,7 @@ Section 4 of the paper, around the compiled pass of `passes.py`: `iteration.py` 
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax.blas import one_thread
+from eoi_jax.certainty import Certainty, Deferred, settled
 from eoi_jax.checks import check_count
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
@@ -52,11 +54,6 @@ class Identification:
 
     Attributes:
         parameters: estimate by name.
-        standard_errors: by name; they know that filtered residuals are coloured
-            (`regression/long_run.py`), and know nothing of bias: without instruments, that from
-            noise in the regressors. NaN for a parameter that ended on its bound, beside which the
-            errors of the others hold; infinite for one that the data leave open, alone or in a
-            combination without a trace; 0 for a fixed one.
         index: P of each pass and output, eq. (14), shape (passes, ny).
         increments: Δθ of each pass, shape (passes, np); that of the last pass is not applied.
         parameter_history: θ of each pass, shape (passes, np).
@@ -70,17 +67,15 @@ class Identification:
         residual: F[u_eq] - F[φ] Δθ of the best pass; F[u_eq] with instruments, which leave no Δθ.
         sliding_fraction: share of scored steps in sliding at the estimate, shape (ny,).
         unexplained: rms of the best injection over that of the observed y^(r), shape (ny,).
-        covariance: of the parameters, shape (np, np).
         status: how it ended.
         observer, lowpass: as used; `reasons` says why, where they were chosen.
         notes: what was done to the records, and health warnings.
         records: as used (resampled, smoothed); sub-steps are not kept.
+        certainty: covariance and standard errors, worked out when one of them is first asked for.
         information: Σ φᵀφ at the estimate over the outputs as they were weighed, shape (np, np).
-        degrees_of_freedom: of the variance of each parameter, shape (np,).
     """
 
     parameters: dict[str, float]
-    standard_errors: dict[str, float]
     index: Float[np.ndarray, "passes ny"]
     increments: Float[np.ndarray, "passes np"]
     parameter_history: Float[np.ndarray, "passes np"]
@@ -93,15 +88,34 @@ class Identification:
     residual: list[np.ndarray]
     sliding_fraction: Float[np.ndarray, " ny"]
     unexplained: Float[np.ndarray, " ny"]
-    covariance: Float[np.ndarray, "np np"]
     status: Status
     observer: AbstractObserver
     lowpass: LowPass
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     records: tuple[Record, ...]
+    certainty: Certainty | Deferred
     information: Float[np.ndarray, "np np"] | None = None
-    degrees_of_freedom: Float[np.ndarray, " np"] | None = None
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """By name; they know that filtered residuals are coloured (`regression/long_run.py`).
+
+        They know nothing of bias: without instruments, that from noise in the regressors. NaN for a
+        parameter that ended on its bound, beside which the errors of the others hold; infinite for
+        one that the data leave open, alone or in a combination without a trace; 0 for a fixed one.
+        """
+        return settled(self.certainty).standard_errors
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "np np"]:
+        """Of the parameters, shape (np, np)."""
+        return settled(self.certainty).covariance
+
+    @property
+    def degrees_of_freedom(self) -> Float[np.ndarray, " np"] | None:
+        """Of the variance of each parameter, shape (np,)."""
+        return settled(self.certainty).degrees_of_freedom
 
     def __str__(self) -> str:
         from eoi_jax.report.tables import identification_text
@@ -265,11 +279,6 @@ class _Driver:
         else:
             sums = jax.tree.map(lambda leaf: leaf[0], one.sums)
         left = np.asarray(trace.injection - trace.Phi @ increment)
-        if better is None:
-            covariance, freedom = self._covariance(one, trace.Phi, left)
-        else:
-            covariance, freedom = better.covariance, better.degrees_of_freedom
-        covariance = np.where(bound | bound[:, None], np.nan, covariance)
         information = np.einsum("j,jab->ab", one.weights[0], sums.information)
         plant = self.plant.with_parameters(theta)
         power, observed = (mean(part, sums.weight) for part in (sums.square, sums.observed_square))
@@ -277,7 +286,6 @@ class _Driver:
         taken = slice(int(done.passes[0]))
         return Identification(
             parameters=plant.parameters,
-            standard_errors=self._standard_errors(status, covariance, information, bound),
             index=done.index[0, taken],
             increments=done.increment[0, taken],
             parameter_history=done.theta[0, taken],
@@ -290,28 +298,40 @@ class _Driver:
             residual=self._per_sample(left, trace.weight, records),
             sliding_fraction=sliding,
             unexplained=np.sqrt(power / np.where(observed > 0, observed, 1.0)),
-            covariance=covariance,
             status=status,
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
             notes=notes + _sliding_note(self.plant, sliding) + bound_notes(plant, bound),
             records=records,
+            certainty=self._certain(one, trace, left, better, status, information),
             information=information,
-            degrees_of_freedom=freedom,
         )
 
-    def _covariance(self, one: Pass, Phi: Any, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
-        inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(self.plant.free)
-        root = np.sqrt(one.weights[0] * np.asarray(self.steps.score))
-        inside = np.where(one.bound[0], 0.0, 1.0)  # of what is on its bound no score sums to zero
-        parts = _counted(root, left), _counted(root[..., None], np.asarray(Phi)) * inside
-        error, rows = (by_sample(part, self.steps, self.substeps) for part in parts)
-        scores = np.einsum("sj,sja->sa", error, rows)
-        if not (np.all(np.isfinite(scores)) and np.any(inverse)):
-            return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
-        return long_run(scores, rows, inverse)
+    def _certain(
+        self,
+        one: Pass,
+        trace: Trace,
+        left: np.ndarray,
+        better: Instrumented | None,
+        status: Status,
+        information: np.ndarray,
+    ) -> Certainty | Deferred:
+        plant, steps = self.plant, self.steps
+        if better is None:
+            rows = np.asarray(trace.Phi), left, steps.use, steps.score, self.substeps
+            bound, known = one.bound[0], partial(_covariance, plant, one, *rows)
+        else:
+            bound = better.bound
+            known = partial(tuple, (better.covariance, better.degrees_of_freedom))
+        certain = Deferred(partial(_certainty, plant, known, bound, status, information))
+        # What it is made from takes room until somebody asks.
+        return certain.found if self._long else certain
+
+    @property
+    def _long(self) -> bool:
+        """Whether the signals of a pass take much room."""
+        return self.steps.use.size * (2 + len(self.plant.names)) > _SHORT
 
     def _iterate(
         self, records: tuple[Record, ...]
@@ -319,7 +339,7 @@ class _Driver:
         """All passes, the injection of the first, and the signals of the best if they were kept."""
         first: list[np.ndarray] = []
         last = best = None
-        long = self.steps.use.size * (2 + len(self.plant.names)) > _SHORT
+        long = self._long
 
         def run(which: Any, theta: np.ndarray, number: int) -> Sums:
             nonlocal last
@@ -341,15 +361,6 @@ class _Driver:
     def _pass(self, theta: np.ndarray, store: str) -> tuple[Sums, Any]:
         sums, trace = self.one_pass(theta, store)
         return jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums), trace
-
-    def _standard_errors(
-        self, status: Status, covariance: np.ndarray, information: np.ndarray, bound: np.ndarray
-    ) -> dict[str, float]:
-        errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        if status.code not in ("no_data", "diverged"):
-            free = np.where(bound, 0.0, self.plant.free)
-            errors = standard_errors(covariance, information, free)
-        return {name: float(one) for name, one in zip(self.plant.names, errors, strict=True)}
 
     def _per_sample(
         self, values: Any, weight: Any, records: tuple[Record, ...]
@@ -390,6 +401,38 @@ class _Driver:
             + (_OBSERVED if self.plant.is_affine else _BENT),
         }
         return Status(code, messages[code])
+
+
+@one_thread()
+def _certainty(
+    plant: Plant,
+    known: Callable[[], tuple[np.ndarray, np.ndarray]],
+    bound: Bool[np.ndarray, " np"],
+    status: Status,
+    information: Float[np.ndarray, "np np"],
+) -> Certainty:
+    covariance, freedom = known()
+    covariance = np.where(bound | bound[:, None], np.nan, covariance)
+    errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if status.code not in ("no_data", "diverged"):
+        errors = standard_errors(covariance, information, np.where(bound, 0.0, plant.free))
+    named = zip(plant.names, errors, strict=True)
+    return Certainty(covariance, freedom, {name: float(error) for name, error in named})
+
+
+def _covariance(
+    plant: Plant, one: Pass, Phi: np.ndarray, left: np.ndarray, use: Any, score: Any, substeps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
+    inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(plant.free)
+    root = np.sqrt(one.weights[0] * np.asarray(score))
+    inside = np.where(one.bound[0], 0.0, 1.0)  # of what is on its bound no score sums to zero
+    parts = _counted(root, left), _counted(root[..., None], Phi) * inside
+    error, rows = (by_sample(part, use, substeps) for part in parts)
+    scores = np.einsum("sj,sja->sa", error, rows)
+    if not (np.all(np.isfinite(scores)) and np.any(inverse)):
+        return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
+    return long_run(scores, rows, inverse)
 
 
 _BRIEF = "filter, transient and instruments are chosen without it"

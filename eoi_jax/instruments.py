@@ -330,7 +330,9 @@ def _covariance(
     rows: Rows, steps: Steps, substeps: int, inverse: Float[np.ndarray, "np np"]
 ) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
     """Of the estimate, with its degrees of freedom."""
-    error, zeta = (by_sample(np.asarray(one), steps, substeps) for one in (rows.error, rows.zeta))
+    error, zeta = (
+        by_sample(np.asarray(one), steps.use, substeps) for one in (rows.error, rows.zeta)
+    )
     return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse)
 
 

@@ -229,20 +229,20 @@ class Tally:
 
 
 def by_sample(
-    values: Float[np.ndarray, "records S ny ..."], steps: Steps, substeps: int
+    values: Float[np.ndarray, "records S ny ..."], use: Any, substeps: int
 ) -> Float[np.ndarray, "samples rows ..."]:
     """What each step has, record after record without the padding, a sample's steps together.
 
     Args:
         values: by record, step and output.
-        steps: the records, padded to one length.
+        use: of `passes.Steps`.
         substeps: steps of a sample.
 
     Returns:
         By sample; its rows are the outputs in all of its steps. What happens within a sample is far
         faster than any cosine of `long_run`.
     """
-    used = np.any(np.asarray(steps.use) > 0, axis=-1)
+    used = np.any(np.asarray(use) > 0, axis=-1)
     ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
     ends = -(-ends // substeps) * substeps
     parts = [one[:end] for one, end in zip(values, ends, strict=True)]

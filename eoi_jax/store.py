@@ -19,13 +19,14 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from eoi_jax.certainty import Deferred
 from eoi_jax.checks import check
 from eoi_jax.discovery import Discovery
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
 
-_FORMAT = 2  # 2: records keep what smoothed them
+_FORMAT = 3  # 2: records keep what smoothed them. 3: errors of a pass lie together
 _HEADER = "eoi_jax"
 _PACKAGE = "eoi_jax."
 _FUNCTIONS = ("dynamics", "internal", "internal_initial", "actuator")  # of a plant
@@ -232,6 +233,8 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         return {kind: [_encode(one, arrays) for one in value]}
     if isinstance(value, Discovery):
         value = value.with_texts()
+    if isinstance(value, Deferred):
+        value = value.found
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
     if isinstance(value, MissingEffect):

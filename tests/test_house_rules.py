@@ -23,7 +23,7 @@ COMMAND = sorted((PACKAGE.parent / "eoi_command").rglob("*.py"))
 
 # A module may import from its own layer and from layers above it in this list.
 LAYERS = (
-    ("types", "checks", "results", "backend", "blas", "schema", "unfinished"),
+    ("types", "checks", "results", "backend", "blas", "certainty", "schema", "unfinished"),
     ("data",),
     ("inspection",),
     ("plants",),

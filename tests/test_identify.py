@@ -681,3 +681,25 @@ def test_wrong_calls_name_field_rule_and_value(change, message):
     call: Any = {"plant": NOMINAL, "records": swaying(200)} | change
     with pytest.raises(ValueError, match=message):
         identify(**call)
+
+
+def test_errors_are_worked_out_once_and_where_somebody_asks(monkeypatch):
+    """An estimate is often but the start of another one."""
+    module, calls = import_module("eoi_jax.identify"), []
+    long_run = module.long_run
+    monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
+    result = identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
+    assert not calls
+    assert all(error > 0 for error in result.standard_errors.values())
+    variances = np.square(list(result.standard_errors.values()))
+    np.testing.assert_allclose(np.diagonal(result.covariance), variances, rtol=1e-12)
+    assert len(calls) == 1
+
+
+def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
+    module, calls = import_module("eoi_jax.identify"), []
+    long_run = module.long_run
+    monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
+    monkeypatch.setattr(module, "_SHORT", 100)
+    identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
+    assert len(calls) == 1

@@ -217,7 +217,7 @@ def test_a_pickle_in_the_file_is_not_opened(tmp_path):
 
 @pytest.mark.parametrize("name", ["os:system", "eoi_jax.cli:main", "eoi_jax.store:os"])
 def test_a_class_that_is_no_result_is_refused(tmp_path, name):
-    tree = {"format": 2, "version": "0", "result": {"class": name, "fields": {}}}
+    tree = {"format": 3, "version": "0", "result": {"class": name, "fields": {}}}
     np.savez(tmp_path / "forged.npz", eoi_jax=np.asarray(json.dumps(tree)))
     with pytest.raises(ValueError, match="must hold results of eoi_jax only"):
         eoi.load(tmp_path / "forged.npz")

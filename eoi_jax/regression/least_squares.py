@@ -122,7 +122,7 @@ def traceless(
     Returns:
         One a column.
     """
-    solution = least_squares(jnp.asarray(information), jnp.zeros(len(free)), jnp.asarray(free))
+    solution = least_squares(information, np.zeros(len(free)), free)
     lost = ~np.asarray(solution.identified)
     scaled = np.asarray(solution.directions)[:, lost]
     # Rounding is no part of a direction.
