@@ -7,6 +7,7 @@ eliminated run by run, for QR of the rows of each run leaves a small triangle (Ã
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from eoi_jax.engines import free_runs
 from eoi_jax.output_error import PROMISE, Outcome, Problem, Unknowns, direction, each, errors
-from eoi_jax.sensitivity import Host
+from eoi_jax.sensitivity import Host, added_up
 from eoi_jax.types import Scalar
 
 _DAMPING = 1e-2  # of the first step, relative to the squared length of each column
@@ -169,16 +170,23 @@ def _lost(state: Any) -> Array:
 
 
 def solve(
-    problem: Problem, unknowns: Unknowns, max_steps: int, watch: Watch | None = None
+    problem: Problem,
+    unknowns: Unknowns,
+    shown: Float[np.ndarray, "runs time ny size"],
+    max_steps: int,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs.
 
     Args:
         problem: the runs.
         unknowns: to start from.
+        shown: the signals there, so that they need not be simulated again.
         max_steps: at most.
         watch: called with the number of steps done, from 0, and half of the cost; compiled in.
     """
+    there = added_up(shown, float(problem.threshold)), shown if problem.keeps else None
+    problem = replace(problem, known=(unknowns, *there))
     return _solve(problem, unknowns, np.asarray(max_steps), watch)
 
 
@@ -186,6 +194,7 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
         free_runs.supports(problem.kernel, len(unknowns.theta))
+    problem = replace(problem, keeps=False)  # of so many lanes it would take too much room
     return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 
@@ -209,7 +218,9 @@ def _search(
         _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most, watch,
     )  # fmt: skip
-    found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
+    found = optx.least_squares(
+        errors, solver, unknowns, problem, has_aux=True, max_steps=None, throw=False
+    )
     steps = found.stats["num_steps"]
     return Outcome(
         found.value,
@@ -217,6 +228,7 @@ def _search(
         found.state.descent_state.promise,
         steps,
         (steps >= most) & ~_lost(found.state),
+        found.state.aux,  # of the last accepted step, as is the value
     )
 
 

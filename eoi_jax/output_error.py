@@ -9,6 +9,7 @@ all runs gives the normal equations of all unknowns. The least squares over them
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.engines.host import on_host
 from eoi_jax.plants.plant import Plant
-from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow
+from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow, added_up
 from eoi_jax.simulate import behind, drive
 from eoi_jax.trajectory import Drive, frictional
 from eoi_jax.validate import Run, initial_states, owned
@@ -30,6 +31,7 @@ _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
 _LEAST = 8  # steps of a run, at least
 _MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
+_SHORT = 1_000_000  # numbers that are kept of runs while they are fitted
 _TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
 
 
@@ -109,8 +111,11 @@ class Problem(eqx.Module):
         squares: sums of squares of the scored outputs of each run.
         faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
+        known: where a fit begins, and what `sums` gives there; None if that is not known.
         substeps: rows of a sample.
         compiled: whether runs are compiled by `engines.free_runs`; else they are scans.
+        keeps: whether c of every sample is kept, from which the sums then are: it is wanted in the
+            end, and another simulation takes longer where it takes little room.
     """
 
     kernel: RunKernel
@@ -127,8 +132,10 @@ class Problem(eqx.Module):
     threshold: Float[Host, ""]
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
+    known: tuple[Unknowns, Host, Host | None] | None
     substeps: int = eqx.field(static=True)
     compiled: bool = eqx.field(static=True)
+    keeps: bool = eqx.field(static=True)
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -175,6 +182,7 @@ def problem_of(
     kernel = kernel_of(plant, "sums")
     free = np.asarray(kernel.free)
     acting = plant.actuator is not None
+    compiled = free_runs.supports(kernel) is None
     # σ of the first fit: the spread of each output, for want of a residual.
     y, use = _samples(plant, tables, substeps)
     count = np.sum(use, axis=(0, 1))
@@ -195,8 +203,10 @@ def problem_of(
         threshold=np.asarray(np.inf),
         lower=np.asarray(plant.lower)[free],
         upper=np.asarray(plant.upper)[free],
+        known=None,
         substeps=substeps,
-        compiled=free_runs.supports(kernel) is None,
+        compiled=compiled,
+        keeps=compiled and y.size * (len(kernel.rows) + len(free) + 1) <= _SHORT,
     )
 
 
@@ -297,20 +307,46 @@ def _heads(problem: Problem, count: int) -> Drive:
 # -- sums and signals -------------------------------------------------------------------------
 
 
-def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
-    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
+def sums(
+    unknowns: Unknowns, problem: Problem
+) -> tuple[Float[Array, "runs size size"], Float[Array, "runs time ny size"] | None]:
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed; c if kept"""
+    if problem.known is None:
+        return _simulated(unknowns, problem)
+    where, *known = problem.known
+    pairs = zip(jax.tree.leaves(unknowns), jax.tree.leaves(where), strict=True)
+    same = jnp.stack([jnp.all(one == other) for one, other in pairs]).all()
+    dtype = unknowns.theta.dtype
+    there = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), tuple(known))
+    return jax.lax.cond(same, lambda: there, lambda: _simulated(unknowns, problem))
+
+
+def _simulated(unknowns: Unknowns, problem: Problem) -> tuple[Array, Array | None]:
     theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
     if not problem.compiled:
-        return _scanned(problem, theta, unknowns.starts)[0]
+        return _scanned(problem, theta, unknowns.starts)[0], None
     runs, own = unknowns.starts.shape
     size = own + len(problem.free) + 1
-    return on_host(
-        _summed,
-        jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
-        (theta, unknowns.starts, problem.declared, problem.scale, problem.threshold),
-        problem.kernel,
-        (problem.tables, problem.steps, problem.counts),
-    )
+    lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
+    rows = problem.tables, problem.steps, problem.counts
+    square = jax.ShapeDtypeStruct((runs, size, size), theta.dtype)
+    if not problem.keeps:
+        return on_host(_summed, square, lanes, problem.kernel, rows), None
+    samples = -(-problem.tables.shape[1] // problem.substeps)
+    every = jax.ShapeDtypeStruct((runs, samples, len(problem.scale), size), theta.dtype)
+    kernel = replace(problem.kernel, store="signals")
+    show = partial(_kept, substeps=problem.substeps)
+    return on_host(show, (square, every), lanes, kernel, rows)
+
+
+def _kept(
+    lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of one lane."""
+    lane = _lanes(*jax.tree.map(lambda leaf: leaf[None], lanes))
+    tables, steps, counts = runs
+    shown = free_runs.shown(kernel, lane, tables, steps, counts, substeps)
+    return added_up(shown, float(lanes[-1])), shown
 
 
 def _summed(lanes: tuple, kernel: RunKernel, runs: tuple) -> np.ndarray:
@@ -318,21 +354,30 @@ def _summed(lanes: tuple, kernel: RunKernel, runs: tuple) -> np.ndarray:
     one = np.ndim(lanes[0]) == 1
     if one:
         lanes, kernel, runs = jax.tree.map(lambda leaf: leaf[None], (lanes, kernel, runs))
-    theta, starts, declared, scale, threshold = lanes
     kernel, (tables, steps, counts) = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
+    out = free_runs.summed(kernel, _lanes(*lanes), tables, steps, counts)
+    return out[0] if one else out
+
+
+def _lanes(
+    theta: np.ndarray,
+    starts: np.ndarray,
+    declared: np.ndarray,
+    scale: np.ndarray,
+    threshold: np.ndarray,
+) -> RunLane:
+    """Leading axes (lanes, runs) on each part; given are (lanes,), or one if it is shared."""
 
     def spread(array: np.ndarray) -> np.ndarray:
         return np.broadcast_to(array, (*starts.shape[:2], *array.shape[2:]))
 
-    each = RunLane(
+    return RunLane(
         spread(theta[:, None]),
         starts,
         spread(declared),
         spread(scale[:, None]),
         spread(threshold[:, None]),
     )
-    out = free_runs.summed(kernel, each, tables, steps, counts)
-    return out[0] if one else out
 
 
 def _scanned(
@@ -376,19 +421,11 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     if not problem.compiled:
         shown = _shown(problem, jnp.asarray(theta), unknowns.starts)
         return np.asarray(shown)[:, :: problem.substeps]
-    counts, out = np.asarray(problem.counts), None
-    starts, declared = np.asarray(unknowns.starts), np.asarray(problem.declared)
-    tables, steps = np.asarray(problem.tables), np.asarray(problem.steps)
+    lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
+    lane = _lanes(*(np.asarray(one)[None] for one in lanes))
     kernel = replace(problem.kernel, store="signals")
-    for i, count in enumerate(counts):
-        lane = RunLane(theta, starts[i], declared[i, ...], problem.scale, problem.threshold)
-        rows = tables[i, :count]
-        part = free_runs.shown(kernel, lane, rows, float(steps[i]), problem.substeps)
-        if out is None:
-            out = np.zeros((len(counts), problem.use.shape[1], *part.shape[1:]))
-        out[i, : len(part)] = part
-    assert out is not None
-    return out
+    tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
+    return free_runs.shown(kernel, lane, tables, steps, counts, problem.substeps)
 
 
 @eqx.filter_jit
@@ -397,25 +434,35 @@ def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs r
 
 
 @eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size"]:
-    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
-    return _roots(unknowns, problem)[..., -1]
+def errors(
+    unknowns: Unknowns, problem: Problem
+) -> tuple[Float[Array, "runs size"], Float[Array, "runs time ny size"] | None]:
+    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost.
+
+    Beside them c of every sample, if it is kept.
+    """
+    square, shown = sums(unknowns, problem)
+    return _roots(square, unknowns, problem)[..., -1], shown
 
 
 @errors.def_jvp
-def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+def _jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """The whole Jacobian in one sweep; then products with it cost next to nothing."""
     unknowns, problem = primals
     moved, _ = tangents
     own = unknowns.starts.shape[1]
-    roots = _roots(unknowns, problem)
+    square, shown = sums(unknowns, problem)
+    roots = _roots(square, unknowns, problem)
     along = jnp.einsum("riu,ru->ri", roots[..., :own], moved.starts)
-    return roots[..., -1], along + jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
+    along += jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
+    # What is shown is no output to differentiate.
+    return (roots[..., -1], shown), (along, jax.tree.map(jnp.zeros_like, shown))
 
 
-def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+def _roots(
+    square: Float[Array, "runs size size"], unknowns: Unknowns, problem: Problem
+) -> Float[Array, "runs size size"]:
     r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
-    square = sums(unknowns, problem)
     length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
     divisor = jnp.where(length > 0, length, 1.0)
     scaled = square / (divisor[:, :, None] * divisor[:, None, :])
@@ -464,6 +511,7 @@ class Outcome(eqx.Module):
         cost: there, with the weights of the problem.
         promise: share of the cost that least squares still promises to take away.
         steps: simulations with sensitivities. exhausted: whether there were too few.
+        shown: c of every sample at the unknowns, if it was kept.
     """
 
     unknowns: Unknowns
@@ -471,3 +519,4 @@ class Outcome(eqx.Module):
     promise: Float[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     exhausted: Bool[Array, "*lanes"]
+    shown: Float[Array, "runs time ny size"] | None

@@ -127,13 +127,15 @@ def refine(
     window = used_window(several, spans, window)
     if not any(np.any(span.use) for span in spans):
         return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
-    problem, unknowns, before = _begun(nominal, several, spans, substeps)
-    begun = [unknowns] if np.all(np.isfinite(before)) else []
+    problem, unknowns, shown = _begun(nominal, several, spans, substeps)
+    before = _unweighed(problem, shown)
+    begun = [(unknowns, shown)] if np.all(np.isfinite(before)) else []
     effort = _Effort(max_steps, _watch(callback, max_steps))
     if len(points):
         rough = _rougher(problem, several, spans, unknowns, before)
-        begun += best(problem, rough, unknowns, points, rounds)
-    fits = [_fitted(problem, start, before, effort, huber) for start in begun]
+        further = best(problem, rough, unknowns, points, rounds)
+        begun += [(one, signals(one, problem)) for one in further]
+    fits = [_fitted(problem, *start, before, effort, huber) for start in begun]
     if not fits:
         reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
         return _unanswered(nominal, several, window, Status("diverged", reason))
@@ -147,8 +149,8 @@ def refine(
 
 def _begun(
     nominal: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int | None
-) -> tuple[Problem, Unknowns, Float[np.ndarray, "runs time ny"]]:
-    """The free runs at the plant's own values, and their errors.
+) -> tuple[Problem, Unknowns, Float[np.ndarray, "runs time ny size"]]:
+    """The free runs at the plant's own values, and their signals.
 
     Where no number of steps is asked for, so few that these runs have derivatives.
     """
@@ -160,7 +162,7 @@ def _begun(
             guessed_starts(problem, records, spans),
         )
         shown = signals(unknowns, problem)
-        one = problem, unknowns, _unweighed(problem, shown)
+        one = problem, unknowns, shown
         first, count = first or one, 2 * count
         if _smooth(problem, unknowns, shown):
             return one
@@ -188,6 +190,7 @@ def _watch(
 def _fitted(
     problem: Problem,
     unknowns: Unknowns,
+    shown: Float[np.ndarray, "runs time ny size"],
     before: Float[np.ndarray, "runs time ny"],
     effort: _Effort,
     huber: float | None,
@@ -202,11 +205,13 @@ def _fitted(
 
     steps = 0
     for _ in range(1 + _ROUNDS):
-        outcome = solve(problem, unknowns, effort.max_steps, effort.watch)
+        outcome = solve(problem, unknowns, shown, effort.max_steps, effort.watch)
         if effort.watch is not None:
             jax.effects_barrier()  # all of it told before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
-        fit = _Fit(problem, signals(unknowns, problem), before, outcome, steps)
+        kept = outcome.shown
+        shown = signals(unknowns, problem) if kept is None else np.asarray(kept)
+        fit = _Fit(problem, shown, before, outcome, steps)
         # An output without any error would weigh infinitely.
         sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
         ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
@@ -214,7 +219,8 @@ def _fitted(
         apart = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
         if max(apart) < (1.0 + _SETTLED) * min(apart):
             break
-        problem = weighed(problem, sigma, np.inf if huber is None else huber)
+        other = weighed(problem, sigma, np.inf if huber is None else huber)
+        problem, shown = other, shown * np.asarray(other.scale / problem.scale)[:, None]
     return fit
 
 
@@ -261,7 +267,9 @@ def _beyond(
     points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
     found = best(problem, rough, outcome.unknowns, points, _AROUND)
-    more = [_fitted(problem, one, fit.before, effort, huber) for one in found]
+    more = [
+        _fitted(problem, one, signals(one, problem), fit.before, effort, huber) for one in found
+    ]
     return [replace(one, steps=fit.steps + one.steps) for one in more]
 
 
@@ -281,11 +289,12 @@ def _finer(
     while fit.differentiable and fit.problem.substeps < _FINEST:
         old, unknowns = fit.problem, fit.outcome.unknowns
         problem = _stepped(old, records, spans, 2 * old.substeps)
-        apart = _unweighed(problem, signals(unknowns, problem)) - fit.error
+        shown = signals(unknowns, problem)
+        apart = _unweighed(problem, shown) - fit.error
         count, rms = np.sqrt(np.sum(fit.use, axis=(0, 1))), _rms(fit.error, fit.use)
         if np.all(count * _rms(apart, fit.use) <= rms):
             break
-        finer = _fitted(problem, unknowns, fit.before, effort, huber)
+        finer = _fitted(problem, unknowns, shown, fit.before, effort, huber)
         suffers = _cost(_rms(finer.error, fit.use)) > _cost(rms) + _SUFFERS
         if suffers or not finer.differentiable:
             break

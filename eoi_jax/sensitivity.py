@@ -157,10 +157,26 @@ class RunKernel(eqx.Module):
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
-        error = scored[:, -1]
-        far = jnp.abs(error) > lane.threshold
-        size = jnp.where(far, jnp.abs(error), 1.0)
-        weight = jnp.where(far, lane.threshold / size, 1.0)
+        weight, beyond = _huber(jnp, scored[:, -1], lane.threshold)
         square = (weight[:, None] * scored).T @ scored
-        beyond = jnp.where(far, lane.threshold * (size - lane.threshold), 0.0)
         return square.at[-1, -1].add(jnp.sum(beyond))
+
+
+def added_up(
+    shown: Float[np.ndarray, "runs time ny size"], threshold: float
+) -> Float[np.ndarray, "runs size size"]:
+    """The sums of runs of which c is known."""
+    rows = shown.reshape(len(shown), -1, shown.shape[-1])
+    weight, beyond = _huber(np, rows[..., -1], threshold)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+        sums = np.swapaxes(weight[..., None] * rows, 1, 2) @ rows
+        sums[:, -1, -1] += np.sum(beyond, axis=1)
+    return sums
+
+
+def _huber(xp: Any, error: Any, threshold: Any) -> tuple[Any, Any]:
+    """Weight of each error, and what its loss is beyond the square weighed so; by NumPy or JAX."""
+    far = xp.abs(error) > threshold
+    size = xp.where(far, xp.abs(error), 1.0)
+    weight = xp.where(far, threshold / size, 1.0)
+    return weight, xp.where(far, threshold * (size - threshold), 0.0)

@@ -646,11 +646,19 @@ def test_where_rounding_decides_over_the_run_there_are_no_derivatives_to_speak_o
 
 
 def test_a_search_keeps_off_where_rounding_decides(spilled):
-    """Along the way, too: what such slopes promise is worth nothing."""
+    """Along the way, too: what such slopes promise is worth nothing.
+
+    One start in six stalls at a kink, which one it is hangs on the last digit of a sum.
+    """
     tank, record = spilled
-    result = refine(tank.with_parameters({"rate": 15.0, "edge": 4.0}), record, substeps=4)
-    assert result.status.ok
-    assert 0.02 < result.standard_errors["rate"] < 0.1
+    reached = 0
+    for off in np.linspace(-2e-3, 2e-3, 9):
+        start = tank.with_parameters({"rate": 15.0 * (1.0 + off), "edge": 4.0})
+        result = refine(start, record, substeps=4)
+        assert result.status.ok
+        assert np.isfinite(result.standard_errors["rate"])
+        reached += abs(result.parameters["rate"] - 3.0) < 3.0 * 0.043  # of a start at the truth
+    assert reached >= 6
 
 
 def test_too_few_steps_are_said():

@@ -141,24 +141,33 @@ def summed(
 def shown(
     kernel: RunKernel,
     lane: RunLane,
-    rows: Float[np.ndarray, "rows columns"],
-    step: float,
+    tables: Table,
+    steps: Float[np.ndarray, " runs"],
+    counts: Int[np.ndarray, " runs"],
     substeps: int,
-) -> Float[np.ndarray, "samples ny size"]:
-    """c of every sample of one run of one lane: minus the slopes of ŷ, and the error, weighed.
+) -> Float[np.ndarray, "runs samples ny size"]:
+    """c of every sample of one lane's runs: minus the slopes of ŷ, and the error, weighed.
 
     Args:
         kernel: the recursion, storing signals.
-        lane: without leading axes.
-        rows: of the run.
-        step: length of a step [s].
+        lane: leading axes (1, runs) on each part.
+        tables: as in `summed`, like `steps` and `counts`; zero beyond a run's end.
+        steps: their length, of each run [s].
+        counts: rows of each run that are not padding.
         substeps: rows in each sample.
     """
-    code = _code(kernel, np.shape(lane.start)[0], 1)
-    one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
-    job = _Job(code, kernel, one, rows[None], np.array([step]), np.array([len(rows)]), 0, slice(1))
-    flat = job.shown(substeps)
-    return flat.reshape(len(flat), len(kernel.plant.outputs), -1)
+    code, ny = _code(kernel, lane.start.shape[2], 1), len(kernel.plant.outputs)
+    width = len(code.program.shown[0])
+    out = np.zeros((len(tables), -(-tables.shape[1] // substeps), width))
+    jobs = [_Job(code, kernel, lane, tables, steps, counts, i, slice(1)) for i in range(len(out))]
+    waiting = iter(jobs)
+
+    def work() -> None:
+        for job in waiting:
+            job.show(out[job.run], substeps)
+
+    together(work, min(cores(), len(jobs)))
+    return out.reshape(*out.shape[:2], ny, -1)
 
 
 def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
@@ -236,15 +245,15 @@ class _Job:
         out[self._spoilt] = np.nan
         return out.reshape(-1, *program.sums.shape)
 
-    def shown(self, substeps: int) -> np.ndarray:
-        """What the only lane shows of each sample."""
-        parts: list[np.ndarray] = []
+    def show(self, out: np.ndarray, substeps: int) -> None:
+        """Write what the only lane shows of each sample."""
 
         def keep(first: int, part: np.ndarray) -> None:
-            parts.append(part[-first % substeps :: substeps].copy())
+            part = part[-first % substeps :: substeps]
+            sample = -(-first // substeps)
+            out[sample : sample + len(part)] = part
 
         self._go(keep)
-        return np.concatenate(parts)
 
     def _go(self, keep: Callable[[int, np.ndarray], None] | None) -> None:
         where, total = self._code.where, len(self._rows)

@@ -12,22 +12,23 @@ except ImportError:  # it is experimental: a JAX without it copies the arrays
     buffer_callback = None
 
 
-def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:
+def on_host(function: Callable[..., Any], result: Any, *args: Any) -> Any:
     """What a function of NumPy arrays gives, which must not keep them.
 
     Args:
         function: under `vmap` all arrays of its arguments, and what it gives, have one more leading
             axis; it is of length one where an argument does not differ.
-        result: what it gives.
+        result: shape and type of the array that it gives, or a tuple of such.
         args: trees of arrays.
     """
 
-    def given(*parts: Any) -> np.ndarray:
+    def given(*parts: Any) -> Any:
         return function(*jax.tree.map(np.asarray, parts))
 
     def written(context: Any, out: Any, *parts: Any) -> None:
         del context
-        np.asarray(out)[...] = given(*parts)
+        for buffer, array in zip(jax.tree.leaves(out), jax.tree.leaves(given(*parts)), strict=True):
+            np.asarray(buffer)[...] = array
 
     # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
     if buffer_callback is not None and jax.default_backend() == "cpu":

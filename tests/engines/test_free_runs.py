@@ -88,6 +88,13 @@ def summed(plant, table, lanes):
     )
 
 
+def shown(plant, table, lane):
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
+    return free_runs.shown(
+        kernel_of(plant, "signals"), one, table[None], np.array([PERIOD]), np.array([len(table)]), 1
+    )[0]
+
+
 def rows_of(plant, table):
     nu, ny = len(plant.inputs), len(plant.outputs)
     time, u, y, use = np.split(table, np.cumsum([1, 3 * nu, ny]), axis=1)
@@ -116,14 +123,14 @@ def test_sums_of_many_lanes_equal_the_scan(name, threshold):
 def test_what_is_shown_is_the_weighed_error_of_the_trajectory(name):
     plant, driven_by, table, lanes = case_of(name)
     lane, kernel = of_lane(lanes, 0), kernel_of(plant, "signals")
-    shown = free_runs.shown(kernel, lane, table, PERIOD, 1)
+    signals = shown(plant, table, lane)
     start = kernel.start(jnp.asarray(lane.start), jnp.asarray(lane.theta), 0.0)
     y_hat = trajectory(plant, jnp.asarray(lane.theta), driven_by, start, frictional(plant))[0][:, 0]
     ny = len(plant.outputs)
     y, use = table[:, -2 * ny : -ny], table[:, -ny:]
     expected = use * np.asarray(lane.scale) * (y - np.asarray(y_hat))
-    np.testing.assert_allclose(shown[..., -1], expected, atol=1e-11)
-    square = np.einsum("kji,kjl->il", shown, shown)
+    np.testing.assert_allclose(signals[..., -1], expected, atol=1e-11)
+    square = np.einsum("kji,kjl->il", signals, signals)
     sums = summed(plant, table, lanes)[0, 0]
     np.testing.assert_allclose(sums, square, rtol=1e-9, atol=1e-9 * np.max(np.abs(square)))
 
@@ -177,12 +184,12 @@ def test_the_start_is_the_plants_own_where_it_declares_one():
     plant, _, table, lanes = case_of("tanks, an internal state")
     kernel = kernel_of(plant, "signals")
     lane = dataclasses.replace(of_lane(lanes, 0), declared=jnp.ones(()))
-    shown = free_runs.shown(kernel, lane, table, PERIOD, 1)
+    signals = shown(plant, table, lane)
     x = kernel.start(lane.start, jnp.asarray(lane.theta), lane.declared)
     assert isinstance(x, State)
     np.testing.assert_allclose(x.z, plant.internal_start(jnp.asarray(lane.theta)))
     # Its own unknown is then no unknown.
-    np.testing.assert_array_equal(shown[:, 0, 1], 0.0)
+    np.testing.assert_array_equal(signals[:, 0, 1], 0.0)
 
 
 def test_what_has_died_away_is_zero_and_the_caller_s_arithmetic_stays_as_it_was():
@@ -192,10 +199,10 @@ def test_what_has_died_away_is_zero_and_the_caller_s_arithmetic_stays_as_it_was(
     never, squares = np.asarray(0.0), np.asarray(np.inf)
     lane = RunLane(np.array([1000.0]), np.array([1.0]), never, np.ones(1), squares)
     smallest = np.finfo(float).smallest_normal
-    shown = free_runs.shown(kernel_of(damped, "signals"), lane, table, PERIOD, 1)[:, 0, 0]
-    assert np.all((shown == 0) | (np.abs(shown) >= smallest))
-    assert shown[0] == -1.0
-    assert shown[-1] == 0.0
+    slopes = shown(damped, table, lane)[:, 0, 0]
+    assert np.all((slopes == 0) | (np.abs(slopes) >= smallest))
+    assert slopes[0] == -1.0
+    assert slopes[-1] == 0.0
     assert np.multiply(smallest, 0.5 * np.ones(1))[0] > 0
 
 
