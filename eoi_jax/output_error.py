@@ -182,12 +182,14 @@ def problem_of(
     kernel = kernel_of(plant, "sums")
     free = np.asarray(kernel.free)
     acting = plant.actuator is not None
-    compiled = free_runs.supports(kernel) is None
     # σ of the first fit: the spread of each output, for want of a residual.
     y, use = _samples(plant, tables, substeps)
     count = np.sum(use, axis=(0, 1))
     mean = np.sum(y, axis=(0, 1)) / count
     spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
+    keeps = y.size * (len(kernel.rows) + len(free) + 1) <= _SHORT
+    lanes = (None,) if keeps else (None, 1)
+    compiled = all(free_runs.supports(kernel, one) is None for one in lanes)
     return Problem(
         kernel=kernel,
         theta=np.asarray(plant.theta),
@@ -206,7 +208,7 @@ def problem_of(
         known=None,
         substeps=substeps,
         compiled=compiled,
-        keeps=compiled and y.size * (len(kernel.rows) + len(free) + 1) <= _SHORT,
+        keeps=compiled and keeps,
     )
 
 
@@ -310,7 +312,10 @@ def _heads(problem: Problem, count: int) -> Drive:
 def sums(
     unknowns: Unknowns, problem: Problem
 ) -> tuple[Float[Array, "runs size size"], Float[Array, "runs time ny size"] | None]:
-    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed; c if kept"""
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed.
+
+    Beside them c of every sample, if it is kept.
+    """
     if problem.known is None:
         return _simulated(unknowns, problem)
     where, *known = problem.known
@@ -334,9 +339,8 @@ def _simulated(unknowns: Unknowns, problem: Problem) -> tuple[Array, Array | Non
         return on_host(_summed, square, lanes, problem.kernel, rows), None
     samples = -(-problem.tables.shape[1] // problem.substeps)
     every = jax.ShapeDtypeStruct((runs, samples, len(problem.scale), size), theta.dtype)
-    kernel = replace(problem.kernel, store="signals")
     show = partial(_kept, substeps=problem.substeps)
-    return on_host(show, (square, every), lanes, kernel, rows)
+    return on_host(show, (square, every), lanes, problem.kernel, rows)
 
 
 def _kept(
@@ -423,9 +427,8 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
         return np.asarray(shown)[:, :: problem.substeps]
     lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
     lane = _lanes(*(np.asarray(one)[None] for one in lanes))
-    kernel = replace(problem.kernel, store="signals")
     tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
-    return free_runs.shown(kernel, lane, tables, steps, counts, problem.substeps)
+    return free_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
 
 
 @eqx.filter_jit

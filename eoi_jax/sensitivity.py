@@ -13,6 +13,7 @@ The weights are those of Huber's loss (P. J. Huber, *Robust Statistics*, section
 $w = 1$ up to $|r| = \kappa$, $\kappa/|r|$ beyond.
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -64,6 +65,18 @@ class RunRow(eqx.Module):
     slope: Float[Host, "*steps 3 nu np"] | None = None
 
 
+class Direction(eqx.Module):
+    """Of one unknown, or of several (a leading axis).
+
+    Attributes:
+        start: in the initial state, shape (own,).
+        theta: in all parameters, shape (np,).
+    """
+
+    start: Float[Host, "*unknowns own"]
+    theta: Float[Host, "*unknowns np"]
+
+
 class RunCarry(eqx.Module):
     """State, its derivatives with the unknowns (a leading axis), and the sums."""
 
@@ -98,20 +111,29 @@ class RunKernel(eqx.Module):
         z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
         return State(y, z)
 
+    def directions(self, own: int) -> Direction:
+        """Of each unknown; so many are in the start."""
+        size = own + len(self.free)
+        theta = np.zeros((size, len(self.plant.names)))
+        theta[own + np.arange(len(self.free)), list(self.free)] = 1.0
+        return Direction(np.eye(size, own), theta)
+
     def init(self, lane: RunLane) -> RunCarry:
         """Before the first step."""
+        along = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(partial(self.begun, lane), out_axes=(None, 0))(along)
+        size = len(along.theta) + 1
+        return RunCarry(x, slopes, jnp.zeros((size, size), jnp.asarray(lane.theta).dtype))
+
+    def begun(self, lane: RunLane, along: Direction) -> tuple[State, State]:
+        """State before the first step, and its derivative in one direction."""
         values, theta = jnp.asarray(lane.start), jnp.asarray(lane.theta)
-        moved, turned = self._directions(values.shape[0], theta)
 
         def start(values: Array, theta: Array) -> State:
             return self.start(values, theta, lane.declared)
 
-        def along(moved: Array, turned: Array) -> tuple[State, State]:
-            return jax.jvp(start, (values, theta), (moved, turned))
-
-        x, slopes = jax.vmap(along, out_axes=(None, 0))(moved, turned)
-        size = len(turned) + 1
-        return RunCarry(x, slopes, jnp.zeros((size, size), theta.dtype))
+        tangents = (jnp.asarray(one, theta.dtype) for one in (along.start, along.theta))
+        return jax.jvp(start, (values, theta), tuple(tangents))
 
     def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:
         """Score the sample at the start of a step, then take it; also what is shown."""
@@ -120,18 +142,24 @@ class RunKernel(eqx.Module):
         if self.store == "sums":
             sums, shown = sums + self._square(lane, shown), ()
 
+        def moved(slope: State, along: Direction) -> tuple[State, State]:
+            return self.moved(lane, carry.x, slope, along, row, h)
+
+        along = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(moved, out_axes=(None, 0))(carry.slopes, along)
+        return RunCarry(x, slopes, sums), shown
+
+    def moved(
+        self, lane: RunLane, x: State, slope: State, along: Direction, row: RunRow, h: Scalar
+    ) -> tuple[State, State]:
+        """State after a step, and its derivative in one direction."""
         theta, time, u = (jnp.asarray(one) for one in (lane.theta, row.time, row.inputs))
 
         def flow(x: State, moved: Array) -> State:
             inputs = u if row.slope is None else u + row.slope @ (moved - theta)
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
-        def along(slope: State, turned: Array) -> tuple[State, State]:
-            return jax.jvp(flow, (carry.x, theta), (slope, turned))
-
-        _, turned = self._directions(lane.start.shape[0], theta)
-        x, slopes = jax.vmap(along, out_axes=(None, 0))(carry.slopes, turned)
-        return RunCarry(x, slopes, sums), shown
+        return jax.jvp(flow, (x, theta), (slope, jnp.asarray(along.theta, theta.dtype)))
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
         """A whole run by `lax.scan`: the sums, and what each row shows."""
@@ -142,18 +170,20 @@ class RunKernel(eqx.Module):
         last, shown = jax.lax.scan(step, self.init(lane), rows)
         return last.sums, shown
 
-    def _directions(self, own: int, theta: Array) -> tuple[Array, Array]:
-        """Of each unknown, in the start and in θ."""
-        size = own + len(self.free)
-        turned = np.zeros((size, theta.shape[0]))
-        turned[own + np.arange(len(self.free)), list(self.free)] = 1.0
-        return jnp.eye(size, own, dtype=theta.dtype), jnp.asarray(turned, theta.dtype)
-
     def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
-        """c of each output; zero where not scored."""
-        error = row.y - carry.x.y[0]
-        columns = jnp.concatenate([-carry.slopes.y[:, 0, :].T, error[:, None]], axis=1)
-        return jnp.where(row.use[:, None] > 0, lane.scale[:, None] * columns, 0.0)
+        """c of each output."""
+        columns, error = jax.vmap(
+            lambda slope: self.scored(lane, carry.x, slope, row), out_axes=(1, None)
+        )(carry.slopes)
+        return jnp.concatenate([columns, error[:, None]], axis=1)
+
+    def scored(
+        self, lane: RunLane, x: State, slope: State, row: RunRow
+    ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
+        """Part of c in one direction, and the error, of each output; zero where not scored."""
+        weight, used = jnp.asarray(lane.scale), row.use > 0
+        part, error = -weight * slope.y[0], weight * (row.y - x.y[0])
+        return jnp.where(used, part, 0.0), jnp.where(used, error, 0.0)
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""

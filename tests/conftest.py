@@ -16,7 +16,7 @@ _MAPS, _MOST_MAPS = Path("/proc/self/maps"), 20_000
 
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
 # would take longer than all else.
-_SCALAR = {"scalars", "jaxprs", "lane_program", "machine_code"}
+_SCALAR = {"scalars", "jaxprs", "lane_program", "llvm_text", "machine_code", "one_vector"}
 _MODULES = [
     ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
     for path in (_REPOSITORY / "eoi_jax").rglob("*.py")

@@ -17,13 +17,12 @@ import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
 
-from eoi_jax.engines.lane_program import AbstractLoop, LaneProgram, lane_program
+from eoi_jax.engines import one_vector
+from eoi_jax.engines.lane_program import LANE, AbstractLoop, LaneProgram, lane_program
 from eoi_jax.engines.machine_code import Layout, layout, source
 from eoi_jax.engines.scalars import Untranslatable
 
 LINE = 64  # bytes that caches move at a time
-# Of a single lane like operations side by side become vectors: a fifth less time for free runs.
-_OPTIONS = {"slp_vectorization": True}
 
 
 @dataclass(frozen=True)
@@ -60,6 +59,45 @@ def translated(what: AbstractLoop, columns: int, width: int | None = None) -> Co
     return Compiled(program, where, *functions(source(program, where, what.dtype)))
 
 
+@dataclass(frozen=True)
+class Whole:
+    """A loop of few lanes, all in one vector, as code of this machine.
+
+    Attributes:
+        program: what it computes. where: its numbers lie.
+        shown: where each number lies in a row of what is shown.
+        go: the function of `one_vector.py`.
+        owner: of the code's memory.
+    """
+
+    program: LaneProgram
+    where: Layout
+    shown: list[slice]
+    go: Callable
+    owner: Any
+
+
+@functools.lru_cache(maxsize=256)
+def in_one_vector(what: AbstractLoop, columns: int, lanes: int) -> Whole:
+    """The same for so many lanes at most, in double precision.
+
+    Raises:
+        Untranslatable: what a scalar program cannot express; branches that lanes take each for
+            itself.
+    """
+    program = _program(what)
+    if any(program.level(one) & LANE for one in program.events):
+        raise Untranslatable("branches of the lanes")
+    where = layout(program, columns, what.dtype, one_vector.width_for(lanes))
+    text, pointer = one_vector.source(program, where), ctypes.c_void_p
+    # Side by side is what the vectors are for: LLVM finds no more of it.
+    engine = _engine(text, slp=False)
+    go = ctypes.CFUNCTYPE(None, *[pointer] * 5, ctypes.c_int64)(
+        engine.get_function_address("whole")
+    )
+    return Whole(program, where, one_vector.shown_places(program, where), go, engine)
+
+
 @functools.lru_cache(maxsize=256)
 def _program(what: AbstractLoop) -> LaneProgram:
     return lane_program(what)  # the same for vectors of any width
@@ -75,15 +113,8 @@ def cores() -> int:
 @functools.lru_cache(maxsize=256)
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
-    machine = _machine()
-    for line in text.splitlines():
-        if line.startswith("declare") and "@llvm." not in line:
-            name = line.split("@")[1].split("(")[0]
-            if llvm.address_of_symbol(name) is None:  # LLVM would end the process
-                raise Untranslatable(f"{name}: not in this machine's C library")
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(_object_code(text, machine)))
-    engine.finalize_object()
+    # Of a single lane like operations side by side become vectors.
+    engine = _engine(text, slp=True)
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)
     lanes = ctypes.CFUNCTYPE(None, pointer, *[number] * 3, *[pointer] * 6, number, pointer, number)
@@ -92,6 +123,20 @@ def functions(text: str) -> tuple[Callable, Callable, Any]:
         lanes(engine.get_function_address("lanes")),
         engine,
     )
+
+
+def _engine(text: str, slp: bool) -> Any:
+    """Code and its memory; `slp`: whether LLVM looks for like operations side by side."""
+    machine = _machine()
+    for line in text.splitlines():
+        if line.startswith("declare") and "@llvm." not in line:
+            name = line.split("@")[1].split("(")[0]
+            if llvm.address_of_symbol(name) is None:  # LLVM would end the process
+                raise Untranslatable(f"{name}: not in this machine's C library")
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(_object_code(text, machine, slp)))
+    engine.finalize_object()
+    return engine
 
 
 def _machine() -> Any:
@@ -105,10 +150,10 @@ def _machine() -> Any:
     return target.create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
 
 
-def _object_code(text: str, machine: Any) -> bytes:
+def _object_code(text: str, machine: Any, slp: bool) -> bytes:
     """From the disk, or compiled and kept there."""
     cpu = (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
-    key = (text, cpu, llvmlite.__version__, _OPTIONS)
+    key = (text, cpu, llvmlite.__version__, slp)
     name = hashlib.sha256(repr(key).encode()).hexdigest()
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     path = Path(folder) / "native" / f"{name}.o" if folder else None
@@ -117,18 +162,17 @@ def _object_code(text: str, machine: Any) -> bytes:
             return path.read_bytes()
     except OSError:
         pass
-    code = _translate(text, machine)
+    code = _translate(text, machine, slp)
     if path is not None:
         _keep(path, code)
     return code
 
 
-def _translate(text: str, machine: Any) -> bytes:
+def _translate(text: str, machine: Any, slp: bool) -> bytes:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=3)
-    for option, value in _OPTIONS.items():
-        setattr(options, option, value)
+    options.slp_vectorization = slp
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
     return machine.emit_object(module)

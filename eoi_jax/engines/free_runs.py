@@ -1,32 +1,99 @@
-"""Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores."""
+"""Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores.
+
+The sums of many lanes are added up as they run. A single lane's run shows c of every sample: there
+the state is of single numbers, and its derivatives with the unknowns stand side by side in a vector
+(`one_vector.py`), which takes a half to a third of the time.
+"""
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from eoi_jax.engines.compiled import (
     Compiled,
+    Whole,
     aligned,
     cores,
+    in_one_vector,
     numbers,
     spread,
     together,
     translated,
 )
 from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
-from eoi_jax.engines.scalars import Untranslatable, evaluated
-from eoi_jax.sensitivity import RunCarry, RunKernel, RunLane, RunRow
+from eoi_jax.engines.scalars import Node, Untranslatable, evaluated
+from eoi_jax.plants.plant import State
+from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow
 
 _ALONE = 4  # so many lanes run one by one: a vector of them would take longer
-_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
+_CHUNK, _SHOWN = 8192, 2048  # rows of shared numbers, and of what is shown, at a time
 
 Table = Float[np.ndarray, "runs rows columns"]
+
+
+class _Along(eqx.Module):
+    """State, and its derivative with one unknown."""
+
+    x: State
+    slope: State
+
+
+@dataclass(frozen=True, eq=False)
+class _OneRun(AbstractLoop):
+    """What is traced of a single lane: it is the same for all, what differs is the unknown."""
+
+    kernel: RunKernel
+    lane: Direction
+    run: RunLane
+    step: RunRow
+    dtype: np.dtype
+    branches: ClassVar[bool] = True
+
+    @property
+    def row(self) -> RunRow:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """The plant, the lane, and the length of a step."""
+        return self.kernel, self.run, jax.ShapeDtypeStruct((), self.dtype)
+
+    def begin(self, lane: Direction, fixed: tuple) -> _Along:
+        """Before the first step."""
+        kernel, run, _ = fixed
+        return _Along(*kernel.begun(run, lane))
+
+    def advance(
+        self, lane: Direction, fixed: tuple, carry: _Along, row: RunRow
+    ) -> tuple[_Along, Any]:
+        """One step, and c of its start: the part of this unknown, and the error."""
+        kernel, run, h = fixed
+        shown = kernel.scored(run, carry.x, carry.slope, row)
+        return _Along(*kernel.moved(run, carry.x, carry.slope, lane, row, h)), shown
+
+    def result(self, carry: _Along) -> Any:
+        """Nothing: all of it is shown."""
+        del carry
+        return ()
+
+    @functools.cached_property
+    def key(self) -> tuple:
+        """Equal if one program serves both."""
+        return traced_key((self.kernel, self.lane, self.run, self.step), self.dtype)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OneRun) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +143,12 @@ class _FreeRun(AbstractLoop):
         return hash(self.key)
 
 
-def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
+def supports(kernel: RunKernel, lanes: int | None = None) -> str | None:
     """Why free runs of a plant cannot be compiled here (JAX runs any); None if they are, now.
 
     Args:
         kernel: the recursion.
-        lanes: how many will run side by side.
+        lanes: the sums of how many; None for what a single one shows.
     """
     plant = kernel.plant
     if plant.actuator is not None:
@@ -91,7 +158,10 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
         theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
         own += jax.eval_shape(plant.internal_start, theta).shape[0]
     try:
-        _code(kernel, own, lanes)
+        if lanes is None:
+            _one_run(kernel, own)
+        else:
+            _code(kernel, own, lanes)
     except Untranslatable as reason:
         return str(reason)
     return None
@@ -149,25 +219,74 @@ def shown(
     """c of every sample of one lane's runs: minus the slopes of ŷ, and the error, weighed.
 
     Args:
-        kernel: the recursion, storing signals.
+        kernel: the recursion.
         lane: leading axes (1, runs) on each part.
         tables: as in `summed`, like `steps` and `counts`; zero beyond a run's end.
         steps: their length, of each run [s].
         counts: rows of each run that are not padding.
         substeps: rows in each sample.
     """
-    code, ny = _code(kernel, lane.start.shape[2], 1), len(kernel.plant.outputs)
-    width = len(code.program.shown[0])
-    out = np.zeros((len(tables), -(-tables.shape[1] // substeps), width))
-    jobs = [_Job(code, kernel, lane, tables, steps, counts, i, slice(1)) for i in range(len(out))]
-    waiting = iter(jobs)
+    own, ny = lane.start.shape[2], len(kernel.plant.outputs)
+    whole, along = _one_run(kernel, own), kernel.directions(own)
+    size = len(along.theta) + 1
+    out = np.zeros((len(tables), -(-tables.shape[1] // substeps), ny, size))
+    waiting = iter(range(len(tables)))
 
     def work() -> None:
-        for job in waiting:
-            job.show(out[job.run], substeps)
+        for i in waiting:  # threads take from one iterator
+            one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[0, i], lane)
+            rows = np.ascontiguousarray(tables[i, : counts[i]], float)
+            _show(whole, (kernel, one, float(steps[i])), along, rows, out[i], substeps)
 
-    together(work, min(cores(), len(jobs)))
-    return out.reshape(*out.shape[:2], ny, -1)
+    together(work, min(cores(), len(tables)))
+    return out
+
+
+def _show(
+    whole: Whole,
+    fixed: tuple,
+    along: Direction,
+    rows: Float[np.ndarray, "rows columns"],
+    out: Float[np.ndarray, "samples ny size"],
+    substeps: int,
+) -> None:
+    """Write what one run shows of each sample."""
+    program, where = whole.program, whole.where
+    groups = {"lane": numbers(along, float, skip=1).T, "fixed": numbers(fixed, float)}
+    unknowns, ny = len(along.theta), out.shape[1]
+
+    def known(nodes: Sequence[Node]) -> list[Any]:
+        return evaluated(nodes, lambda at: groups[at[0]][at[1]], float)
+
+    memory = aligned((where.rows, where.width), float)
+    values = known([*(program.initial[i] for i in program.lane_carries), *program.own])
+    memory[: len(values), :unknowns] = spread(values, unknowns, float)
+    given, carries = (
+        np.array([*known(nodes), 0.0])
+        for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
+    )
+    count = min(_SHOWN, len(rows))
+    shown = aligned((count, whole.shown[-1].stop), float)
+    for first in range(0, len(rows), count):
+        now = min(count, len(rows) - first)
+        pointers = rows[first:], given, carries, memory, shown
+        whole.go(*(one.ctypes.data for one in pointers), now)
+        part = shown[:now][-first % substeps :: substeps]
+        sample = -(-first // substeps)
+        for j in range(ny):
+            place = out[sample : sample + len(part), j]
+            place[:, :-1] = part[:, whole.shown[j]][:, :unknowns]
+            place[:, -1] = part[:, whole.shown[ny + j].start]
+
+
+def _one_run(kernel: RunKernel, own: int) -> Whole:
+    dtype, plant = np.dtype(float), kernel.plant
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    run, step = _shapes(len(plant.names), own, nu, ny)
+    along = kernel.directions(own)
+    lane = shapes_of(along, dtype, skip=1)
+    what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
+    return in_one_vector(what, 1 + 3 * nu + 2 * ny, len(along.theta))
 
 
 def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
@@ -235,7 +354,7 @@ class _Job:
 
     def sums(self) -> np.ndarray:
         """The normal equations of the lanes."""
-        self._go(None)
+        self._go()
         program, where = self._code.program, self._code.where
         carries = [program.same[i] for i in program.sums.flat]
         rows = np.array([where.carries.get(i, -1) for i in carries])
@@ -245,22 +364,10 @@ class _Job:
         out[self._spoilt] = np.nan
         return out.reshape(-1, *program.sums.shape)
 
-    def show(self, out: np.ndarray, substeps: int) -> None:
-        """Write what the only lane shows of each sample."""
-
-        def keep(first: int, part: np.ndarray) -> None:
-            part = part[-first % substeps :: substeps]
-            sample = -(-first // substeps)
-            out[sample : sample + len(part)] = part
-
-        self._go(keep)
-
-    def _go(self, keep: Callable[[int, np.ndarray], None] | None) -> None:
+    def _go(self) -> None:
         where, total = self._code.where, len(self._rows)
         count, vectors = min(_CHUNK, total), len(self._memory)
         shared = aligned((count, max(len(where.shared), 1)), float)
-        width = len(self._code.program.shown[0])
-        out = aligned((count, max(width, 1)), float) if keep is not None else np.zeros(1)
         none, zeros = np.zeros(1), np.zeros(count, np.int64)
         for first in range(0, total, count):
             now = min(count, total - first)
@@ -284,8 +391,6 @@ class _Job:
                 none.ctypes.data,
                 zeros.ctypes.data,
                 1,
-                out.ctypes.data,
+                none.ctypes.data,
                 now,
             )
-            if keep is not None:
-                keep(first, out[:now])

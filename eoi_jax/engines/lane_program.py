@@ -56,7 +56,8 @@ class LaneProgram:
         initial: of each carried number before the first step; depends on `fixed` and `lane`.
         same: as which carried number each one always is.
         lane_carries, step_carries: those carried for each lane, and once for all.
-        step_updates: of the carries that all lanes share.
+        step_updates: of the carries that all lanes share, in any step; `plain_steps` where nothing
+            happens.
         plain, rare: updates of the lanes' carries in a step in which no flag is set and nothing
             happens, and in any.
         events: what may happen to a lane in a step, found where the program branches; each as
@@ -75,6 +76,7 @@ class LaneProgram:
     lane_carries: tuple[int, ...]
     step_carries: tuple[int, ...]
     step_updates: tuple[Update, ...]
+    plain_steps: tuple[Update, ...]
     plain: tuple[Update, ...]
     rare: tuple[Update, ...]
     events: tuple[Node, ...]
@@ -463,7 +465,9 @@ def _sorted(
         [i for i, one in enumerate(carried) if one == kind and same[i] == i]
         for kind in (BOTH, STEP)
     )
-    step_updates = tuple(Update(i, rare.updated[i]) for i in steps)
+    step_updates, plain_steps = (
+        tuple(Update(i, way.updated[i]) for i in steps) for way in (rare, plain)
+    )
     plain_updates, rare_updates = (
         tuple(Update(i, way.updated[i]) for i in lanes) for way in (plain, rare)
     )
@@ -477,6 +481,7 @@ def _sorted(
         lane_carries=tuple(lanes),
         step_carries=tuple(steps),
         step_updates=step_updates,
+        plain_steps=plain_steps,
         plain=plain_updates,
         rare=rare_updates,
         events=tuple(events),

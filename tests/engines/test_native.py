@@ -10,7 +10,7 @@ from problems import LEVEL, SWAY, grid
 
 from eoi_jax import plants
 from eoi_jax.data.record import Record
-from eoi_jax.engines import Lanes, Native, Scan, lane_program, machine_code, native
+from eoi_jax.engines import Lanes, Native, Scan, lane_program, llvm_text, native
 from eoi_jax.engines import compiled as compiled_code
 from eoi_jax.engines.scalars import Untranslatable, ordered
 from eoi_jax.lowpass import LowPass
@@ -285,8 +285,8 @@ def test_what_is_not_supported_has_a_name(name):
 
 
 def test_a_function_that_the_machine_lacks_has_a_name(monkeypatch):
-    missing = {**machine_code.LIBRARY, "tanh": "no_such_tanh"}
-    monkeypatch.setattr(machine_code, "LIBRARY", missing)
+    missing = {**llvm_text.LIBRARY, "tanh": "no_such_tanh"}
+    monkeypatch.setattr(llvm_text, "LIBRARY", missing)
     plant = Plant(lambda t, x, u, p: u - p.k * jnp.tanh(x.y[0] / 3.0), {"k": 1.0}, 1)
     steps, observer = steps_of(plants.level_tank(), FirstOrder(200.0)), FirstOrder(200.0)
     reason = Native().supports(plant, lanes_of(plant, observer, 2), LOWPASS, steps)
