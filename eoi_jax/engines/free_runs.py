@@ -267,10 +267,10 @@ def _show(
     )
     count = min(_SHOWN, len(rows))
     shown = aligned((count, whole.shown[-1].stop), float)
+    start, *others = (one.ctypes.data for one in (rows, given, carries, memory, shown))
     for first in range(0, len(rows), count):
         now = min(count, len(rows) - first)
-        pointers = rows[first:], given, carries, memory, shown
-        whole.go(*(one.ctypes.data for one in pointers), now)
+        whole.go(start + first * rows.strides[0], *others, now)
         part = shown[:now][-first % substeps :: substeps]
         sample = -(-first // substeps)
         for j in range(ny):
