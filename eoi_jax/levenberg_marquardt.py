@@ -185,8 +185,7 @@ def solve(
         max_steps: at most.
         watch: called with the number of steps done, from 0, and half of the cost; compiled in.
     """
-    there = added_up(shown, float(problem.threshold)), shown if problem.keeps else None
-    problem = replace(problem, known=(unknowns, *there))
+    problem = replace(problem, known=(unknowns, added_up(shown, float(problem.threshold))))
     return _solve(problem, unknowns, np.asarray(max_steps), watch)
 
 
@@ -194,7 +193,6 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
         free_runs.supports(problem.kernel, len(unknowns.theta))
-    problem = replace(problem, keeps=False)  # of so many lanes it would take too much room
     return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 
@@ -218,9 +216,7 @@ def _search(
         _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most, watch,
     )  # fmt: skip
-    found = optx.least_squares(
-        errors, solver, unknowns, problem, has_aux=True, max_steps=None, throw=False
-    )
+    found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
     steps = found.stats["num_steps"]
     return Outcome(
         found.value,
@@ -228,7 +224,6 @@ def _search(
         found.state.descent_state.promise,
         steps,
         (steps >= most) & ~_lost(found.state),
-        found.state.aux,  # of the last accepted step, as is the value
     )
 
 

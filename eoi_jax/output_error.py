@@ -22,7 +22,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.engines.host import on_host
 from eoi_jax.plants.plant import Plant
-from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow, added_up
+from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulate import behind, drive
 from eoi_jax.trajectory import Drive, frictional
 from eoi_jax.validate import Run, initial_states, owned
@@ -31,7 +31,6 @@ _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
 _LEAST = 8  # steps of a run, at least
 _MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
-_SHORT = 1_000_000  # numbers that are kept of runs while they are fitted
 _TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
 
 
@@ -111,11 +110,9 @@ class Problem(eqx.Module):
         squares: sums of squares of the scored outputs of each run.
         faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
-        known: where a fit begins, and what `sums` gives there; None if that is not known.
+        known: where a fit begins, and the sums there; None if they are not known.
         substeps: rows of a sample.
         compiled: whether runs are compiled by `engines.free_runs`; else they are scans.
-        keeps: whether c of every sample is kept, from which the sums then are: it is wanted in the
-            end, and another simulation takes longer where it takes little room.
     """
 
     kernel: RunKernel
@@ -132,10 +129,9 @@ class Problem(eqx.Module):
     threshold: Float[Host, ""]
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
-    known: tuple[Unknowns, Host, Host | None] | None
+    known: tuple[Unknowns, Float[Host, "runs size size"]] | None
     substeps: int = eqx.field(static=True)
     compiled: bool = eqx.field(static=True)
-    keeps: bool = eqx.field(static=True)
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -187,9 +183,6 @@ def problem_of(
     count = np.sum(use, axis=(0, 1))
     mean = np.sum(y, axis=(0, 1)) / count
     spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
-    keeps = y.size * (len(kernel.rows) + len(free) + 1) <= _SHORT
-    lanes = (None,) if keeps else (None, 1)
-    compiled = all(free_runs.supports(kernel, one) is None for one in lanes)
     return Problem(
         kernel=kernel,
         theta=np.asarray(plant.theta),
@@ -207,8 +200,7 @@ def problem_of(
         upper=np.asarray(plant.upper)[free],
         known=None,
         substeps=substeps,
-        compiled=compiled,
-        keeps=compiled and keeps,
+        compiled=free_runs.supports(kernel) is None,
     )
 
 
@@ -309,57 +301,41 @@ def _heads(problem: Problem, count: int) -> Drive:
 # -- sums and signals -------------------------------------------------------------------------
 
 
-def sums(
-    unknowns: Unknowns, problem: Problem
-) -> tuple[Float[Array, "runs size size"], Float[Array, "runs time ny size"] | None]:
-    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed.
-
-    Beside them c of every sample, if it is kept.
-    """
+def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
     if problem.known is None:
         return _simulated(unknowns, problem)
-    where, *known = problem.known
+    where, known = problem.known
     pairs = zip(jax.tree.leaves(unknowns), jax.tree.leaves(where), strict=True)
     same = jnp.stack([jnp.all(one == other) for one, other in pairs]).all()
-    dtype = unknowns.theta.dtype
-    there = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), tuple(known))
-    return jax.lax.cond(same, lambda: there, lambda: _simulated(unknowns, problem))
+    known = jnp.asarray(known, unknowns.theta.dtype)
+    return jax.lax.cond(same, lambda: known, lambda: _simulated(unknowns, problem))
 
 
-def _simulated(unknowns: Unknowns, problem: Problem) -> tuple[Array, Array | None]:
+def _simulated(unknowns: Unknowns, problem: Problem) -> Array:
     theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
     if not problem.compiled:
-        return _scanned(problem, theta, unknowns.starts)[0], None
+        return _scanned(problem, theta, unknowns.starts)[0]
     runs, own = unknowns.starts.shape
     size = own + len(problem.free) + 1
-    lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
-    rows = problem.tables, problem.steps, problem.counts
-    square = jax.ShapeDtypeStruct((runs, size, size), theta.dtype)
-    if not problem.keeps:
-        return on_host(_summed, square, lanes, problem.kernel, rows), None
-    samples = -(-problem.tables.shape[1] // problem.substeps)
-    every = jax.ShapeDtypeStruct((runs, samples, len(problem.scale), size), theta.dtype)
-    show = partial(_kept, substeps=problem.substeps)
-    return on_host(show, (square, every), lanes, problem.kernel, rows)
+    return on_host(
+        partial(_summed, substeps=problem.substeps),
+        jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
+        (theta, unknowns.starts, problem.declared, problem.scale, problem.threshold),
+        problem.kernel,
+        (problem.tables, problem.steps, problem.counts),
+    )
 
 
-def _kept(
-    lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of one lane."""
-    lane = _lanes(*jax.tree.map(lambda leaf: leaf[None], lanes))
-    tables, steps, counts = runs
-    shown = free_runs.shown(kernel, lane, tables, steps, counts, substeps)
-    return added_up(shown, float(lanes[-1])), shown
-
-
-def _summed(lanes: tuple, kernel: RunKernel, runs: tuple) -> np.ndarray:
+def _summed(lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int) -> np.ndarray:
     """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
     one = np.ndim(lanes[0]) == 1
     if one:
-        lanes, kernel, runs = jax.tree.map(lambda leaf: leaf[None], (lanes, kernel, runs))
-    kernel, (tables, steps, counts) = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
-    out = free_runs.summed(kernel, _lanes(*lanes), tables, steps, counts)
+        lanes = tuple(part[None] for part in lanes)
+    else:
+        kernel, runs = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
+    tables, steps, counts = runs
+    out = free_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
     return out[0] if one else out
 
 
@@ -437,35 +413,25 @@ def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs r
 
 
 @eqx.filter_custom_jvp
-def errors(
-    unknowns: Unknowns, problem: Problem
-) -> tuple[Float[Array, "runs size"], Float[Array, "runs time ny size"] | None]:
-    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost.
-
-    Beside them c of every sample, if it is kept.
-    """
-    square, shown = sums(unknowns, problem)
-    return _roots(square, unknowns, problem)[..., -1], shown
+def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size"]:
+    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
+    return _roots(unknowns, problem)[..., -1]
 
 
 @errors.def_jvp
-def _jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     """The whole Jacobian in one sweep; then products with it cost next to nothing."""
     unknowns, problem = primals
     moved, _ = tangents
     own = unknowns.starts.shape[1]
-    square, shown = sums(unknowns, problem)
-    roots = _roots(square, unknowns, problem)
+    roots = _roots(unknowns, problem)
     along = jnp.einsum("riu,ru->ri", roots[..., :own], moved.starts)
-    along += jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
-    # What is shown is no output to differentiate.
-    return (roots[..., -1], shown), (along, jax.tree.map(jnp.zeros_like, shown))
+    return roots[..., -1], along + jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
 
 
-def _roots(
-    square: Float[Array, "runs size size"], unknowns: Unknowns, problem: Problem
-) -> Float[Array, "runs size size"]:
+def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
     r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
+    square = sums(unknowns, problem)
     length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
     divisor = jnp.where(length > 0, length, 1.0)
     scaled = square / (divisor[:, :, None] * divisor[:, None, :])
@@ -514,7 +480,6 @@ class Outcome(eqx.Module):
         cost: there, with the weights of the problem.
         promise: share of the cost that least squares still promises to take away.
         steps: simulations with sensitivities. exhausted: whether there were too few.
-        shown: c of every sample at the unknowns, if it was kept.
     """
 
     unknowns: Unknowns
@@ -522,4 +487,3 @@ class Outcome(eqx.Module):
     promise: Float[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     exhausted: Bool[Array, "*lanes"]
-    shown: Float[Array, "runs time ny size"] | None

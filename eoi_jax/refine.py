@@ -209,8 +209,7 @@ def _fitted(
         if effort.watch is not None:
             jax.effects_barrier()  # all of it told before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
-        kept = outcome.shown
-        shown = signals(unknowns, problem) if kept is None else np.asarray(kept)
+        shown = signals(unknowns, problem)
         fit = _Fit(problem, shown, before, outcome, steps)
         # An output without any error would weigh infinitely.
         sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))

@@ -7,7 +7,7 @@ the state is of single numbers, and its derivatives with the unknowns stand side
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -30,10 +30,10 @@ from eoi_jax.engines.compiled import (
 from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
 from eoi_jax.engines.scalars import Node, Untranslatable, evaluated
 from eoi_jax.plants.plant import State
-from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow
+from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
 _ALONE = 4  # so many lanes run one by one: a vector of them would take longer
-_CHUNK, _SHOWN = 8192, 2048  # rows of shared numbers, and of what is shown, at a time
+_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
 
 Table = Float[np.ndarray, "runs rows columns"]
 
@@ -143,12 +143,12 @@ class _FreeRun(AbstractLoop):
         return hash(self.key)
 
 
-def supports(kernel: RunKernel, lanes: int | None = None) -> str | None:
+def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     """Why free runs of a plant cannot be compiled here (JAX runs any); None if they are, now.
 
     Args:
         kernel: the recursion.
-        lanes: the sums of how many; None for what a single one shows.
+        lanes: how many will run side by side.
     """
     plant = kernel.plant
     if plant.actuator is not None:
@@ -158,7 +158,7 @@ def supports(kernel: RunKernel, lanes: int | None = None) -> str | None:
         theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
         own += jax.eval_shape(plant.internal_start, theta).shape[0]
     try:
-        if lanes is None:
+        if lanes == 1:
             _one_run(kernel, own)
         else:
             _code(kernel, own, lanes)
@@ -180,6 +180,7 @@ def summed(
     tables: Table,
     steps: Float[np.ndarray, " runs"],
     counts: Int[np.ndarray, " runs"],
+    substeps: int = 1,
 ) -> Float[np.ndarray, "lanes runs size size"]:
     """Normal equations of every run, from every lane's parameters.
 
@@ -189,11 +190,15 @@ def summed(
         tables: of each run, padded to one length.
         steps: their length, of each run [s].
         counts: rows of each run that are not padding.
+        substeps: rows in each sample, of which the first alone may be scored.
 
     Raises:
         Untranslatable: what `supports` says.
     """
     many, runs = lanes.theta.shape[:2]
+    if many == 1:
+        single = _OneLane(kernel, lanes, tables, steps, counts)
+        return np.stack(single.each(lambda run: single.sums(run, substeps)))[None]
     code = _code(kernel, lanes.start.shape[2], many)
     jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
             for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
@@ -226,57 +231,91 @@ def shown(
         counts: rows of each run that are not padding.
         substeps: rows in each sample.
     """
-    own, ny = lane.start.shape[2], len(kernel.plant.outputs)
-    whole, along = _one_run(kernel, own), kernel.directions(own)
-    size = len(along.theta) + 1
-    out = np.zeros((len(tables), -(-tables.shape[1] // substeps), ny, size))
-    waiting = iter(range(len(tables)))
+    single = _OneLane(kernel, lane, tables, steps, counts)
+    samples = -(-tables.shape[1] // substeps)
+    out = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
 
-    def work() -> None:
-        for i in waiting:  # threads take from one iterator
-            one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[0, i], lane)
-            rows = np.ascontiguousarray(tables[i, : counts[i]], float)
-            _show(whole, (kernel, one, float(steps[i])), along, rows, out[i], substeps)
+    def write(run: int) -> None:
+        last = 0
+        for part in single.parts(run, substeps):
+            out[run, last : last + len(part)] = part
+            last += len(part)
 
-    together(work, min(cores(), len(tables)))
+    single.each(write)
     return out
 
 
-def _show(
-    whole: Whole,
-    fixed: tuple,
-    along: Direction,
-    rows: Float[np.ndarray, "rows columns"],
-    out: Float[np.ndarray, "samples ny size"],
-    substeps: int,
-) -> None:
-    """Write what one run shows of each sample."""
-    program, where = whole.program, whole.where
-    groups = {"lane": numbers(along, float, skip=1).T, "fixed": numbers(fixed, float)}
-    unknowns, ny = len(along.theta), out.shape[1]
+class _OneLane:
+    """All runs of a single lane."""
 
-    def known(nodes: Sequence[Node]) -> list[Any]:
-        return evaluated(nodes, lambda at: groups[at[0]][at[1]], float)
+    def __init__(
+        self,
+        kernel: RunKernel,
+        lane: RunLane,
+        tables: Table,
+        steps: np.ndarray,
+        counts: np.ndarray,
+    ):
+        self._outputs, self._threshold = len(kernel.plant.outputs), np.asarray(lane.threshold)[0]
+        # In the order of the loop's `fixed`: plant and lane; the length of a step follows.
+        self._plant = numbers(kernel, float)
+        self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
+        self._tables, self._steps, self._counts = tables, steps, counts
+        own = lane.start.shape[2]
+        self._whole, self._along = _one_run(kernel, own), kernel.directions(own)
+        self.size = len(self._along.theta) + 1
 
-    memory = aligned((where.rows, where.width), float)
-    values = known([*(program.initial[i] for i in program.lane_carries), *program.own])
-    memory[: len(values), :unknowns] = spread(values, unknowns, float)
-    given, carries = (
-        np.array([*known(nodes), 0.0])
-        for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
-    )
-    count = min(_SHOWN, len(rows))
-    shown = aligned((count, whole.shown[-1].stop), float)
-    start, *others = (one.ctypes.data for one in (rows, given, carries, memory, shown))
-    for first in range(0, len(rows), count):
-        now = min(count, len(rows) - first)
-        whole.go(start + first * rows.strides[0], *others, now)
-        part = shown[:now][-first % substeps :: substeps]
-        sample = -(-first // substeps)
-        for j in range(ny):
-            place = out[sample : sample + len(part), j]
-            place[:, :-1] = part[:, whole.shown[j]][:, :unknowns]
-            place[:, -1] = part[:, whole.shown[ny + j].start]
+    def each(self, job: Callable[[int], Any]) -> list[Any]:
+        """What a job gives for each run."""
+        runs = len(self._tables)
+        found, waiting = [None] * runs, iter(range(runs))
+
+        def work() -> None:
+            for run in waiting:  # threads take from one iterator
+                found[run] = job(run)
+
+        together(work, min(cores(), runs))
+        return found
+
+    def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:
+        """The normal equations; nothing is kept of the samples."""
+        threshold, parts = float(self._threshold[run]), self.parts(run, substeps)
+        return np.sum([added_up(part[None], threshold)[0] for part in parts], axis=0)
+
+    def parts(self, run: int, substeps: int) -> Iterator[Float[np.ndarray, "samples ny size"]]:
+        """c of some samples after the other; one array for all, which is written over."""
+        whole = self._whole
+        fixed, carries, memory = self._begin(run)
+        rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
+        ny, count = self._outputs, min(max(_CHUNK // substeps, 1) * substeps, len(rows))
+        shown = aligned((count, whole.shown[-1].stop), float)
+        part = np.empty((-(-count // substeps), ny, self.size))
+        start, *others = (one.ctypes.data for one in (rows, fixed, carries, memory, shown))
+        for first in range(0, len(rows), count):
+            now = min(count, len(rows) - first)
+            whole.go(start + first * rows.strides[0], *others, now)
+            seen = shown[:now:substeps]
+            for j in range(ny):
+                part[: len(seen), j, :-1] = seen[:, whole.shown[j]][:, : self.size - 1]
+                part[: len(seen), j, -1] = seen[:, whole.shown[ny + j].start]
+            yield part[: len(seen)]
+
+    def _begin(self, run: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What all unknowns share, what is carried for all, and what for each."""
+        program, where = self._whole.program, self._whole.where
+        lane = [leaf[run].ravel() for leaf in self._lane]
+        fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
+        groups = {"lane": numbers(self._along, float, skip=1).T, "fixed": fixed}
+
+        def known(nodes: Sequence[Node]) -> list[Any]:
+            return evaluated(nodes, lambda at: groups[at[0]][at[1]], float)
+
+        memory = aligned((where.rows, where.width), float)
+        values = known([*(program.initial[i] for i in program.lane_carries), *program.own])
+        memory[: len(values), : self.size - 1] = spread(values, self.size - 1, float)
+        carries = [program.initial[i] for i in program.step_carries]
+        fixed, carried = (np.array([*known(one), 0.0]) for one in (program.fixed, carries))
+        return fixed, carried, memory
 
 
 def _one_run(kernel: RunKernel, own: int) -> Whole:

@@ -12,23 +12,22 @@ except ImportError:  # it is experimental: a JAX without it copies the arrays
     buffer_callback = None
 
 
-def on_host(function: Callable[..., Any], result: Any, *args: Any) -> Any:
+def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:
     """What a function of NumPy arrays gives, which must not keep them.
 
     Args:
         function: under `vmap` all arrays of its arguments, and what it gives, have one more leading
             axis; it is of length one where an argument does not differ.
-        result: shape and type of the array that it gives, or a tuple of such.
+        result: what it gives.
         args: trees of arrays.
     """
 
-    def given(*parts: Any) -> Any:
+    def given(*parts: Any) -> np.ndarray:
         return function(*jax.tree.map(np.asarray, parts))
 
     def written(context: Any, out: Any, *parts: Any) -> None:
         del context
-        for buffer, array in zip(jax.tree.leaves(out), jax.tree.leaves(given(*parts)), strict=True):
-            np.asarray(buffer)[...] = array
+        np.asarray(out)[...] = given(*parts)
 
     # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
     if buffer_callback is not None and jax.default_backend() == "cpu":
