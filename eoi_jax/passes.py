@@ -60,14 +60,14 @@ class Sums(eqx.Module):
     `weight` is the sum of F[m]², the power that a unit injection would have had.
     """
 
-    information: Float[Array, "ny np np"]
-    rhs: Float[Array, "ny np"]
-    square: Float[Array, " ny"]
-    observed_square: Float[Array, " ny"]
-    weight: Float[Array, " ny"]
-    count: Float[Array, " ny"]
-    sliding: Float[Array, " ny"]
-    meat: Float[Array, "np np"]
+    information: Float[Array | np.ndarray, "ny np np"]
+    rhs: Float[Array | np.ndarray, "ny np"]
+    square: Float[Array | np.ndarray, " ny"]
+    observed_square: Float[Array | np.ndarray, " ny"]
+    weight: Float[Array | np.ndarray, " ny"]
+    count: Float[Array | np.ndarray, " ny"]
+    sliding: Float[Array | np.ndarray, " ny"]
+    meat: Float[Array | np.ndarray, "np np"]
 
 
 class Trace(eqx.Module):
@@ -116,7 +116,8 @@ class Carry(eqx.Module):
     sums: Sums
 
 
-Shifted = Callable[[Theta], Array]  # inputs at a shift of θ
+Shift = Float[Array, " directions"]
+Shifted = Callable[[Shift], Any]  # something, such as the inputs, at a shift of θ
 
 
 @eqx.filter_jit
@@ -157,7 +158,12 @@ def run_pass(
 
 
 class Kernel(eqx.Module):
-    """The loop over one record: a carry and a step; fields as in `run_pass`."""
+    """The loop over one record: a carry and a step; fields as in `run_pass`.
+
+    Attributes:
+        columns: directions in θ, along which the regressors are taken, shape (np, directions); the
+            parameters themselves if None.
+    """
 
     plant: Plant
     observer: AbstractObserver
@@ -166,6 +172,7 @@ class Kernel(eqx.Module):
     increment: Theta
     weights: Output
     store: str = eqx.field(static=True)
+    columns: Float[Array, "np directions"] | None = None
 
     def run(
         self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None
@@ -208,18 +215,14 @@ class Kernel(eqx.Module):
         time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
         if self.plant.actuator is None:
             return u, None
-        return _value_and_jacobian(
-            lambda shift: self.plant.driven(time, u, self.theta + shift),
-            self.theta.shape[0],
-            self.theta.dtype,
-        )
+        return self._differentiated(lambda shift: self.plant.driven(time, u, self._at(shift)))
 
     def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
         """Before the first step, whose ends are given."""
-        ny, size = len(self.plant.outputs), self.theta.shape[0]
-        zeros, dtype = jnp.zeros, self.theta.dtype
-        z, sensitivity = _value_and_jacobian(
-            lambda shift: self.plant.internal_start(self.theta + shift), size, dtype
+        ny, size, dtype = len(self.plant.outputs), self._directions, self.theta.dtype
+        zeros = jnp.zeros
+        z, sensitivity = self._differentiated(
+            lambda shift: self.plant.internal_start(self._at(shift))
         )
         taps = _kernel_weights(self.observer, ny).shape[0]
         each = zeros(ny, dtype)
@@ -256,7 +259,7 @@ class Kernel(eqx.Module):
         """One step, and what is shown of it."""
         u, t, y, y_next = now.u, now.time, now.y, now.y_next
 
-        def shifted(shift: Theta) -> Array:
+        def shifted(shift: Shift) -> Array:
             return u if now.slope is None else u + now.slope @ shift
 
         state = jax.tree.map(
@@ -297,8 +300,8 @@ class Kernel(eqx.Module):
             return carry.z, carry.sensitivity, carry.z, carry.sensitivity
         y = jnp.concatenate([position[None], self.observer.rates(state)])
 
-        def ends(shift: Theta) -> tuple[Array, Array]:
-            theta = self.theta + shift
+        def ends(shift: Shift) -> tuple[Array, Array]:
+            theta = self._at(shift)
             z = carry.z + carry.sensitivity @ shift
 
             def rate(z: Array) -> Array:
@@ -312,7 +315,7 @@ class Kernel(eqx.Module):
             # Cubic through both ends; the slope at the end is nearly `fourth`.
             return 0.5 * (z + end) + h / 8.0 * (first - fourth), end
 
-        (middle, end), jacobian = _value_and_jacobian(ends, self.theta.shape[0], self.theta.dtype)
+        (middle, end), jacobian = self._differentiated(ends)
         return middle, jacobian[0], end, jacobian[1]
 
     def _model(
@@ -327,11 +330,11 @@ class Kernel(eqx.Module):
         """f and φ = df/dθ, total: through the internal states too."""
         y = jnp.concatenate([position[None], seen.rates])
 
-        def shifted(shift: Theta) -> Output:
+        def shifted(shift: Shift) -> Output:
             x = State(y, z + sensitivity @ shift)
-            return self.plant.derivative(t, x, u(shift), self.theta + shift)
+            return self.plant.derivative(t, x, u(shift), self._at(shift))
 
-        return _value_and_jacobian(shifted, self.theta.shape[0], self.theta.dtype)
+        return self._differentiated(shifted)
 
     def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
         """The observer's own moving average, on model and regressors."""
@@ -374,18 +377,26 @@ class Kernel(eqx.Module):
         )
         return sums, block, Trace(injection, weight, phi) if self.store == "signals" else None
 
+    @property
+    def _directions(self) -> int:
+        return self.theta.shape[0] if self.columns is None else self.columns.shape[1]
+
+    def _at(self, shift: Shift) -> Theta:
+        """θ so far along each direction."""
+        return self.theta + (shift if self.columns is None else self.columns @ shift)
+
+    def _differentiated(self, function: Shifted) -> tuple[Any, Any]:
+        """Value and Jacobian at a zero shift, forward mode: all directions in one sweep."""
+
+        def twice(shift: Shift) -> tuple[Any, Any]:
+            value = function(shift)
+            return value, value
+
+        zeros = jnp.zeros(self._directions, self.theta.dtype)
+        jacobian, value = jax.jacfwd(twice, has_aux=True)(zeros)
+        return value, jacobian
+
 
 def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:
     weights = np.atleast_2d(np.asarray(observer.kernel, dtype=float))
     return np.broadcast_to(weights, (ny, weights.shape[1])).T
-
-
-def _value_and_jacobian(function: Any, size: int, dtype: Any) -> tuple[Any, Any]:
-    """Value and Jacobian at a zero shift of θ, forward mode: all parameters in one sweep."""
-
-    def twice(shift: Theta) -> tuple[Any, Any]:
-        value = function(shift)
-        return value, value
-
-    jacobian, value = jax.jacfwd(twice, has_aux=True)(jnp.zeros(size, dtype))
-    return value, jacobian

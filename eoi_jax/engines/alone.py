@@ -1,10 +1,13 @@
 """Passes of one lane over several records: one estimate, as `identify` runs it.
 
-Compiled for scalars where that can be, with a record on each core; else a scan over all of them.
+Compiled where that can be, with a record on each core; else a scan over all of them. The compiled
+loop has the regressors side by side in one vector, one direction in θ for each, and shows F[φ] of
+every step, from which Σφᵀφ follows; all else is of single numbers.
 """
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -12,17 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.engines.compiled import Compiled, cores, together, translated
+from eoi_jax.engines.compiled import cores, numbers, together
 from eoi_jax.engines.engine import Lanes
-from eoi_jax.engines.lane_program import Pass
-from eoi_jax.engines.native import PassRun, pass_of, rows_of
+from eoi_jax.engines.few_lanes import FewLanes, few_lanes
+from eoi_jax.engines.lane_program import AbstractLoop, traced_key
+from eoi_jax.engines.native import pass_of, rows_of
 from eoi_jax.engines.scalars import Untranslatable
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.passes import Steps, Sums, Trace, run_pass
+from eoi_jax.passes import Carry, Kernel, Step, Steps, Sums, Trace, run_pass
 from eoi_jax.plants.plant import Plant
 
-_CHUNK_BYTES = 500_000  # of what is shared of the record, at a time: it stays in the cache
+_CHUNK = 4096  # rows at a time: what they show stays in the cache
 
 Theta = Float[np.ndarray, " np"]
 OnePass = Callable[[Theta, str], tuple[Sums, Trace | None]]
@@ -48,43 +52,165 @@ def alone(
                for i in range(len(np.asarray(steps.use)))]  # fmt: skip
     rows: list[np.ndarray] = []
     # An observer of the user's own may hold other things than gains.
-    numbers = all(np.asarray(leaf).dtype.kind in "fi" for leaf in jax.tree.leaves(observer))
+    numeric = all(np.asarray(leaf).dtype.kind in "fi" for leaf in jax.tree.leaves(observer))
 
     def scanned(theta: Theta, store: str) -> Any:
         return run_pass(plant, observer, lowpass, steps, jnp.asarray(theta), store=store)
 
     @functools.cache
-    def program(store: str) -> tuple[Pass, Compiled]:
+    def code() -> FewLanes:
         lane = _lane(observer, np.asarray(plant.theta), len(plant.outputs), dtype)
-        what, columns = pass_of(plant, lane, records[0][1], records[0][0], store)
-        return what, translated(what, columns, 1)
+        what, columns = pass_of(plant, lane, records[0][1], records[0][0], "signals")
+        one = _OnePass(
+            what.plant, what.lowpass, what.lane.observer, what.lane.theta, what.step, dtype
+        )
+        return few_lanes(one, columns, len(plant.names))
 
     def run(theta: Theta, store: str) -> Any:
-        if not numbers:
+        if not numeric:
             return scanned(theta, store)
         try:
-            what, code = program(store)
+            compiled = code()
         except Untranslatable:
             return scanned(theta, store)
-        lane = _lane(observer, theta, len(plant.outputs), dtype)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
-        shown = len(code.program.shown[0])
-        signals = np.zeros((*np.shape(steps.use)[:2], shown), dtype)
-        jobs = [(PassRun(code, what, lane, 1), i) for i in range(len(records))]
-        waiting = iter(jobs)
+        trace = _empty(np.asarray(steps.use), len(theta), dtype) if store == "signals" else None
+        jobs = [_Job(compiled, plant, observer, theta, *each) for each in records]
+        waiting = iter(range(len(jobs)))
 
         def work() -> None:
-            for job, i in waiting:  # threads take from one iterator
-                (one, own), keep = records[i], signals[i] if shown else None
-                job.go(plant, own, one, rows[i], keep, _CHUNK_BYTES)
+            for i in waiting:  # threads take from one iterator
+                keep = None if trace is None else jax.tree.map(lambda leaf, i=i: leaf[i], trace)
+                jobs[i].go(rows[i], keep)
 
         together(work, min(cores(), len(jobs)))
-        sums = [job.sums() for job, _ in jobs]
-        trace = _trace(signals, len(plant.outputs))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *sums), trace
+        sums = [job.sums() for job in jobs]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *sums), trace
 
     return run
+
+
+@dataclass(frozen=True, eq=False)
+class _OnePass(AbstractLoop):
+    """What is traced: lanes are directions in θ, one for each regressor; the rest is shared."""
+
+    plant: Plant
+    lowpass: DiscreteFilter
+    observer: AbstractObserver
+    lane: Any
+    step: Step
+    dtype: np.dtype
+
+    @property
+    def row(self) -> Step:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """What all steps share: plant, F, gains, θ, h, and both ends of the first step."""
+        scalar, step = jax.ShapeDtypeStruct((), self.dtype), self.step
+        return self.plant, self.lowpass, self.observer, self.lane, scalar, step.y, step.y_next
+
+    def begin(self, lane: Any, fixed: tuple) -> Carry:
+        """Before the first step."""
+        *_, h, y, y_next = fixed
+        return self._kernel(lane, fixed).init(y, y_next, h)
+
+    def advance(self, lane: Any, fixed: tuple, carry: Carry, row: Step) -> tuple[Carry, Trace]:
+        """One step, and its part of a trace."""
+        *_, h, _, _ = fixed
+        return self._kernel(lane, fixed).step(carry, row, h)
+
+    def _kernel(self, lane: Any, fixed: tuple) -> Kernel:
+        plant, lowpass, observer, theta, *_ = fixed
+        theta, along = jnp.asarray(theta), jnp.asarray(lane)[:, None]
+        none, ones = jnp.zeros_like(theta), jnp.ones(len(plant.outputs), self.dtype)
+        return Kernel(plant, observer, lowpass, theta, none, ones, "signals", along)
+
+    def result(self, carry: Carry) -> Any:
+        """What is wanted after the last step."""
+        return carry.sums
+
+    @functools.cached_property
+    def key(self) -> tuple:
+        """Equal if one program serves both."""
+        trees = self.plant, self.lowpass, self.observer, self.lane, self.step
+        return traced_key(trees, self.dtype)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OnePass) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+class _Job:
+    """The pass over one record."""
+
+    def __init__(
+        self,
+        code: FewLanes,
+        plant: Plant,
+        observer: AbstractObserver,
+        theta: Theta,
+        steps: Steps,
+        lowpass: DiscreteFilter,
+    ):
+        ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
+        fixed = numbers((plant, lowpass, observer, theta, steps.sample_period, *ends), code.dtype)
+        # What is compared with a number that is none is not what comes out for lanes side by side.
+        self._spoilt = bool(np.any(np.isnan(numbers((observer, theta), code.dtype))))
+        self._run = code.begin(np.eye(len(theta), dtype=code.dtype), fixed)
+        self._score = np.asarray(steps.score, code.dtype)
+        ny = self._score.shape[1]
+        self._information = np.zeros((ny, len(theta), len(theta)), code.dtype)
+
+    def go(self, rows: np.ndarray, keep: Trace | None) -> None:
+        """Through the record; a trace is written where there is one to keep."""
+        shown, ny, size = self._run.code.shown, *self._information.shape[:2]
+        first = 0
+        for part in self._run.through(rows, _CHUNK):
+            now = slice(first, first + len(part))
+            first += len(part)
+            for j in range(ny):
+                phi = part[:, shown[2 * ny + j]][:, :size]
+                phi, score = np.broadcast_to(phi, (len(part), size)), self._score[now, j]
+                # Nearly all steps count: the product would take longer than all else here.
+                scored = phi if np.all(score == 1.0) else score[:, None] * phi
+                self._information[j] += scored.T @ phi
+                if keep is not None:
+                    keep.injection[now, j] = part[:, shown[j].start]
+                    keep.weight[now, j] = part[:, shown[ny + j].start]
+                    keep.Phi[now, j] = phi
+
+    def sums(self) -> Sums:
+        """What has been added up."""
+        size, dtype = self._information.shape[1], self._information.dtype
+
+        def carried(places: np.ndarray) -> np.ndarray:
+            each = [np.broadcast_to(self._run.carried(i), size) for i in places.ravel()]
+            return np.stack(each).astype(dtype)
+
+        places = self._run.code.program.sums
+        sums = Sums(
+            information=self._information,
+            rhs=carried(places.rhs),
+            square=carried(places.square)[:, 0],
+            observed_square=carried(places.observed_square)[:, 0],
+            weight=carried(places.weight)[:, 0],
+            count=carried(places.count)[:, 0],
+            sliding=carried(places.sliding)[:, 0],
+            meat=np.zeros((size, size), dtype),
+        )
+        return jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), sums) if self._spoilt else sums
+
+
+def _empty(use: np.ndarray, size: int, dtype: Any) -> Trace:
+    """Zeros, which stay behind the last step that counts."""
+    injection, weight = (np.zeros(use.shape, dtype) for _ in range(2))
+    return Trace(injection, weight, np.zeros((*use.shape, size), dtype))
 
 
 def _lane(observer: AbstractObserver, theta: Theta, outputs: int, dtype: Any) -> Lanes:
@@ -99,11 +225,3 @@ def _counted(steps: Steps, dtype: Any) -> np.ndarray:
     counts = np.any((np.asarray(steps.use) > 0) & (np.asarray(steps.score) > 0), axis=1)
     last = np.flatnonzero(counts)[-1:] + 1
     return rows_of(steps, dtype)[: last[0] if len(last) else 1]
-
-
-def _trace(signals: Float[np.ndarray, "records S signals"], ny: int) -> Trace | None:
-    """What each step shows, part by part; zero behind the last one that counts."""
-    if not signals.size:
-        return None
-    injection, weight, phi = np.split(signals, (ny, 2 * ny), axis=2)
-    return Trace(injection, weight, phi.reshape(*phi.shape[:2], ny, -1))

@@ -17,8 +17,7 @@ import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
 
-from eoi_jax.engines import one_vector
-from eoi_jax.engines.lane_program import LANE, AbstractLoop, LaneProgram, lane_program
+from eoi_jax.engines.lane_program import AbstractLoop, LaneProgram, lane_program
 from eoi_jax.engines.machine_code import Layout, layout, source
 from eoi_jax.engines.scalars import Untranslatable
 
@@ -54,53 +53,15 @@ def translated(what: AbstractLoop, columns: int, width: int | None = None) -> Co
     Raises:
         Untranslatable: what a scalar program cannot express.
     """
-    program = _program(what)
+    program = program_of(what)
     where = layout(program, columns, what.dtype, width)
     return Compiled(program, where, *functions(source(program, where, what.dtype)))
 
 
-@dataclass(frozen=True)
-class Whole:
-    """A loop of few lanes, all in one vector, as code of this machine.
-
-    Attributes:
-        program: what it computes. where: its numbers lie.
-        shown: where each number lies in a row of what is shown.
-        go: the function of `one_vector.py`.
-        owner: of the code's memory.
-    """
-
-    program: LaneProgram
-    where: Layout
-    shown: list[slice]
-    go: Callable
-    owner: Any
-
-
 @functools.lru_cache(maxsize=256)
-def in_one_vector(what: AbstractLoop, columns: int, lanes: int) -> Whole:
-    """The same for so many lanes at most, in double precision.
-
-    Raises:
-        Untranslatable: what a scalar program cannot express; branches that lanes take each for
-            itself.
-    """
-    program = _program(what)
-    if any(program.level(one) & LANE for one in program.events):
-        raise Untranslatable("branches of the lanes")
-    where = layout(program, columns, what.dtype, one_vector.width_for(lanes))
-    text, pointer = one_vector.source(program, where), ctypes.c_void_p
-    # Side by side is what the vectors are for: LLVM finds no more of it.
-    engine = _engine(text, slp=False)
-    go = ctypes.CFUNCTYPE(None, *[pointer] * 5, ctypes.c_int64)(
-        engine.get_function_address("whole")
-    )
-    return Whole(program, where, one_vector.shown_places(program, where), go, engine)
-
-
-@functools.lru_cache(maxsize=256)
-def _program(what: AbstractLoop) -> LaneProgram:
-    return lane_program(what)  # the same for vectors of any width
+def program_of(what: AbstractLoop) -> LaneProgram:
+    """Traced and sorted, once; the same for vectors of any width."""
+    return lane_program(what)
 
 
 def cores() -> int:
@@ -114,7 +75,7 @@ def cores() -> int:
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
     # Of a single lane like operations side by side become vectors.
-    engine = _engine(text, slp=True)
+    engine = engine_of(text, slp=True)
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)
     lanes = ctypes.CFUNCTYPE(None, pointer, *[number] * 3, *[pointer] * 6, number, pointer, number)
@@ -125,8 +86,16 @@ def functions(text: str) -> tuple[Callable, Callable, Any]:
     )
 
 
-def _engine(text: str, slp: bool) -> Any:
-    """Code and its memory; `slp`: whether LLVM looks for like operations side by side."""
+def engine_of(text: str, slp: bool) -> Any:
+    """Compiled code, from the disk if it is there, and its memory.
+
+    Args:
+        text: in LLVM's language.
+        slp: whether LLVM looks for like operations side by side, to make vectors of them.
+
+    Raises:
+        Untranslatable: a function that this machine's C library does not have.
+    """
     machine = _machine()
     for line in text.splitlines():
         if line.startswith("declare") and "@llvm." not in line:

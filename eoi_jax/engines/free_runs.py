@@ -7,7 +7,7 @@ the state is of single numbers, and its derivatives with the unknowns stand side
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,17 +18,16 @@ from jaxtyping import Float, Int
 
 from eoi_jax.engines.compiled import (
     Compiled,
-    Whole,
     aligned,
     cores,
-    in_one_vector,
     numbers,
     spread,
     together,
     translated,
 )
+from eoi_jax.engines.few_lanes import FewLanes, few_lanes
 from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
-from eoi_jax.engines.scalars import Node, Untranslatable, evaluated
+from eoi_jax.engines.scalars import Untranslatable, evaluated
 from eoi_jax.plants.plant import State
 from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
@@ -262,8 +261,9 @@ class _OneLane:
         self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
         self._tables, self._steps, self._counts = tables, steps, counts
         own = lane.start.shape[2]
-        self._whole, self._along = _one_run(kernel, own), kernel.directions(own)
-        self.size = len(self._along.theta) + 1
+        along = kernel.directions(own)
+        self._code, self._along = _one_run(kernel, own), numbers(along, float, skip=1).T
+        self.size = len(along.theta) + 1
 
     def each(self, job: Callable[[int], Any]) -> list[Any]:
         """What a job gives for each run."""
@@ -284,48 +284,27 @@ class _OneLane:
 
     def parts(self, run: int, substeps: int) -> Iterator[Float[np.ndarray, "samples ny size"]]:
         """c of some samples after the other; one array for all, which is written over."""
-        whole = self._whole
-        fixed, carries, memory = self._begin(run)
-        rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
-        ny, count = self._outputs, min(max(_CHUNK // substeps, 1) * substeps, len(rows))
-        shown = aligned((count, whole.shown[-1].stop), float)
-        part = np.empty((-(-count // substeps), ny, self.size))
-        start, *others = (one.ctypes.data for one in (rows, fixed, carries, memory, shown))
-        for first in range(0, len(rows), count):
-            now = min(count, len(rows) - first)
-            whole.go(start + first * rows.strides[0], *others, now)
-            seen = shown[:now:substeps]
-            for j in range(ny):
-                part[: len(seen), j, :-1] = seen[:, whole.shown[j]][:, : self.size - 1]
-                part[: len(seen), j, -1] = seen[:, whole.shown[ny + j].start]
-            yield part[: len(seen)]
-
-    def _begin(self, run: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What all unknowns share, what is carried for all, and what for each."""
-        program, where = self._whole.program, self._whole.where
         lane = [leaf[run].ravel() for leaf in self._lane]
         fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
-        groups = {"lane": numbers(self._along, float, skip=1).T, "fixed": fixed}
-
-        def known(nodes: Sequence[Node]) -> list[Any]:
-            return evaluated(nodes, lambda at: groups[at[0]][at[1]], float)
-
-        memory = aligned((where.rows, where.width), float)
-        values = known([*(program.initial[i] for i in program.lane_carries), *program.own])
-        memory[: len(values), : self.size - 1] = spread(values, self.size - 1, float)
-        carries = [program.initial[i] for i in program.step_carries]
-        fixed, carried = (np.array([*known(one), 0.0]) for one in (program.fixed, carries))
-        return fixed, carried, memory
+        rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
+        ny, unknowns, count = self._outputs, self.size - 1, max(_CHUNK // substeps, 1)
+        part = np.empty((min(count, -(-len(rows) // substeps)), ny, self.size))
+        for shown in self._code.begin(self._along, fixed).through(rows, count * substeps):
+            seen = shown[::substeps]
+            for j in range(ny):
+                part[: len(seen), j, :-1] = seen[:, self._code.shown[j]][:, :unknowns]
+                part[: len(seen), j, -1] = seen[:, self._code.shown[ny + j].start]
+            yield part[: len(seen)]
 
 
-def _one_run(kernel: RunKernel, own: int) -> Whole:
+def _one_run(kernel: RunKernel, own: int) -> FewLanes:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     run, step = _shapes(len(plant.names), own, nu, ny)
     along = kernel.directions(own)
     lane = shapes_of(along, dtype, skip=1)
     what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    return in_one_vector(what, 1 + 3 * nu + 2 * ny, len(along.theta))
+    return few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
 
 
 def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:

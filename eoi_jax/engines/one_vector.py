@@ -7,6 +7,7 @@ and write what they carry in every step.
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +33,9 @@ _DEFINITION = (
 )
 
 
-def width_for(lanes: int) -> int:
+def width_for(lanes: int, dtype: Any) -> int:
     """Numbers of a vector for so many lanes: a power of two, which LLVM splits into registers."""
-    least = register_bytes() // 8
+    least = register_bytes() // np.dtype(dtype).itemsize
     return max(least, 1 << (lanes - 1).bit_length())
 
 
@@ -47,9 +48,9 @@ def shown_places(program: LaneProgram, where: Layout) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
 
-def source(program: LaneProgram, where: Layout) -> str:
-    """The loop in LLVM's language, in double precision."""
-    text = Text("double")
+def source(program: LaneProgram, where: Layout, dtype: Any) -> str:
+    """The loop in LLVM's language."""
+    text = Text("float" if np.dtype(dtype) == np.float32 else "double")
     _OneVector(text, program, where).write()
     return module(text)
 
