@@ -197,8 +197,11 @@ def added_up(
 ) -> Float[np.ndarray, "runs size size"]:
     """The sums of runs of which c is known."""
     rows = shown.reshape(len(shown), -1, shown.shape[-1])
-    weight, beyond = _huber(np, rows[..., -1], threshold)
+    error = rows[..., -1]
     with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+        if not np.any(np.abs(error) > threshold):
+            return np.swapaxes(rows, 1, 2) @ rows
+        weight, beyond = _huber(np, error, threshold)
         sums = np.swapaxes(weight[..., None] * rows, 1, 2) @ rows
         sums[:, -1, -1] += np.sum(beyond, axis=1)
     return sums

@@ -75,17 +75,19 @@ def alone(
             return scanned(theta, store)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
-        trace = _empty(np.asarray(steps.use), len(theta), dtype) if store == "signals" else None
+        signals = None
+        if store == "signals":  # zeros stay behind the last step that counts
+            signals = np.zeros((*np.shape(steps.use)[:2], compiled.shown[-1].stop), dtype)
         jobs = [_Job(compiled, plant, observer, theta, *each) for each in records]
         waiting = iter(range(len(jobs)))
 
         def work() -> None:
             for i in waiting:  # threads take from one iterator
-                keep = None if trace is None else jax.tree.map(lambda leaf, i=i: leaf[i], trace)
-                jobs[i].go(rows[i], keep)
+                jobs[i].go(rows[i], None if signals is None else signals[i])
 
         together(work, min(cores(), len(jobs)))
         sums = [job.sums() for job in jobs]
+        trace = None if signals is None else _trace(signals, compiled.shown, len(theta))
         return jax.tree.map(lambda *leaves: np.stack(leaves), *sums), trace
 
     return run
@@ -167,23 +169,19 @@ class _Job:
         ny = self._score.shape[1]
         self._information = np.zeros((ny, len(theta), len(theta)), code.dtype)
 
-    def go(self, rows: np.ndarray, keep: Trace | None) -> None:
-        """Through the record; a trace is written where there is one to keep."""
+    def go(self, rows: np.ndarray, signals: np.ndarray | None) -> None:
+        """Through the record; what it shows is written where there is room for it."""
         shown, ny, size = self._run.code.shown, *self._information.shape[:2]
         first = 0
-        for part in self._run.through(rows, _CHUNK):
-            now = slice(first, first + len(part))
+        for part in self._run.through(rows, _CHUNK, signals):
+            scores = self._score[first : first + len(part)]
             first += len(part)
             for j in range(ny):
-                phi = part[:, shown[2 * ny + j]][:, :size]
-                phi, score = np.broadcast_to(phi, (len(part), size)), self._score[now, j]
+                phi = _regressors(part, shown[2 * ny + j], size)
                 # Nearly all steps count: the product would take longer than all else here.
-                scored = phi if np.all(score == 1.0) else score[:, None] * phi
+                all_count = np.all(scores[:, j] == 1.0)
+                scored = phi if all_count else scores[:, j, None] * phi
                 self._information[j] += scored.T @ phi
-                if keep is not None:
-                    keep.injection[now, j] = part[:, shown[j].start]
-                    keep.weight[now, j] = part[:, shown[ny + j].start]
-                    keep.Phi[now, j] = phi
 
     def sums(self) -> Sums:
         """What has been added up."""
@@ -207,10 +205,21 @@ class _Job:
         return jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), sums) if self._spoilt else sums
 
 
-def _empty(use: np.ndarray, size: int, dtype: Any) -> Trace:
-    """Zeros, which stay behind the last step that counts."""
-    injection, weight = (np.zeros(use.shape, dtype) for _ in range(2))
-    return Trace(injection, weight, np.zeros((*use.shape, size), dtype))
+def _regressors(shown: np.ndarray, place: slice, size: int) -> np.ndarray:
+    """F[φ] of one output, shape (…, np); of a model without parameters in it all are the same."""
+    phi = shown[..., place][..., :size]
+    return np.broadcast_to(phi, (*phi.shape[:-1], size))
+
+
+def _trace(signals: Float[np.ndarray, "records S columns"], shown: list[slice], size: int) -> Trace:
+    """What each step shows, part by part."""
+    ny = len(shown) // 3
+    phi = [_regressors(signals, place, size) for place in shown[2 * ny :]]
+    # Views, but for the regressors of several outputs.
+    return Trace(
+        signals[..., :ny], signals[..., ny : 2 * ny],
+        phi[0][:, :, None] if ny == 1 else np.stack(phi, axis=2),
+    )  # fmt: skip
 
 
 def _lane(observer: AbstractObserver, theta: Theta, outputs: int, dtype: Any) -> Lanes:

@@ -76,23 +76,29 @@ class Run:
     carries: np.ndarray
     memory: np.ndarray
 
-    def through(self, rows: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    def through(
+        self, rows: np.ndarray, count: int, out: np.ndarray | None = None
+    ) -> Iterator[np.ndarray]:
         """Through the rows of a record, so many at a time.
 
         Args:
             rows: as the loop reads them, one after the other in memory.
             count: at a time.
+            out: where all that they show goes, as many rows or more; None for one array of `count`
+                rows, which is written over and over.
 
         Returns:
-            What they show, in the columns of `FewLanes.shown`; an array that is written over.
+            What they show, in the columns of `FewLanes.shown`.
         """
-        shown = aligned((min(count, len(rows)), self.code.shown[-1].stop), self.code.dtype)
-        arrays = rows, self.fixed, self.carries, self.memory, shown
+        width = self.code.shown[-1].stop
+        kept = aligned((min(count, len(rows)), width), self.code.dtype) if out is None else out
+        arrays = rows, self.fixed, self.carries, self.memory
         start, *others = (one.ctypes.data for one in arrays)
         for first in range(0, len(rows), count):
             now = min(count, len(rows) - first)
-            self.code.go(start + first * rows.strides[0], *others, now)
-            yield shown[:now]
+            shown = kept[:now] if out is None else kept[first : first + now]
+            self.code.go(start + first * rows.strides[0], *others, shown.ctypes.data, now)
+            yield shown
 
     def carried(self, number: Any) -> Any:
         """A carried number: of each lane, or the one that they share."""
