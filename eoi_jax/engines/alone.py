@@ -173,15 +173,16 @@ class _Job:
         """Through the record; what it shows is written where there is room for it."""
         shown, ny, size = self._run.code.shown, *self._information.shape[:2]
         first = 0
-        for part in self._run.through(rows, _CHUNK, signals):
-            scores = self._score[first : first + len(part)]
-            first += len(part)
-            for j in range(ny):
-                phi = _regressors(part, shown[2 * ny + j], size)
-                # Nearly all steps count: the product would take longer than all else here.
-                all_count = np.all(scores[:, j] == 1.0)
-                scored = phi if all_count else scores[:, j, None] * phi
-                self._information[j] += scored.T @ phi
+        with np.errstate(over="ignore", invalid="ignore"):  # of a model without bound
+            for part in self._run.through(rows, _CHUNK, signals):
+                scores = self._score[first : first + len(part)]
+                first += len(part)
+                for j in range(ny):
+                    phi = _regressors(part, shown[2 * ny + j], size)
+                    # Nearly all steps count: the product would take longer than all else here.
+                    all_count = np.all(scores[:, j] == 1.0)
+                    scored = phi if all_count else scores[:, j, None] * phi
+                    self._information[j] += scored.T @ phi
 
     def sums(self) -> Sums:
         """What has been added up."""

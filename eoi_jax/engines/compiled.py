@@ -78,7 +78,7 @@ def functions(text: str) -> tuple[Callable, Callable, Any]:
     engine = engine_of(text, slp=True)
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)
-    lanes = ctypes.CFUNCTYPE(None, pointer, *[number] * 3, *[pointer] * 6, number, pointer, number)
+    lanes = ctypes.CFUNCTYPE(None, pointer, *[number] * 3, *[pointer] * 6, number, number)
     return (
         steps(engine.get_function_address("steps")),
         lanes(engine.get_function_address("lanes")),

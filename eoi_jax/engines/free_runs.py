@@ -409,6 +409,5 @@ class _Job:
                 none.ctypes.data,
                 zeros.ctypes.data,
                 1,
-                none.ctypes.data,
                 now,
             )

@@ -78,9 +78,9 @@ def layout(program: LaneProgram, columns: int, dtype: Any, width: int | None = N
         width: lanes in one vector; what fills two registers if None.
     """
     count = len(program.lane_carries)
-    # What happens, and what is shown, is known after each step; and an odd last step is left to
-    # the way of rare events, which a program without flags does not have.
-    single = program.events or program.shown[0] or not program.flagged
+    # What happens is known after each step; and an odd last step is left to the way of rare events,
+    # which a program without flags does not have.
+    single = program.events or not program.flagged
     rows = count + len(program.own)
     return Layout(
         width=width or _REGISTERS * register_bytes() // np.dtype(dtype).itemsize,
@@ -107,7 +107,7 @@ _LANES = (
     "ptr noalias %taken, "
     "ptr noalias readonly %shared, ptr noalias readonly %rares, ptr noalias readonly %fixed, "
     "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, "
-    "ptr noalias %shown, i64 %count) #0 {"
+    "i64 %count) #0 {"
 )
 # Threads take tiles from one counter, so that none waits for Python or for a slower one.
 _TILE = """  br label %tile
@@ -210,15 +210,15 @@ class _VectorSteps:
         usual, rare = self._program.plain, self._program.rare
         if self._name == "rare" or not self._program.events:
             way = self._name == "rare"
-            self._stored(rare if way else usual, self._program.shown[way])
+            self._stored(rare if way else usual)
             return
         # The usual way is computed before the branch: the other one uses much of it.
-        for node in (*(one.node for one in usual), *self._program.shown[0]):
-            self._each[0].value(node)
+        for one in usual:
+            self._each[0].value(one.node)
         self._text.add(f"  br i1 {self._any_event()}, label %event, label %usual", "usual:")
-        self._stored(usual, self._program.shown[0])
+        self._stored(usual)
         self._text.add(f"  br label %{self._name}.end", "event:")
-        self._stored(rare, self._program.shown[1])
+        self._stored(rare)
 
     def _any_event(self) -> str:
         """Whether anything happens to any lane of the vector."""
@@ -232,31 +232,18 @@ class _VectorSteps:
         self._text.declared.add(f"declare i1 {name}({scope.flag})")
         return let(f"call i1 {name}({scope.flag} {flag})")
 
-    def _stored(self, updates: Sequence[Update], shown: Sequence[Node]) -> None:
+    def _stored(self, updates: Sequence[Update]) -> None:
         scope, width = self._each[-1], self._where.width
         # What is stored as it was read needs no line.
         changed = [one for one in updates if one.node.value != (CARRY, one.carry)]
-        nodes = ordered([*(one.node for one in changed), *shown])
+        nodes = ordered([one.node for one in changed])
         old = {node.value[1] for node in nodes if node.op == "input" and node.value[0] == CARRY}
-        out = [as_number(scope, self._text, node, scope.value(node)) for node in shown]
         for update in changed:
             value = scope.value(update.node)
             if update.carry in old:  # others may still want what is about to be overwritten
                 self._carry(0, update.carry)
             place = self._where.carries[update.carry] * width
             self._text.store(value, self._base, place, self._always.real)
-        if out:
-            self._show(out)
-
-    def _show(self, out: Sequence[str]) -> None:
-        """One line of vectors for each step and vector of lanes."""
-        let, width = self._text.let, self._where.width
-        line = let("mul i64 %step.k, %vectors")
-        vector = let(f"add i64 %first, {self._vector}")
-        line = let(f"add i64 {line}, {vector}")
-        start = self._text.place("%shown", let(f"mul i64 {line}, {len(out) * width}"))
-        for i, value in enumerate(out):
-            self._text.store(value, start, i * width, self._always.real)
 
     def _scope(self, outside: Callable[[Node], str | None]) -> Scope:
         def never_nan(node: Node) -> bool:

@@ -182,8 +182,6 @@ class PassRun:
         lowpass: DiscreteFilter,
         steps: Steps,
         rows: np.ndarray,
-        keep: np.ndarray | None = None,
-        chunk_bytes: int = _CHUNK_BYTES,
     ) -> None:
         """Fill the memory, and go through the record.
 
@@ -192,14 +190,12 @@ class PassRun:
             lowpass: F.
             steps: of one record.
             rows: of these, by `rows_of`; the first ones only, if the others do not count.
-            keep: where a single lane's signals go, shape (rows, signals).
-            chunk_bytes: of what the lanes share of the record, at a time.
         """
         where, dtype = self._code.where, self._what.dtype
         fixed = self._start(plant, lowpass, steps)
         rare, block, emphasis = self._events(steps)
         tiles, size = self._memory.shape[:2]
-        count = max(1, chunk_bytes // (max(len(where.shared), 1) * dtype.itemsize))
+        count = max(1, _CHUNK_BYTES // (max(len(where.shared), 1) * dtype.itemsize))
         shared = aligned((min(count, len(rows)), max(len(where.shared), 1)), dtype)
         for first in range(0, len(rows), count):
             last = min(first + count, len(rows))
@@ -227,7 +223,6 @@ class PassRun:
                     emphasis.ctypes.data,
                     block[first:].ctypes.data,
                     emphasis.shape[1],
-                    None if keep is None else keep[first:].ctypes.data,
                     last - first,
                 ),
                 min(self._threads, tiles),
