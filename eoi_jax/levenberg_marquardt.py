@@ -185,7 +185,8 @@ def solve(
         max_steps: at most.
         watch: called with the number of steps done, from 0, and half of the cost; compiled in.
     """
-    problem = replace(problem, known=(unknowns, added_up(shown, float(problem.threshold))))
+    rows = shown.reshape(len(shown), -1, shown.shape[-1])
+    problem = replace(problem, known=(unknowns, added_up(rows, float(problem.threshold))))
     return _solve(problem, unknowns, np.asarray(max_steps), watch)
 
 

@@ -172,18 +172,18 @@ class RunKernel(eqx.Module):
 
     def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
         """c of each output."""
-        columns, error = jax.vmap(
-            lambda slope: self.scored(lane, carry.x, slope, row), out_axes=(1, None)
+        error, columns = jax.vmap(
+            lambda slope: self.scored(lane, carry.x, slope, row), out_axes=(None, 1)
         )(carry.slopes)
         return jnp.concatenate([columns, error[:, None]], axis=1)
 
     def scored(
         self, lane: RunLane, x: State, slope: State, row: RunRow
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
-        """Part of c in one direction, and the error, of each output; zero where not scored."""
+        """The error and the part of c in one direction, of each output; zero where not scored."""
         weight, used = jnp.asarray(lane.scale), row.use > 0
-        part, error = -weight * slope.y[0], weight * (row.y - x.y[0])
-        return jnp.where(used, part, 0.0), jnp.where(used, error, 0.0)
+        error, part = weight * (row.y - x.y[0]), -weight * slope.y[0]
+        return jnp.where(used, error, 0.0), jnp.where(used, part, 0.0)
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
@@ -193,17 +193,22 @@ class RunKernel(eqx.Module):
 
 
 def added_up(
-    shown: Float[np.ndarray, "runs time ny size"], threshold: float
-) -> Float[np.ndarray, "runs size size"]:
-    """The sums of runs of which c is known."""
-    rows = shown.reshape(len(shown), -1, shown.shape[-1])
-    error = rows[..., -1]
+    rows: Float[np.ndarray, "*runs rows size"], threshold: float, error: int = -1
+) -> Float[np.ndarray, "*runs size size"]:
+    """The sums of rows c that are known.
+
+    Args:
+        rows: of any samples and outputs.
+        threshold: κ of Huber's loss.
+        error: the column of the errors.
+    """
+    errors = rows[..., error]
     with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
-        if not np.any(np.abs(error) > threshold):
-            return np.swapaxes(rows, 1, 2) @ rows
-        weight, beyond = _huber(np, error, threshold)
-        sums = np.swapaxes(weight[..., None] * rows, 1, 2) @ rows
-        sums[:, -1, -1] += np.sum(beyond, axis=1)
+        if not np.any(np.abs(errors) > threshold):
+            return np.swapaxes(rows, -1, -2) @ rows
+        weight, beyond = _huber(np, errors, threshold)
+        sums = np.swapaxes(weight[..., None] * rows, -1, -2) @ rows
+        sums[..., error, error] += np.sum(beyond, axis=-1)
     return sums
 
 

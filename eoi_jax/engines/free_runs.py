@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -73,9 +74,9 @@ class _OneRun(AbstractLoop):
     def advance(
         self, lane: Direction, fixed: tuple, carry: _Along, row: RunRow
     ) -> tuple[_Along, Any]:
-        """One step, and c of its start: the part of this unknown, and the error."""
+        """One step, and c of its start, for each output: the error, and the part of an unknown."""
         kernel, run, h = fixed
-        shown = kernel.scored(run, carry.x, carry.slope, row)
+        shown = jnp.stack(kernel.scored(run, carry.x, carry.slope, row), axis=1)
         return _Along(*kernel.moved(run, carry.x, carry.slope, lane, row, h)), shown
 
     def result(self, carry: _Along) -> Any:
@@ -236,9 +237,11 @@ def shown(
 
     def write(run: int) -> None:
         last = 0
-        for part in single.parts(run, substeps):
-            out[run, last : last + len(part)] = part
-            last += len(part)
+        for blocks in single.blocks(run, substeps):
+            now = slice(last, last + len(blocks[0]))
+            last = now.stop
+            for j, block in enumerate(blocks):
+                out[run, now, j, :-1], out[run, now, j, -1] = block[:, 1:], block[:, 0]
 
     single.each(write)
     return out
@@ -255,7 +258,7 @@ class _OneLane:
         steps: np.ndarray,
         counts: np.ndarray,
     ):
-        self._outputs, self._threshold = len(kernel.plant.outputs), np.asarray(lane.threshold)[0]
+        self._threshold = np.asarray(lane.threshold)[0]
         # In the order of the loop's `fixed`: plant and lane; the length of a step follows.
         self._plant = numbers(kernel, float)
         self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
@@ -279,22 +282,21 @@ class _OneLane:
 
     def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:
         """The normal equations; nothing is kept of the samples."""
-        threshold, parts = float(self._threshold[run]), self.parts(run, substeps)
-        return np.sum([added_up(part[None], threshold)[0] for part in parts], axis=0)
+        threshold, total = float(self._threshold[run]), np.zeros((self.size, self.size))
+        for blocks in self.blocks(run, substeps):
+            for block in blocks:
+                total += added_up(block, threshold, error=0)
+        return np.roll(total, -1, axis=(0, 1))
 
-    def parts(self, run: int, substeps: int) -> Iterator[Float[np.ndarray, "samples ny size"]]:
-        """c of some samples after the other; one array for all, which is written over."""
+    def blocks(self, run: int, substeps: int) -> Iterator[list[Float[np.ndarray, "samples size"]]]:
+        """c of some samples after the other, the error first: views of what is written over."""
         lane = [leaf[run].ravel() for leaf in self._lane]
         fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
-        ny, unknowns, count = self._outputs, self.size - 1, max(_CHUNK // substeps, 1)
-        part = np.empty((min(count, -(-len(rows) // substeps)), ny, self.size))
-        for shown in self._code.begin(self._along, fixed).through(rows, count * substeps):
-            seen = shown[::substeps]
-            for j in range(ny):
-                part[: len(seen), j, :-1] = seen[:, self._code.shown[j]][:, :unknowns]
-                part[: len(seen), j, -1] = seen[:, self._code.shown[ny + j].start]
-            yield part[: len(seen)]
+        begun, count = self._code.begin(self._along, fixed), max(_CHUNK // substeps, 1) * substeps
+        first = [place.start for place in self._code.shown[::2]]
+        for shown in begun.through(rows, count):
+            yield [shown[::substeps, at : at + self.size] for at in first]
 
 
 def _one_run(kernel: RunKernel, own: int) -> FewLanes:
@@ -304,7 +306,10 @@ def _one_run(kernel: RunKernel, own: int) -> FewLanes:
     along = kernel.directions(own)
     lane = shapes_of(along, dtype, skip=1)
     what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    return few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
+    code = few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
+    if any(place.stop - place.start < len(along.theta) for place in code.shown[1::2]):
+        raise Untranslatable("an output that no unknown moves")
+    return code
 
 
 def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
