@@ -22,6 +22,7 @@ import eoi_jax as eoi
 
 STARTS = 100  # side by side
 OWN = ("trf", 1e-8)  # scipy's `least_squares` as it comes
+PAUSE = 0.3  # before each round [s]: the rival's BLAS threads spin on after its last call
 REACH = 2.0  # of them, around the estimate, in sizes of each parameter
 
 
@@ -86,6 +87,7 @@ def measured(case: Case, rounds: int) -> Measured:
 
 def turn(case: Case, setting: tuple[str, float]) -> tuple[dict[str, float], dict[str, float]]:
     """Seconds and costs of one round."""
+    time.sleep(PAUSE)
     seconds, cost = {}, {}
     steps = {"": {"substeps": case.substeps}, "fine ": {}}
     starts = {}
@@ -213,9 +215,9 @@ def main() -> None:
     rounds = 3 if given.quick else 9
     report = Report("Pass and refinement beside scipy over Numba")
     report.add(
-        f"Medians of {rounds} rounds by turns, everything compiled; load average before "
-        f"{os.getloadavg()[0]:.2f}. emps: 24 841 samples, Coulomb friction and offset; silverbox: "
-        "5000 samples of the estimation part, quadratic and cubic stiffness, offset, band-limited "
+        f"Medians of {rounds} rounds by turns, everything compiled, {PAUSE:g} s of pause before "
+        f"each round; load average before {os.getloadavg()[0]:.2f}. emps: 24 841 samples, Coulomb "
+        "friction and offset; silverbox: 5000 samples of the estimation part, quadratic and cubic stiffness, offset, band-limited "
         "input. All start from the plant's starting values; pass, refinement and rival take the "
         "same steps a sample; rms in mm and mV. The rival takes the method and tolerance that are "
         "fastest for it within 1 % of the lowest cost; beside it `least_squares` as it comes: "
