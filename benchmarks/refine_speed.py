@@ -217,9 +217,10 @@ def main() -> None:
     report.add(
         f"Medians of {rounds} rounds by turns, everything compiled, {PAUSE:g} s of pause before "
         f"each round; load average before {os.getloadavg()[0]:.2f}. emps: 24 841 samples, Coulomb "
-        "friction and offset; silverbox: 5000 samples of the estimation part, quadratic and cubic stiffness, offset, band-limited "
-        "input. All start from the plant's starting values; pass, refinement and rival take the "
-        "same steps a sample; rms in mm and mV. The rival takes the method and tolerance that are "
+        "friction and offset; silverbox: 5000 samples of the estimation part, quadratic and cubic "
+        "stiffness, offset, band-limited input. All start from the plant's starting values; pass, "
+        "refinement and rival take the same steps a sample; rms in mm and mV. The rival takes the "
+        "method and tolerance that are "
         "fastest for it within 1 % of the lowest cost; beside it `least_squares` as it comes: "
         "`trf`, 1e-8. Ours ends with standard errors, the rival with a point.",
     )

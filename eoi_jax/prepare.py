@@ -354,8 +354,9 @@ def _usable(
     restart = valid & ~np.concatenate([[False], valid[:-1]])
     restart[0] = True
     good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
-    resting = ~moving(degrees, record.outputs, record.sample_period, noise)
-    good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
+    if np.any(jumps):
+        resting = ~moving(degrees, record.outputs, record.sample_period, noise)
+        good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
     good &= ~constant(record)
     use = good.copy()
     for lag in range(1, taps):  # every step of the moving average must be good

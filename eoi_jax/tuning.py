@@ -346,9 +346,11 @@ def _periodogram(
     window = np.hanning(stop - start)
     power = _power(record.outputs[start:stop, output], window)
     omega = 2.0 * np.pi * np.fft.rfftfreq(stop - start, record.sample_period)
-    moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
-    inputs = [_power(u, window) for u in moving]
-    return omega, power, _foreign(power, inputs) & bool(inputs), window
+    lines = _lines(power, _LINE)
+    if np.any(lines):
+        moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
+        lines = _foreign(power, lines, [_power(u, window) for u in moving]) & bool(moving)
+    return omega, power, lines, window
 
 
 def _power(
@@ -361,18 +363,19 @@ def _power(
 
 
 def _foreign(
-    power: Float[np.ndarray, " frequency"], inputs: Sequence[Float[np.ndarray, " frequency"]]
+    power: Float[np.ndarray, " frequency"],
+    lines: Bool[np.ndarray, " frequency"],
+    inputs: Sequence[Float[np.ndarray, " frequency"]],
 ) -> Bool[np.ndarray, " frequency"]:
     """Bins of lines that no input drives and that are no part of the motion: hum, vibration.
 
     A line of a thousandth of the motion can hold most of the power of its highest derivative, and
     says nothing about where the dynamics of the plant lie.
     """
-    lines = _lines(power, _LINE)
     for u in inputs:
-        lines &= ~_lines(u, _DRIVEN)
+        lines = lines & ~_lines(u, _DRIVEN)
     held, _ = _within(power, _LINE_WIDTH)
-    lines &= (held < _MOTION * np.sum(power)) & (held > _ROUNDED * np.sum(power))
+    lines = lines & (held < _MOTION * np.sum(power)) & (held > _ROUNDED * np.sum(power))
     return _within(lines.astype(float), _LINE_WIDTH)[0] > 0.0
 
 

@@ -526,16 +526,22 @@ _MAGNITUDES = np.geomspace(1e-4, 1e3, 64)
 
 def _probes(plant: Plant) -> tuple[Any, ...]:
     """Fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
-    draw = np.random.default_rng(0)
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
-    count = 2 * len(_MAGNITUDES)
+    points, factors = _points(r * ny + nu, len(plant.names))
+    # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
+    theta = np.asarray(plant.theta) * factors + 0.1
+    return np.full(len(points), 0.3), points[:, nu:].reshape(-1, r, ny), points[:, :nu], theta
+
+
+@functools.cache
+def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates on both sides of zero, and factors of the parameters."""
+    draw = np.random.default_rng(0)
     # A Latin hypercube of the logarithms: every coordinate goes through all of them.
-    half = draw.permuted(np.tile(_MAGNITUDES, (r * ny + nu, 1)), axis=1)
+    half = draw.permuted(np.tile(_MAGNITUDES, (coordinates, 1)), axis=1)
     half *= draw.choice([-1.0, 1.0], half.shape)
     points = np.concatenate([half, -half], axis=1).T
-    # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
-    theta = np.asarray(plant.theta) * draw.uniform(0.8, 1.2, (count, len(plant.names))) + 0.1
-    return np.full(count, 0.3), points[:, nu:].reshape(-1, r, ny), points[:, :nu], theta
+    return points, draw.uniform(0.8, 1.2, (len(points), parameters))
 
 
 @functools.lru_cache(maxsize=256)
