@@ -18,7 +18,7 @@ from jaxtyping import Float
 from eoi_jax.engines.compiled import cores, numbers, together
 from eoi_jax.engines.engine import Lanes
 from eoi_jax.engines.few_lanes import FewLanes, few_lanes
-from eoi_jax.engines.lane_program import AbstractLoop, traced_key
+from eoi_jax.engines.lane_program import AbstractLoop
 from eoi_jax.engines.native import pass_of, rows_of
 from eoi_jax.engines.scalars import Untranslatable
 from eoi_jax.lowpass import DiscreteFilter
@@ -135,18 +135,6 @@ class _OnePass(AbstractLoop):
         """What is wanted after the last step."""
         return carry.sums
 
-    @functools.cached_property
-    def key(self) -> tuple:
-        """Equal if one program serves both."""
-        trees = self.plant, self.lowpass, self.observer, self.lane, self.step
-        return traced_key(trees, self.dtype)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OnePass) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
 
 class _Job:
     """The pass over one record."""
@@ -162,7 +150,7 @@ class _Job:
     ):
         ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
         fixed = numbers((plant, lowpass, observer, theta, steps.sample_period, *ends), code.dtype)
-        # What is compared with a number that is none is not what comes out for lanes side by side.
+        # A comparison with NaN is false: what the loop makes of one may look like a number.
         self._spoilt = bool(np.any(np.isnan(numbers((observer, theta), code.dtype))))
         self._run = code.begin(np.eye(len(theta), dtype=code.dtype), fixed)
         self._score = np.asarray(steps.score, code.dtype)

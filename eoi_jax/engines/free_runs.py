@@ -27,7 +27,7 @@ from eoi_jax.engines.compiled import (
     translated,
 )
 from eoi_jax.engines.few_lanes import FewLanes, few_lanes
-from eoi_jax.engines.lane_program import AbstractLoop, shapes_of, traced_key
+from eoi_jax.engines.lane_program import AbstractLoop, shapes_of
 from eoi_jax.engines.scalars import Untranslatable, evaluated
 from eoi_jax.plants.plant import State
 from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
@@ -84,17 +84,6 @@ class _OneRun(AbstractLoop):
         del carry
         return ()
 
-    @functools.cached_property
-    def key(self) -> tuple:
-        """Equal if one program serves both."""
-        return traced_key((self.kernel, self.lane, self.run, self.step), self.dtype)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OneRun) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
 
 @dataclass(frozen=True, eq=False)
 class _FreeRun(AbstractLoop):
@@ -130,17 +119,6 @@ class _FreeRun(AbstractLoop):
     def result(self, carry: RunCarry) -> Any:
         """The normal equations."""
         return carry.sums
-
-    @functools.cached_property
-    def key(self) -> tuple:
-        """Equal if one program serves both."""
-        return traced_key((self.kernel, self.lane, self.step), self.dtype)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _FreeRun) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
 
 
 def supports(kernel: RunKernel, lanes: int = 1) -> str | None:

@@ -12,6 +12,7 @@ filtered input, its sums) are carried once for all lanes, and those that never m
 """
 
 import abc
+import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Iterable
@@ -131,6 +132,23 @@ class AbstractLoop(abc.ABC):
     def result(self, carry: Any) -> Any:
         """What is wanted in the end."""
 
+    @functools.cached_property
+    def key(self) -> tuple:
+        """Equal if one program serves both."""
+        fields = [getattr(self, field.name) for field in dataclasses.fields(self)]  # type: ignore[arg-type]
+        kinds = [isinstance(one, str | np.dtype) for one in fields]
+        words, trees = (
+            [one for one, word in zip(fields, kinds, strict=True) if word == wanted]
+            for wanted in (True, False)
+        )
+        return _traced_key(trees, *words)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
 
 @dataclass(frozen=True, eq=False)
 class Pass(AbstractLoop):
@@ -184,20 +202,8 @@ class Pass(AbstractLoop):
         """What is wanted after the last step."""
         return carry.sums
 
-    @functools.cached_property
-    def key(self) -> tuple:
-        """Equal if one program serves both."""
-        trees = self.plant, self.lane, self.lowpass, self.step
-        return traced_key(trees, self.store, self.dtype)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pass) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-
-def traced_key(trees: Any, *other: Any) -> tuple:
+def _traced_key(trees: Any, *other: Any) -> tuple:
     """What a program depends on: shapes, and the numbers that are known."""
     leaves, structure = jax.tree.flatten(trees)
     known = tuple(
