@@ -220,9 +220,9 @@ def main() -> None:
         "friction and offset; silverbox: 5000 samples of the estimation part, quadratic and cubic "
         "stiffness, offset, band-limited input. All start from the plant's starting values; pass, "
         "refinement and rival take the same steps a sample; rms in mm and mV. The rival takes the "
-        "method and tolerance that are "
-        "fastest for it within 1 % of the lowest cost; beside it `least_squares` as it comes: "
-        "`trf`, 1e-8. Ours ends with standard errors, the rival with a point.",
+        "method and tolerance that are fastest for it within 1 % of the lowest cost; beside it "
+        "`least_squares` as it comes: `trf`, 1e-8. Ours ends with standard errors, the rival with "
+        "a point.",
     )
     several = cases()[-1:] if given.quick else cases()
     found = {case.name: measured(case, rounds) for case in several}

@@ -74,7 +74,7 @@ def cores() -> int:
 @functools.lru_cache(maxsize=256)
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
-    # Of a single lane like operations side by side become vectors.
+    # Of lanes one by one (`free_runs.py`) like operations side by side become vectors.
     engine = engine_of(text, slp=True)
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)

@@ -14,6 +14,7 @@ filtered input, its sums) are carried once for all lanes, and those that never m
 import abc
 import dataclasses
 import functools
+import itertools
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -93,6 +94,8 @@ class LaneProgram:
 class AbstractLoop(abc.ABC):
     """A recursion over the rows of a record, the same for every lane; its trees hold shapes only.
 
+    A dataclass without an `__eq__` of its own: all of its fields are what a program depends on.
+
     Attributes:
         lane: one lane.
         dtype: of all numbers.
@@ -136,12 +139,9 @@ class AbstractLoop(abc.ABC):
     def key(self) -> tuple:
         """Equal if one program serves both."""
         fields = [getattr(self, field.name) for field in dataclasses.fields(self)]  # type: ignore[arg-type]
-        kinds = [isinstance(one, str | np.dtype) for one in fields]
-        words, trees = (
-            [one for one, word in zip(fields, kinds, strict=True) if word == wanted]
-            for wanted in (True, False)
-        )
-        return _traced_key(trees, *words)
+        words = [isinstance(one, str | np.dtype) for one in fields]
+        trees = [one for one, word in zip(fields, words, strict=True) if not word]
+        return _traced_key(trees, *itertools.compress(fields, words))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, type(self)) and self.key == other.key
