@@ -477,8 +477,8 @@ def _wiener_hammerstein(report: Report, quick: bool) -> None:
               f"{value:.6g} ± {refined.standard_errors[key]:.1g}", plant.units.get(key, "")]
              for key, value in refined.parameters.items()],
         ),
-        "Free run, rms [mV]. Published for the test part: SUBNET 0.241 (arXiv 2012.07697 as cited by "
-        "2405.10779), Schoukens et al. 2014 0.28, dynoNet 1.2.",
+        "Free run, rms [mV]. Published for the test part: SUBNET 0.241 (arXiv 2012.07697 as cited "
+        "by 2405.10779), Schoukens et al. 2014 0.28, dynoNet 1.2.",
         table(["model", "", "estimation part", "test part"], rows),
         "Of a silicon diode the thermal voltage is 0.0259 V at 300 K times an emission "
         "coefficient of 1 to 2.",
