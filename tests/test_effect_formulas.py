@@ -1,0 +1,169 @@
+"""Every effect computes what its docstring and its printed form say, also at rest and at ties."""
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eoi_jax import effects
+from eoi_jax.effects.effect import (
+    AbstractActuator,
+    AbstractEffect,
+    AbstractInputEffect,
+    AbstractInternalEffect,
+    AbstractTerm,
+    At,
+)
+from eoi_jax.effects.products import ModulatedSinusoid, Product
+
+ALL = (*effects.standard(), *effects.rare())
+TERMS = [one for one in ALL if isinstance(one, AbstractTerm)]
+INPUTS = [one for one in ALL if isinstance(one, AbstractInputEffect)]
+INTERNAL = [one for one in ALL if isinstance(one, AbstractInternalEffect)]
+
+
+def label(effect: AbstractEffect) -> str:
+    return "-".join([effect.name, *(str(value) for value in vars(effect).values())])
+
+
+# Written from the literature in plain NumPy: (t, y, v, u, z), gains, shapes.
+CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
+    effects.ViscousFriction(): lambda t, y, v, u, z, g, s: -g[0] * v,
+    effects.CoulombFriction(): lambda t, y, v, u, z, g, s: -np.copysign(g[0], v) * (v != 0),
+    effects.AsymmetricFriction(): lambda t, y, v, u, z, g, s: (
+        -g[0] if v > 0 else g[1] if v < 0 else 0.0
+    ),
+    effects.AsymmetricViscousFriction(): lambda t, y, v, u, z, g, s: -g[0] * np.hypot(v, 0.0),
+    effects.StribeckFriction(): lambda t, y, v, u, z, g, s: (
+        -(g[0] + g[1] / np.exp(v * v / s[0] ** 2)) * np.sign(v)
+    ),
+    effects.QuadraticDrag(): lambda t, y, v, u, z, g, s: -g[0] * np.copysign(v * v, v),
+    effects.CubicDamping(): lambda t, y, v, u, z, g, s: -g[0] * v * v * v,
+    effects.LinearStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y,
+    effects.QuadraticStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y * y,
+    effects.CubicStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y * y * y,
+    effects.Gravity(): lambda t, y, v, u, z, g, s: -g[0] * np.cos(y - np.pi / 2.0),
+    effects.Gravity(degrees=True): lambda t, y, v, u, z, g, s: -g[0] * np.cos(np.deg2rad(y - 90.0)),
+    effects.PositionRipple(): lambda t, y, v, u, z, g, s: (
+        np.hypot(*g) * np.cos(s[0] * y - np.arctan2(g[0], g[1]))
+    ),
+    effects.EndStop(+1): lambda t, y, v, u, z, g, s: -g[0] * (y - s[0]) if y > s[0] else 0.0,
+    effects.EndStop(-1): lambda t, y, v, u, z, g, s: g[0] * (s[0] - y) if y < s[0] else 0.0,
+    effects.FreePlay(): lambda t, y, v, u, z, g, s: (
+        g[0] * y if abs(y) < s[0] else g[0] * s[0] * np.sign(y)
+    ),
+    effects.ConstantOffset(): lambda t, y, v, u, z, g, s: g[0],
+    effects.Drift(): lambda t, y, v, u, z, g, s: g[0] * t,
+    effects.SinusoidalDisturbance(): lambda t, y, v, u, z, g, s: (
+        np.hypot(*g) * np.cos(s[0] * t - np.arctan2(g[0], g[1]))
+    ),
+    effects.Hysteresis(): lambda t, y, v, u, z, g, s: -g[0] * z[0],
+    effects.Leak(): lambda t, y, v, u, z, g, s: -g[0] * y,
+    effects.Overflow(): lambda t, y, v, u, z, g, s: -g[0] * (y - s[0]) if y > s[0] else 0.0,
+    effects.InternalOverflow(caught=True): lambda t, y, v, u, z, g, s: (
+        g[0] * s[0] * (y - s[1]) if y > s[1] else 0.0
+    ),
+    effects.InternalOverflow(caught=False): lambda t, y, v, u, z, g, s: 0.0,
+    effects.InputDeadZone(): lambda t, y, v, u, z, g, s: (
+        u - s[0] if u > s[0] else u + s[0] if u < -s[0] else 0.0
+    ),
+    effects.InputSaturation(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1],
+    effects.InputQuadratic(odd=True): lambda t, y, v, u, z, g, s: u + s[0] * np.copysign(u * u, u),
+    effects.InputQuadratic(odd=False): lambda t, y, v, u, z, g, s: u + s[0] * u * u,
+}
+
+
+def points(effect: AbstractEffect, seed: int = 0):
+    """Instants, gains, shapes: all signs, small and large, on the corners, at rest."""
+    random = np.random.default_rng(seed)
+    for i in range(40):
+        t, y, v, u = random.standard_normal(4) * 10.0 ** random.uniform(-1.0, 1.0, 4)
+        gains = random.uniform(0.2, 3.0, len(effect.gains))
+        shapes = random.uniform(0.2, 2.0, len(effect.shapes))
+        z = random.uniform(-1.0, 1.0, effect.states)
+        if i % 5 == 0:
+            v = 0.0
+        if i % 5 == 1 and len(shapes):
+            y = v = u = shapes[-1] * (-1.0) ** i
+        yield (abs(t), y, v, u, z), gains, shapes
+
+
+def value_of(effect: AbstractEffect, at: At, gains: Any, shapes: Any) -> Any:
+    if isinstance(effect, AbstractInputEffect):
+        return effect.changed(at, shapes)
+    assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
+    return effect.term(at, gains, shapes)
+
+
+@pytest.mark.parametrize("effect", [*TERMS, *INTERNAL, *INPUTS], ids=label)
+def test_effect_is_its_closed_form(effect):
+    for at, gains, shapes in points(effect):
+        got = value_of(effect, At(*map(jnp.asarray, at)), gains, shapes)
+        assert got == pytest.approx(CLOSED[effect](*at, gains, shapes), rel=1e-12, abs=1e-13)
+
+
+def test_every_effect_has_a_closed_form_here():
+    along = {one for one in ALL if isinstance(one, AbstractActuator)}
+    assert set(ALL) - along == set(CLOSED)
+    assert {one.name for one in along} == {"input_delay", "actuator_lag"}  # in test_effects.py
+
+
+@pytest.mark.parametrize("effect", [*TERMS, *INTERNAL, *INPUTS], ids=label)
+def test_printed_form_computes_the_same(effect):
+    """The form that a report shows, read as arithmetic."""
+    names = [f"p{i}" for i in range(len(effect.parameters))]
+    text = effect.text(names, "y", "v", "u")
+    if isinstance(effect, AbstractInternalEffect):
+        text = effect.outer_form[0].format(*names, y="y") or "0"
+    text = text.split("→")[-1].split(",  ")[0]
+    for old, new in (("·", "*"), ("²", "**2"), ("³", "**3"), ("π", "pi"), ("[", "("), ("]", ")")):
+        text = text.replace(old, new)
+    text = re.sub(r"\|(\w)\|", r"abs(\1)", text)
+    functions = {
+        "sin": np.sin, "cos": np.cos, "exp": np.exp, "sign": np.sign, "clip": np.clip,
+        "max": max, "min": min, "abs": abs, "pi": np.pi,
+    }  # fmt: skip
+    for (t, y, v, u, z), gains, shapes in points(effect, 1):
+        values = dict(zip(names, [*gains, *shapes], strict=True))
+        given = functions | values | {"t": t, "y": y, "v": v, "u": u}
+        given |= {"z": z[0]} if len(z) else {}
+        at = At(*map(jnp.asarray, (t, y, v, u, z)))
+        shown = eval(text.strip().removeprefix("+"), {"__builtins__": {}}, given)
+        assert shown == pytest.approx(
+            float(value_of(effect, at, gains, shapes)), rel=1e-12, abs=1e-13
+        )
+
+
+@pytest.mark.parametrize("effect", INTERNAL, ids=label)
+def test_spill_of_an_internal_state_is_lost_above_the_brim(effect):
+    for (t, y, v, u, z), _, shapes in points(effect, 2):
+        rate = effect.change(At(*map(jnp.asarray, (t, y, v, u, z))), shapes)
+        assert rate == pytest.approx(-shapes[0] * max(y - shapes[1], 0.0), abs=1e-13)
+
+
+def test_hysteresis_follows_bouc_and_wen():
+    """On each side of v = 0 and z = 0 the loop's slope δ dz/dy is 1 - (β ± (1 - β)) |z|."""
+    effect = effects.Hysteresis()
+    for (t, y, v, u, z), _, (size, _) in points(effect, 3):
+        share = 0.3
+        same = np.sign(v) == np.sign(z[0])
+        slope = 1.0 - abs(z[0]) * (1.0 if same else 1.0 - 2.0 * share)
+        rate = effect.rate(At(*map(jnp.asarray, (t, y, v, u, z))), (size, share))
+        np.testing.assert_allclose(rate, [v * slope / size], rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize(("one", "other"), [("y", "v"), ("v", "u"), ("u", "u")])
+def test_terms_without_a_name_are_products(one, other):
+    random = np.random.default_rng(4)
+    for _ in range(10):
+        values = dict(zip("tyvu", random.standard_normal(4), strict=True))
+        at, (a, b, w) = At(**values, z=np.zeros(0)), random.standard_normal(3)
+        assert Product(one, other).term(at, [a], ()) == pytest.approx(
+            a * values[one] * values[other]
+        )
+        swing = a * np.sin(w * values["t"]) + b * np.cos(w * values["t"])
+        got = ModulatedSinusoid(one).term(at, [a, b], [w])
+        assert float(got) == pytest.approx(swing * values[one])
