@@ -4,17 +4,34 @@ A package of its own, for importing any part of `eoi_jax` imports JAX, and neith
 that completes a word should wait for that. What a command does is in `eoi_jax.cli`.
 """
 
+import contextlib
+import os
 import sys
 
-_INTERRUPTED = 130
+from eoi_command.signals import handled, interrupt
+
+_WRONG, _INTERRUPTED = 2, 130
 
 
 def main() -> None:
     """The entry point of the ``eoi`` command."""
     try:
-        from eoi_command.commands import app
+        with handled(interrupt):
+            from eoi_command.commands import app
 
-        app(prog_name="eoi")
+            app(prog_name="eoi")
     except KeyboardInterrupt:  # before a command has begun
-        sys.stderr.write("eoi: interrupted; nothing half-written is left\n")
-        sys.exit(_INTERRUPTED)
+        _end(_INTERRUPTED, "interrupted; nothing half-written is left")
+    except Exception as error:  # before a command has begun, too: `terminal.failures` is within
+        if "--debug" in sys.argv:
+            raise
+        _end(_WRONG, f"{type(error).__name__}: {error}; --debug shows where")
+
+
+def _end(code: int, message: str) -> None:
+    with contextlib.suppress(OSError):  # nobody listens any more
+        sys.stderr.write(f"eoi: {message}\n")
+        sys.stderr.flush()
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    os._exit(code)

@@ -20,7 +20,7 @@ from eoi_command.options import (
     Source,
     complete_config,
 )
-from eoi_command.terminal import Commands, Shown, failures, heard, progress, show
+from eoi_command.terminal import Commands, Shown, debug, failures, heard, progress, show
 
 app = typer.Typer(
     cls=Commands,
@@ -68,12 +68,16 @@ def options(
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
+    with_traceback: Annotated[
+        bool, typer.Option("--debug", help="Show where in the program an error comes from.")
+    ] = False,
 ) -> None:
     """Identify a plant, and find what its model lacks, from the equivalent output injection.
 
     Exit status: 0 answer found, 1 no answer (says why), 2 wrong call, config or data, 130 stopped.
     """
     del version
+    debug(with_traceback)
 
 
 @app.command(
@@ -237,6 +241,9 @@ def export(
             help="File to write; else model.* beside the run's files.", show_default=False
         ),
     ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run the Python file that holds the run's model.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -244,5 +251,5 @@ def export(
     with failures(as_json):
         from eoi_jax import cli
 
-        ending = cli.export(run, language, output)
+        ending = cli.export(run, language, output, trust)
         show(ending, as_json, quiet)

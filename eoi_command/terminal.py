@@ -6,6 +6,7 @@ Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data
 import contextlib
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,13 +17,20 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from eoi_command.signals import handled, ignore
+
 NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
 
 _INTERRUPTED = "interrupted; nothing half-written is left"
 _AGAIN = 0.5  # seconds; cleaning up takes less
 _BARS: list[Any] = []  # that are on the terminal now
 
+_DEBUGGED = [False]
+# Characters that a terminal obeys: control characters, and what turns the direction of writing.
+_ESCAPED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
 _WrongCall: Any = typer.BadParameter.__base__  # whichever click it is that typer is built on
+_ClickError: Any = _WrongCall.__base__
 
 # A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
 Shown = Callable[[str, int, int | None, str], None]
@@ -32,24 +40,50 @@ Shown = Callable[[str, int, int | None, str], None]
 def failures(as_json: bool) -> Iterator[None]:
     """A user's mistake ends in one sentence and status 2, an interrupt in 130: no traceback.
 
+    What nobody foresaw ends so, too, and asks to be reported; ``--debug`` lets it through.
+
     Args:
         as_json: print the sentence as an object on stdout, too.
     """
     try:
-        with _handled(lambda *_: _leave(as_json)):
+        with handled(lambda *_: _leave(as_json)):
             yield
-    except (ValueError, OSError) as error:
-        stop(WRONG, str(error), as_json)
-    except MemoryError:
-        stop(WRONG, "out of memory; take fewer columns, or a `slice` of the samples", as_json)
-    except RuntimeError as error:
-        import equinox as eqx  # raised by it, so that it is loaded already
-
-        if not isinstance(error, eqx.EquinoxRuntimeError):
-            raise
-        stop(WRONG, str(error), as_json)
+    except (typer.Exit, typer.Abort, _ClickError):
+        raise
     except KeyboardInterrupt:
         stop(INTERRUPTED, _INTERRUPTED, as_json)
+    except Exception as error:
+        if debugged():
+            raise
+        stop(WRONG, _sentence(error), as_json)
+
+
+def _sentence(error: Exception) -> str:
+    """What an error says to a user: as it stands where it is foreseen."""
+    if isinstance(error, MemoryError):
+        return "out of memory; take fewer columns, or a `slice` of the samples"
+    equinox = sys.modules.get("equinox")  # loaded where it raised
+    of_data = equinox is not None and isinstance(error, equinox.EquinoxRuntimeError)
+    if isinstance(error, ValueError | OSError) or of_data:
+        return str(error)
+    return (
+        f"an error that should not be ({type(error).__name__}: {error}). Please report it to the "
+        "developers of eoi_jax, with what the same command and --debug show"
+    )
+
+
+def debug(wanted: bool) -> None:
+    """Say whether errors are shown with their traceback.
+
+    Args:
+        wanted: false where one sentence is enough.
+    """
+    _DEBUGGED[0] = wanted
+
+
+def debugged() -> bool:
+    """Whether errors are shown with their traceback."""
+    return _DEBUGGED[0]
 
 
 def _leave(as_json: bool) -> None:
@@ -58,14 +92,17 @@ def _leave(as_json: bool) -> None:
     Not by an exception, which Python drops inside a callback of the garbage collector, of which JAX
     has one, and which can meet JAX's library while that is being loaded.
     """
-    for bar in _BARS:
-        bar.stop()
+    ignore()
+    with contextlib.suppress(Exception):  # the terminal may be closed
+        for bar in _BARS:
+            bar.stop()
     unfinished = sys.modules.get("eoi_jax.unfinished")
     if unfinished is not None and hasattr(unfinished, "tidy"):
         unfinished.tidy()
     with contextlib.suppress(typer.Exit):
         stop(INTERRUPTED, _INTERRUPTED, as_json)
-    sys.stdout.flush()
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
     os._exit(INTERRUPTED)
 
 
@@ -74,7 +111,7 @@ def heard() -> Iterator[None]:
     """Ctrl-C as an exception, for work that keeps what it has done; raised until it is heard."""
     again: list[threading.Timer] = []
 
-    def interrupt(*_: Any) -> None:
+    def raised(*_: Any) -> None:
         again.append(threading.Timer(_AGAIN, signal.raise_signal, [signal.SIGINT]))
         again[-1].daemon = True
         again[-1].start()
@@ -86,7 +123,7 @@ def heard() -> Iterator[None]:
 
     hook, sys.unraisablehook = sys.unraisablehook, unheard
     try:
-        with _handled(interrupt):
+        with handled(raised):
             yield
     finally:
         for one in again:
@@ -94,17 +131,25 @@ def heard() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-@contextmanager
-def _handled(handler: Callable[..., None]) -> Iterator[None]:
-    """Ctrl-C goes to `handler`; only the main thread of a process may say so."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, handler)
+def say(text: object, err: bool = False) -> None:
+    """Write a line for a user, of what a terminal shows and nothing that it obeys.
+
+    Nobody may be listening, as behind ``| head``: the answer is what it is all the same.
+
+    Args:
+        text: what is said; what is no character of the terminal's encoding appears as its code.
+        err: on stderr.
+    """
+    stream = sys.stderr if err else sys.stdout
+    line = _ESCAPED.sub(lambda one: repr(one[0])[1:-1], str(text))
+    line = line.encode(stream.encoding or "utf-8", "backslashreplace").decode(
+        stream.encoding or "utf-8", "replace"
+    )
     try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        typer.echo(line, err=err)
+    except OSError:  # what is left in its buffer would be tried again at the end
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None) -> NoReturn:
@@ -116,9 +161,9 @@ def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None 
         as_json: print one object on stdout, too.
         summary: further keys of that object.
     """
-    typer.echo(f"eoi: {message}", err=True)
+    say(f"eoi: {message}", err=True)
     if as_json:
-        typer.echo(json.dumps({"error": message, **(summary or {})}, allow_nan=False))
+        say(json.dumps({"error": message, **(summary or {})}, allow_nan=False))
     raise typer.Exit(code)
 
 
@@ -132,6 +177,8 @@ class Commands(TyperGroup):
             ctx: of the call.
             args: its words.
         """
+        debugged = "--debug" in args  # before the command or behind it
+        args = ["--debug"] * debugged + [one for one in args if one != "--debug"]
         with _told_as_json("--json" in args):
             return super().parse_args(ctx, args)
 
@@ -152,7 +199,7 @@ def _told_as_json(wanted: bool) -> Iterator[None]:
         yield
     except _WrongCall as error:
         if wanted:
-            typer.echo(json.dumps({"error": error.format_message()}, allow_nan=False))
+            say(json.dumps({"error": error.format_message()}, allow_nan=False))
         raise
 
 
@@ -167,16 +214,16 @@ def show(ending: Any, as_json: bool, quiet: bool) -> None:
     if ending.place is None:
         stop(ending.code, ending.complaint, as_json, ending.summary)
     if as_json:
-        typer.echo(json.dumps(ending.summary, allow_nan=False))
+        say(json.dumps(ending.summary, allow_nan=False))
     elif quiet:
-        typer.echo(ending.place)
+        say(ending.place)
     elif ending.place.is_dir():
         files = ", ".join(sorted(path.name for path in ending.place.iterdir()))
-        typer.echo(f"{ending.text}\n\n{ending.place}/: {files}")
+        say(f"{ending.text}\n\n{ending.place}/: {files}")
     else:
-        typer.echo(ending.text)
+        say(ending.text)
     if ending.code:
-        typer.echo(f"eoi: {ending.complaint}", err=True)
+        say(f"eoi: {ending.complaint}", err=True)
         raise typer.Exit(ending.code)
 
 

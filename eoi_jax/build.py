@@ -1,8 +1,10 @@
 """From a config's tables to the plant, gains and records that `identify` takes."""
 
+import contextlib
 import functools
 import importlib.util
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -91,10 +93,12 @@ def _plant_from_file(reference: str, folder: Path) -> Plant:
     check(spec is not None, "plant", f"{rule} with a Python file", path)
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
     try:
-        spec.loader.exec_module(module)  # type: ignore[union-attr]
-        made = getattr(module, name, None)
-        made = made() if callable(made) and not isinstance(made, Plant) else made
-    except Exception as error:  # the user's code: whatever it raises is the user's to mend
+        with contextlib.redirect_stdout(sys.stderr):  # stdout is for the answer
+            spec.loader.exec_module(module)  # type: ignore[union-attr]
+            made = getattr(module, name, None)
+            made = made() if callable(made) and not isinstance(made, Plant) else made
+    # The user's code: whatever it raises is the user's to mend, an exit too.
+    except (Exception, SystemExit) as error:
         raise ValueError(
             f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
         ) from error

@@ -18,6 +18,7 @@ from eoi_jax.checks import check
 from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
 from eoi_jax.draft import checked, draft
+from eoi_jax.drafts import write_file, write_folder
 from eoi_jax.finished import export_run
 from eoi_jax.identify import Identification
 from eoi_jax.identify import identify as run_passes
@@ -85,10 +86,12 @@ def identify(
     folder = output / given.settings.name
     option = "" if passes is None else f" --passes {passes}"
     text = _with_command(f"eoi identify{_named(config)}{option}", source)
-    runs.publish(
-        folder, lambda draft: runs.write_identification(draft, result, validation, summary, text)
-    )
-    pages.write_report(folder)
+
+    def fill(draft: Path) -> None:
+        runs.write_identification(draft, result, validation, summary, text)
+        pages.write_report(draft)
+
+    write_folder(folder, fill)
     lines = [identification_text(result), "" if validation is None else str(validation)]
     return Ending(summary, "\n\n".join(filter(None, lines)), folder)
 
@@ -116,8 +119,12 @@ def discover(config: Path | None, data: Path | None, output: Path, shown: Shown 
         return Ending(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / given.settings.name
     text = _with_command(f"eoi discover{_named(config)}", source)
-    runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
-    pages.write_report(folder)
+
+    def fill(draft: Path) -> None:
+        runs.write_discovery(draft, result, summary, text)
+        pages.write_report(draft)
+
+    write_folder(folder, fill)
     if result.status.code == "unexplained":
         # The maps of the residual are written all the same: they are what is known.
         return Ending(summary, discovery_text(result), folder, _NO_ANSWER, answer(result))
@@ -158,10 +165,12 @@ def refine(config: Path | None, data: Path | None, output: Path, shown: Shown | 
     text = refinement_text(result, before, after)
     copy = _with_command(f"eoi refine{_named(config)}", source)
     beside = {"start": start, "before": before, "after": after}
-    runs.publish(
-        folder, lambda draft: runs.write_refinement(draft, result, beside, summary, text, copy)
-    )
-    pages.write_report(folder)
+
+    def fill(draft: Path) -> None:
+        runs.write_refinement(draft, result, beside, summary, text, copy)
+        pages.write_report(draft)
+
+    write_folder(folder, fill)
     return Ending(summary, text, folder)
 
 
@@ -231,7 +240,7 @@ def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
     if shown is not None:
         shown("drawing", 0, None, "")
     summary, text = found.summary(), str(found)
-    runs.publish(folder, lambda draft: runs.write_inspection(draft, found, summary, text))
+    write_folder(folder, lambda draft: runs.write_inspection(draft, found, summary, text))
     return Ending(summary, text, folder)
 
 
@@ -257,7 +266,12 @@ def init(path: Path, target: Path | None, force: bool) -> Ending:
     with runs.quiet_records():
         found = look(path)
         text = checked(draft(found, goal), goal)
-    runs.replace_file(goal, text)
+
+    def fill(new: Path) -> None:
+        new.write_text(text, encoding="utf-8")
+
+    goal.parent.mkdir(parents=True, exist_ok=True)
+    write_file(goal, fill)
     facts = {"time": found.clock.column, "inputs": found.inputs, "outputs": found.outputs}
     guesses = "\n".join(
         f"  {one.name}: {one.role}, {one.why}"
@@ -285,13 +299,14 @@ def report(run: Path) -> Ending:
     return Ending({"report": str(path)}, str(path), path)
 
 
-def export(run: Path, language: str | None, target: Path | None) -> Ending:
+def export(run: Path, language: str | None, target: Path | None, trust: bool = False) -> Ending:
     """Write the model of a run for another tool.
 
     Args:
         run: folder of a run, or a file with a model.
         language: of `LANGUAGES`; None: by the suffix of `target`.
         target: the file; None: ``model.*`` beside the run's files.
+        trust: whether the Python file that holds the run's model may be run.
 
     Returns:
         How it ended.
@@ -300,7 +315,7 @@ def export(run: Path, language: str | None, target: Path | None) -> Ending:
         ValueError: neither language nor target, no model there, one that cannot be written so.
     """
     backend.configure()
-    path = export_run(run, target, language)
+    path = export_run(run, target, language, trust)
     return Ending({"model": str(path)}, str(path), path)
 
 

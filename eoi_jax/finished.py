@@ -8,22 +8,26 @@ from typing import Any
 from eoi_jax import build
 from eoi_jax import config as configs
 from eoi_jax.checks import check, check_choice
+from eoi_jax.drafts import sweep_up
 from eoi_jax.export.export import LANGUAGES, SUFFIXES, export
 from eoi_jax.plants.plant import Plant
-from eoi_jax.store import load
+from eoi_jax.store import is_whole, load
 
 _NEW = (
     "Run `eoi identify`, `eoi refine` or `eoi discover` first, and name the folder that it wrote."
 )
 
 
-def export_run(run: Path, output: Path | None = None, language: str | None = None) -> Path:
+def export_run(
+    run: Path, output: Path | None = None, language: str | None = None, trust: bool = False
+) -> Path:
     """Write the model of a run for another tool: what `eoi export` does.
 
     Args:
         run: as of `plant_of_run`.
         output: file to write; None: ``model`` with the suffix of the language, beside the run's.
         language: as of `export`; None: by the suffix of `output`.
+        trust: as of `plant_of_run`.
 
     Returns:
         The file.
@@ -37,34 +41,42 @@ def export_run(run: Path, output: Path | None = None, language: str | None = Non
         check_choice("--language", str(language), LANGUAGES)
         suffix = next(key for key, value in SUFFIXES.items() if value == language)
         output = (run if run.is_dir() else run.parent) / f"model{suffix}"
-    return export(plant_of_run(run), output, language)
+    return export(plant_of_run(run, trust), output, language)
 
 
-def plant_of_run(run: Path) -> Plant:
+def plant_of_run(run: Path, trust: bool = False) -> Plant:
     """The estimated model of a run, with the effects that were found.
+
+    It is read from what is stored. Only a model that is a function in a Python file is not stored.
 
     Args:
         run: its folder, or one file: a result that was saved, or a model that was exported as JSON.
+        trust: whether such a file, named in the run's config, may be run.
 
     Returns:
         The plant with its estimate.
 
     Raises:
         ValueError: no such run, one that was interrupted, files that were changed by hand, or a
-            model in a Python file that is gone.
+            model in a Python file that is gone, or that is not trusted.
     """
+    if not run.exists():
+        sweep_up(run.parent)  # a run that was being replaced when its process was killed
     check(run.exists(), "run", "must be a folder or a file that exists", run, _NEW)
     if run.is_file():
         return _model_of(load(run), run)
     config = run / "config.toml"
     check(config.is_file(), "run", "must be the folder of a finished run", run, _NEW)
-    declared = _declared(config)
     stored = run / "result.npz"
     if stored.is_file():
-        return _model_of(load(stored, plant=declared), stored)
+        plant = _model_of(load(stored), stored)
+        if is_whole(plant):
+            return plant
+        return _model_of(load(stored, plant=_declared(config, trust)), stored)
     result = run / "result.json"
     rule = "must hold result.npz or result.json"
     check(result.is_file(), "run", rule, run, "A sweep ends with no single model. " + _NEW)
+    declared = _declared(config, trust)
     try:
         values = json.loads(result.read_text(encoding="utf-8"))["parameters"]
         return declared.with_parameters({name: float(value) for name, value in values.items()})
@@ -80,9 +92,16 @@ def _model_of(found: Any, path: Path) -> Plant:
     return plant  # type: ignore[return-value]
 
 
-def _declared(copy: Path) -> Plant:
+def _declared(copy: Path, trust: bool) -> Plant:
     """The declared model; a Python file is beside the config that the copy was made of."""
     settings = configs.load(copy)
+    check(
+        trust or ":" not in (settings.plant or ""),
+        "run",
+        "must hold its whole model",
+        f"{copy.parent}, whose model is a function in {settings.plant}",
+        "Look at this file; --trust runs it.",
+    )
     command = re.match(r"# eoi \w+ (.*\.toml)", copy.read_text(encoding="utf-8"))
     return build.plant(settings, _folder(Path(command[1]), copy) if command else copy.parent)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from eoi_jax.checks import check
 from eoi_jax.discovery import Discovery
+from eoi_jax.drafts import sweep_up, write_file
 from eoi_jax.identify import Identification
 from eoi_jax.refinement import Refinement
 from eoi_jax.report.contents import (
@@ -57,17 +58,18 @@ def write_report(folder: Path) -> Path:
     contents = maker(result, beside)
     text = page(summary, contents, first.removeprefix("# "), rest, summary["kind"])
     path = folder / REPORT
-    draft = path.with_suffix(".part")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    write_file(path, lambda draft: _write_text(draft, text))
     return path
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], str]:
     """The run's JSON object and the text of its config, after every check that they allow."""
+    if not folder.exists():
+        sweep_up(folder.parent)  # a run that was being replaced when its process was killed
     check(folder.is_dir(), "RUN", "must be the folder of a run", folder,
           "Runs lie in runs/<name>/.")  # fmt: skip
     check(

@@ -2,10 +2,8 @@
 
 import errno
 import json
-import os
-import shutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from eoi_jax.checks import RecordWarning, check
 from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Discovery
+from eoi_jax.drafts import make_draft, sweep_up, write_files
 from eoi_jax.identify import Identification
 from eoi_jax.inspection import Inspection
 from eoi_jax.plants.plant import Plant
@@ -82,6 +81,8 @@ def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
 def check_place(folder: Path, named: str) -> None:
     """A run's folder must be one that can be made: found out before the work, by making it.
 
+    What processes that were killed left beside it goes, or is put back.
+
     Args:
         folder: the run's, in that of ``--output``; it is left as it is.
         named: the field that its own name is from.
@@ -89,7 +90,7 @@ def check_place(folder: Path, named: str) -> None:
     Raises:
         ValueError: it cannot be made, or not be written.
     """
-    draft, made = _draft(folder), []
+    made: list[Path] = []
 
     def undo() -> None:
         for one in reversed(made):
@@ -97,23 +98,21 @@ def check_place(folder: Path, named: str) -> None:
                 one.rmdir()
 
     with tidied(undo):
-        for one in (*reversed(draft.parents), draft):
+        for one in (*reversed(folder.parents), folder):
             try:
-                if not one.is_dir():
+                if one is folder:
+                    sweep_up(folder.parent)
+                    made.append(make_draft(folder))
+                elif not one.is_dir():
                     made.append(one)
                     one.mkdir()
             except OSError as error:
-                long = one is draft and error.errno == errno.ENAMETOOLONG
+                long = one is folder and error.errno == errno.ENAMETOOLONG
                 check(not long, named, "must be short enough for a folder", folder.name)
                 there = isinstance(error, FileExistsError)
                 cause = f"{one} is a file" if there else error.strerror
                 rule = f"must be a folder that can be made and written ({cause})"
                 check(False, "--output", rule, folder.parent)
-
-
-def _draft(folder: Path) -> Path:
-    """Where a folder is filled before it takes its place."""
-    return folder.with_name(f".{folder.name}-{os.getpid()}")
 
 
 # -- as files ---------------------------------------------------------------------------------
@@ -202,17 +201,21 @@ def write_sweep(
     """`sweep.json`, `report.txt`, `figure.png` and `config.toml`, beside the store of a sweep.
 
     Args:
-        folder: the run's, which holds the store already.
+        folder: the run's, which holds the store already; each file is written whole or not at all.
         result: of `sweep`.
         best: its best lane, or None.
         summary: of `sweep_summary`.
         text: of `sweep_text`.
         config: text of the config, with the command that was given above it.
     """
-    _write_json(folder / SWEEP, summary)
-    (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
-    sweep_figure(result, best).savefig(folder / "figure.png")
-    (folder / "config.toml").write_text(config, encoding="utf-8")
+
+    def fill(draft: Path) -> None:
+        _write_json(draft / SWEEP, summary)
+        (draft / "report.txt").write_text(text + "\n", encoding="utf-8")
+        sweep_figure(result, best).savefig(draft / "figure.png")
+        (draft / "config.toml").write_text(config, encoding="utf-8")
+
+    write_files(folder, SWEEP, fill)
 
 
 def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], text: str) -> None:
@@ -229,44 +232,6 @@ def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], t
     found.plot().savefig(folder / "inspect.png")
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Write a file, all or nothing.
-
-    Args:
-        path: of the file; its folder is made.
-        text: what goes into it.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.draft")
-    with tidied(lambda: draft.unlink(missing_ok=True)):
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-
-
 def _write_json(path: Path, summary: dict[str, Any]) -> None:
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
-
-
-def publish(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder, all or nothing; one that is there is replaced at the very end.
-
-    Args:
-        folder: the run's.
-        fill: writes into the empty folder that it is given.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = _draft(folder)
-    new, old = draft / "new", draft / "old"
-
-    def undo() -> None:
-        if old.exists() and not folder.exists():
-            old.rename(folder)
-        shutil.rmtree(draft, ignore_errors=True)
-
-    with tidied(undo):
-        new.mkdir(parents=True)
-        fill(new)
-        if folder.exists():
-            folder.rename(old)
-        new.rename(folder)

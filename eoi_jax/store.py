@@ -8,7 +8,6 @@ of the user's own, or an effect, cannot be stored, so it is given again to `load
 import dataclasses
 import importlib
 import json
-import os
 import zipfile
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -22,6 +21,7 @@ import numpy as np
 from eoi_jax.certainty import Deferred
 from eoi_jax.checks import check
 from eoi_jax.discovery import Discovery
+from eoi_jax.drafts import write_file
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
@@ -88,16 +88,16 @@ def save(result: Any, path: str | Path) -> None:
         "version": version("eoi_jax"),
         "result": _encode(result, arrays),
     }
-    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
+
+    def fill(draft: Path) -> None:
         with draft.open("wb") as file:
             header = {_HEADER: np.asarray(json.dumps(tree))}
             np.savez_compressed(file, allow_pickle=False, **header, **arrays.by_key)
-        draft.replace(path)
+
+    try:
+        write_file(path, fill)
     except OSError as error:
         check(False, "path", f"must be writable ({error.strerror})", path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def load(
@@ -142,6 +142,24 @@ def load(
     )
     given = _Given(plant, {_name(type(one)): type(one) for one in effects})
     return _decode(tree["result"], arrays, given)
+
+
+def is_whole(plant: Plant) -> bool:
+    """Whether a loaded plant has all its functions, so that it can be simulated and fitted.
+
+    Args:
+        plant: of a result that was loaded.
+
+    Returns:
+        False where `load` needs the plant that the result was made with.
+    """
+    for key in _FUNCTIONS:
+        function = getattr(plant, key)
+        while _own(function) and hasattr(function, "base"):
+            function = function.base
+        if isinstance(function, MissingModel):
+            return False
+    return True
 
 
 class _Arrays:

@@ -9,6 +9,7 @@ from found import DECLARED, HELD_OUT, discovery, record
 import eoi_jax as eoi
 from eoi_jax import config as configs
 from eoi_jax import pages, runs, summaries
+from eoi_jax.drafts import write_folder
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "hidden_friction.toml"
 HOSTILE = "<script>hacked=1</script>"
@@ -22,7 +23,7 @@ def discovered(folder: Path, result: eoi.Discovery) -> Path:
     given = job(DECLARED, [record(1)], [HELD_OUT])
     summary = summaries.discovery_summary(given, result)
     text = "# eoi discover mine.toml\n" + CONFIG.read_text()
-    runs.publish(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
+    write_folder(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
     pages.write_report(folder)
     return folder
 
@@ -72,7 +73,7 @@ def hostile_run(folder: Path) -> Path:
     given = job(plant, [measured], [measured])
     summary = summaries.identification_summary(given, result, validation)
     text = "# eoi identify </code></pre><script>hacked=5</script>\n</pre><script>hacked=6</script>"
-    runs.publish(
+    write_folder(
         folder,
         lambda draft: runs.write_identification(draft, result, validation, summary, text),
     )

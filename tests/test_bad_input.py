@@ -215,3 +215,13 @@ def test_the_process_itself_ends_with_status_2_and_no_traceback(tmp_path: Path):
     )
     assert done.stderr == sentence
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("ending", ["sys.exit(0)", "raise SystemExit", "raise RuntimeError('no')"])
+def test_a_plant_file_that_ends_the_program_is_an_error(tmp_path: Path, ending: str):
+    path = prepared(tmp_path, ('"mass_spring_damper"', '"own.py:rig"'))
+    (tmp_path / "own.py").write_text(f"import sys\nprint('noise')\n{ending}\n")
+    done = CliRunner().invoke(app, ["identify", str(path), "--output", str(tmp_path / "runs")])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert '`plant` must be "file.py:object" that runs, got own.py:rig' in done.stderr
+    assert not (tmp_path / "runs").exists()

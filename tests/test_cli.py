@@ -13,9 +13,10 @@ import typer
 from typer.testing import CliRunner
 
 from eoi_command.commands import app
-from eoi_jax import backend, build, cli, runs
+from eoi_jax import backend, build, cli, drafts
 from eoi_jax import config as configs
 from eoi_jax.data.record import Record
+from eoi_jax.drafts import write_folder
 from eoi_jax.results import Status
 
 SHORT = """
@@ -171,9 +172,9 @@ def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
     folder.mkdir(parents=True)
     (folder / "old").write_text("old")
     with pytest.raises(KeyboardInterrupt):
-        runs.publish(folder, fail)
+        write_folder(folder, fail)
     assert [path.name for path in folder.iterdir()] == ["old"]
-    runs.publish(folder, fill)
+    write_folder(folder, fill)
     assert [path.name for path in folder.iterdir()] == ["new"]
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
 
@@ -191,9 +192,10 @@ def test_an_old_run_returns_if_the_exchange_itself_fails(
             raise OSError("disk full")
         return rename(self, target)
 
+    monkeypatch.setattr(drafts, "_exchanged", lambda *_: False)
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(OSError, match="disk full"):
-        runs.publish(folder, lambda draft: None)
+        write_folder(folder, lambda draft: None)
     assert [path.name for path in folder.iterdir()] == ["old"]
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
 

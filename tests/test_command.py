@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 
 from eoi_command.commands import app
 from eoi_command.options import complete_config, complete_data
-from eoi_command.terminal import progress
+from eoi_command.terminal import progress, say
+from eoi_jax import cli
 
 START = [sys.executable, "-c", "from eoi_command import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -171,8 +172,19 @@ def test_progress_is_drawn_on_a_terminal_and_quiet_draws_nothing(tmp_path: Path)
         assert shown is None
 
 
-@pytest.mark.parametrize("wait", [0.1, 1.5, 3.0, 5.0])
-def test_ctrl_c_ends_with_130_and_leaves_no_half_written_run(tmp_path: Path, wait: float):
+@pytest.mark.parametrize(
+    ("wait", "number"),
+    [
+        (0.1, signal.SIGINT),
+        (1.5, signal.SIGTERM),
+        (1.5, signal.SIGHUP),
+        (3.0, signal.SIGINT),
+        (5.0, signal.SIGTERM),
+    ],
+)
+def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
+    tmp_path: Path, wait: float, number: signal.Signals
+):
     """At some times, counted in the time that help takes: machines differ, and their load."""
     (tmp_path / "rig.toml").write_text(CONFIG)
     began = time.perf_counter()
@@ -187,7 +199,7 @@ def test_ctrl_c_ends_with_130_and_leaves_no_half_written_run(tmp_path: Path, wai
         text=True,
     )
     time.sleep(wait * unit)
-    run.send_signal(signal.SIGINT)
+    run.send_signal(number)
     out, err = run.communicate(timeout=60)
     left = sorted(path.name for path in tmp_path.glob("runs/*"))
     if run.returncode == 0:  # it was done before
@@ -199,6 +211,75 @@ def test_ctrl_c_ends_with_130_and_leaves_no_half_written_run(tmp_path: Path, wai
         assert err in ("", "eoi: interrupted; nothing half-written is left\n")
     assert out == ""
     assert left == []
+
+
+def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
+    """`nohup` asks for that."""
+    code = (
+        "import signal; from eoi_command.signals import handled, ENDING; "
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+        "heard = []; "
+        "manager = handled(lambda number, _: heard.append(number)); manager.__enter__(); "
+        "[signal.raise_signal(one) for one in ENDING]; "
+        "assert heard == [signal.SIGINT, signal.SIGTERM], heard; "
+        "manager.__exit__(None, None, None); "
+        "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatch):
+    def fail(*_):
+        raise KeyError("lost")
+
+    monkeypatch.setattr(cli, "export", fail)
+    words = ["export", str(tmp_path), "--language", "c"]
+    done = CliRunner().invoke(app, words)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr == (
+        "eoi: an error that should not be (KeyError: 'lost'). Please report it to the developers "
+        "of eoi_jax, with what the same command and --debug show\n"
+    )
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 2
+    assert "(KeyError: 'lost')" in json.loads(done.stdout)["error"]
+    for debugged in (["--debug", *words], [*words, "--debug"]):
+        assert isinstance(CliRunner().invoke(app, debugged).exception, KeyError)
+    monkeypatch.setattr(cli, "export", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    assert "eoi: out of memory" in CliRunner().invoke(app, words).stderr
+
+
+def test_an_error_before_any_command_is_one_sentence_too(tmp_path: Path):
+    code = (
+        "import sys; sys.modules['eoi_command.commands'] = None; "
+        "from eoi_command import main; main()"
+    )
+    for more, said in (([], "ModuleNotFoundError"), (["--debug"], "Traceback")):
+        done = subprocess.run([sys.executable, "-c", code, *more], capture_output=True, text=True)
+        assert said in done.stderr
+        if not more:
+            assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
+
+def test_an_answer_that_nobody_reads_is_an_answer_all_the_same(tmp_path: Path):
+    (tmp_path / "run.csv").write_text(
+        "\n".join(["t,u,y", *(f"{k},{k % 3},{k}" for k in range(99))])
+    )
+    ours, theirs = os.pipe()
+    os.close(ours)
+    done = subprocess.run(
+        [*START, "inspect", "run.csv"], cwd=tmp_path, env=environment(tmp_path), stdout=theirs,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "runs" / "run.inspect" / "inspect.json").is_file()
+
+
+def test_what_a_terminal_would_obey_is_shown_instead(capsys):
+    say("a\x1b[31mb\x07\x9b\u202ec\ud800 ä\n\td")
+    assert capsys.readouterr().out == "a\\x1b[31mb\\x07\\x9b\\u202ec\\ud800 ä\n\td\n"
 
 
 # -- inspect and init -----------------------------------------------------------------------

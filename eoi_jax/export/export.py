@@ -1,12 +1,12 @@
 """Write a model to a file of another language."""
 
-import os
 from collections.abc import Callable
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
 from eoi_jax.checks import check, check_choice
+from eoi_jax.drafts import write_file
 from eoi_jax.equations.model import model_json
 from eoi_jax.export.c import c_text
 from eoi_jax.export.matlab import matlab_text
@@ -63,14 +63,14 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
         language = SUFFIXES[path.suffix]
     check_choice("language", language, LANGUAGES)
     text = model_text(plant, language, path.stem)  # type: ignore[arg-type]
-    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
+
+    def fill(draft: Path) -> None:
         draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
+
+    try:
+        write_file(path, fill)
     except OSError as error:
         check(False, "path", f"must be writable ({error.strerror})", path)
-    finally:
-        draft.unlink(missing_ok=True)
     return path
 
 

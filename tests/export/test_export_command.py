@@ -82,21 +82,60 @@ def test_the_estimate_of_a_run_is_exported(run, tmp_path):
     assert found["a"] != 76.0
 
 
-@pytest.mark.parametrize("place", [".", "runs/rig", "elsewhere"])
-def test_a_model_in_a_python_file_is_found_from_any_folder(place, tmp_path, monkeypatch):
-    """The command names its config by the folder that it was given in."""
+OWN = """
+from pathlib import Path
+import jax.numpy as jnp
+from eoi_jax import Plant
+
+Path(__file__).with_name("was_run").touch()
+
+def dynamics(t, x, u, p):
+    (angle,), (rate,) = x.y
+    return -p.a * jnp.sin(angle) - p.b * rate - p.c * jnp.sign(rate) + p.d * u
+
+def rig():
+    start = {"a": 76.0, "b": 2.5, "c": 0.5, "d": 103.0}
+    return Plant(dynamics, start, 2, inputs=("voltage",), outputs=("angle",))
+"""
+
+
+def test_a_python_file_is_run_where_it_is_trusted_only(tmp_path, monkeypatch):
+    """It is found from any folder: the command names its config by where it was given."""
     (tmp_path / "configs").mkdir()
     (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "configs" / "own.py").write_text(MODULE)
+    (tmp_path / "configs" / "own.py").write_text(OWN)
     config = tmp_path / "configs" / "rig.toml"
     config.write_text(CONFIG.format(plant='plant = "own.py:rig"'), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     done = called("identify", Path("configs") / "rig.toml", "--quiet")
     assert done.exit_code == 0, done.output
-    monkeypatch.chdir(tmp_path / place)
-    done = called("export", tmp_path / "runs" / "rig", "--language", "c")
+    mark = tmp_path / "configs" / "was_run"
+    mark.unlink()
+    run = tmp_path / "runs" / "rig"
+    done = called("export", run, "--language", "c")
+    assert done.exit_code == 2
+    assert "whose model is a function in own.py:rig. Look at this file; --trust" in done.stderr
+    assert called("report", run).exit_code == 0
+    assert not mark.exists()
+    for place in (".", "runs/rig", "elsewhere"):
+        monkeypatch.chdir(tmp_path / place)
+        done = called("export", run, "--language", "c", "--trust")
+        assert done.exit_code == 0, done.output
+        assert mark.exists()
+        mark.unlink()
+        (run / "model.c").unlink()
+
+
+def test_a_stored_model_is_exported_without_the_file_that_it_came_from(run, tmp_path):
+    """What the config names may be gone, or be another's."""
+    copy = tmp_path / "rig"
+    copy.mkdir()
+    for name in ("result.npz", "config.toml"):
+        (copy / name).write_bytes((run / name).read_bytes())
+    text = (copy / "config.toml").read_text(encoding="utf-8")
+    (copy / "config.toml").write_text(text.replace("own.py:rig", "gone.py:rig"), encoding="utf-8")
+    done = called("export", copy, "--language", "c")
     assert done.exit_code == 0, done.output
-    assert (tmp_path / "runs" / "rig" / "model.c").is_file()
 
 
 def test_without_a_file_it_goes_into_the_folder_of_the_run(run):
@@ -139,6 +178,6 @@ def test_a_run_without_a_result_is_refused(run, tmp_path):
     assert done.exit_code == 2
     assert "`run` must hold result.npz or result.json" in done.stderr
     (tmp_path / "result.json").write_text("{}")
-    done = called("export", tmp_path, "--language", "c")
+    done = called("export", tmp_path, "--language", "c", "--trust")
     assert done.exit_code == 2
     assert "must hold a result.json that this library wrote" in done.stderr
