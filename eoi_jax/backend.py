@@ -3,22 +3,25 @@
 Importing the library changes nothing. The CLI, the benchmarks and the tests call `configure`.
 """
 
-import mmap
 import os
 import warnings
 from pathlib import Path
 
 import jax
-import jaxlib
 
 from eoi_jax.checks import check, check_count
+from eoi_jax.jax_private import backend_runs
 
 # XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
-# every step pays a few microseconds of dispatch. Raising the limit makes a pass about ten times
-# faster. It is read once, when the backend starts, and cannot be set for one `jit` alone.
-_WHOLE_LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
+# every step pays a few microseconds of dispatch. Raising the limit makes a free run with
+# sensitivities about ten times faster. It is read once, when the backend starts, and is no option
+# of one `jit`.
+_WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
 # XLA's newer way to compile fusions takes half as long again; what comes of it is no faster here.
-_NEW_FUSIONS = "xla_cpu_use_fusion_emitters"
+_OLD_FUSIONS = "--xla_cpu_use_fusion_emitters=false"
+# A flag that XLA does not know ends the process, so these are set only where all releases have
+# been tried. From JAX 0.12 on XLA compiles whole loops, and fusions in one way, by itself.
+_HAS_OPTIONS = ((0, 7), (0, 12))
 
 
 def configure(float64: bool = True, cache: bool = True, devices: int | None = None) -> None:
@@ -38,20 +41,8 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         RuntimeWarning: the backend runs already, so that the loop option has no effect;
             everything works, slower.
     """
-    flags = os.environ.get("XLA_FLAGS", "")
-    if _WHOLE_LOOPS not in flags:
-        if _backend_runs():
-            warnings.warn(
-                "JAX runs already, so whole-loop compilation cannot be switched on: passes will "
-                "be several times slower. Call `eoi_jax.configure()` before using JAX.",
-                RuntimeWarning,
-                stacklevel=2,
-            )
-        else:
-            options = [flags, f"--xla_backend_extra_options={_WHOLE_LOOPS}"]
-            if _NEW_FUSIONS not in flags and _has_option(_NEW_FUSIONS):
-                options.append(f"--{_NEW_FUSIONS}=false")
-            os.environ["XLA_FLAGS"] = " ".join(options).strip()
+    if _HAS_OPTIONS[0] <= jax.__version_info__ < _HAS_OPTIONS[1]:
+        _set_options()
     if devices is not None:
         devices = check_count("devices", devices)
         _make_devices(devices)
@@ -63,17 +54,30 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
-def _has_option(name: str) -> bool:
-    """Whether this XLA has it: one that it does not know would end the process."""
-    library = next(Path(jaxlib.__path__[0]).glob("*jax_common*"), None)
-    if library is None:
-        return False
-    with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as code:
-        return code.find(name.encode()) >= 0
+def _set_options() -> None:
+    """The options of XLA, beside those of the caller; his own settings of them stay."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    options = [one for one in (_WHOLE_LOOPS, _OLD_FUSIONS) if _name(one) not in flags]
+    if _WHOLE_LOOPS not in options:
+        return
+    if backend_runs():
+        warnings.warn(
+            "JAX runs already, so whole-loop compilation cannot be switched on: passes will "
+            "be several times slower. Call `eoi_jax.configure()` before using JAX.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return
+    os.environ["XLA_FLAGS"] = " ".join([flags, *options]).strip()
+
+
+def _name(option: str) -> str:
+    """Of a flag of XLA, or of the one that it holds."""
+    return option.lstrip("-").removeprefix("xla_backend_extra_options=").split("=")[0]
 
 
 def _make_devices(count: int) -> None:
-    late = _backend_runs() and jax.device_count("cpu") != count
+    late = backend_runs() and jax.device_count("cpu") != count
     check(
         not late,
         "devices",
@@ -81,14 +85,5 @@ def _make_devices(count: int) -> None:
         f"{count}, after JAX made {jax.device_count('cpu') if late else 0}",
         "Call `eoi_jax.configure()` first of all.",
     )
-    if not _backend_runs():
+    if not backend_runs():
         jax.config.update("jax_num_cpu_devices", count)
-
-
-def _backend_runs() -> bool:
-    # No public question exists for this; without the private one, assume that it does not run.
-    try:
-        from jax._src.xla_bridge import backends_are_initialized
-    except ImportError:
-        return False
-    return backends_are_initialized()

@@ -9,7 +9,7 @@ from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
-from eoi_jax.results import Status
+from eoi_jax.results import EngineUsed, Status
 from eoi_jax.validate import Validation
 
 
@@ -146,6 +146,11 @@ class Discovery:
     diagnosis: Diagnosis | None = None
     lead: Lead | None = None
     texts: Texts | None = None
+
+    @property
+    def engine(self) -> EngineUsed:
+        """That ran the passes of `found`, and why where it was not the fast one."""
+        return self.found.engine
 
     def __str__(self) -> str:
         from eoi_jax.report.discovery import discovery_text

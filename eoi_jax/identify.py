@@ -38,7 +38,7 @@ from eoi_jax.prepare import (
 )
 from eoi_jax.regression.least_squares import standard_errors, untraced
 from eoi_jax.regression.long_run import long_run
-from eoi_jax.results import Status
+from eoi_jax.results import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.tuning import brief_notes, default_observer, default_transient
 
 # Up to so many values every pass stores its signals, which are wanted of the first and the best:
@@ -73,6 +73,7 @@ class Identification:
         records: as used (resampled, smoothed); sub-steps are not kept.
         certainty: covariance and standard errors, worked out when one of them is first asked for.
         information: Σ φᵀφ at the estimate over the outputs as they were weighed, shape (np, np).
+        engine: that ran the passes, and why where it was not the fast one.
     """
 
     parameters: dict[str, float]
@@ -96,6 +97,7 @@ class Identification:
     records: tuple[Record, ...]
     certainty: Certainty | Deferred
     information: Float[np.ndarray, "np np"] | None = None
+    engine: EngineUsed = NOT_RECORDED
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -306,6 +308,7 @@ class _Driver:
             records=records,
             certainty=self._certain(one, trace, left, better, status, information),
             information=information,
+            engine=self.one_pass.used,
         )
 
     def _certain(

@@ -193,7 +193,7 @@ def solve(
 def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
-        free_runs.supports(problem.kernel, len(unknowns.theta))
+        problem = replace(problem, engine=free_runs.used(problem.kernel, len(unknowns.theta)))
     return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 

@@ -22,6 +22,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.engines.host import on_host
 from eoi_jax.plants.plant import Plant
+from eoi_jax.results import NATIVE, EngineUsed
 from eoi_jax.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulate import behind, drive
 from eoi_jax.trajectory import Drive, frictional
@@ -112,7 +113,7 @@ class Problem(eqx.Module):
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
         known: where a fit begins, and the sums there; None if they are not known.
         substeps: rows of a sample.
-        compiled: whether runs are compiled by `engines.free_runs`; else they are scans.
+        engine: of the runs: machine code by `engines.free_runs`, or scans, and why.
     """
 
     kernel: RunKernel
@@ -131,7 +132,12 @@ class Problem(eqx.Module):
     upper: Float[Host, " free"]
     known: tuple[Unknowns, Float[Host, "runs size size"]] | None
     substeps: int = eqx.field(static=True)
-    compiled: bool = eqx.field(static=True)
+    engine: EngineUsed = eqx.field(static=True)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the runs are machine code."""
+        return self.engine == NATIVE
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -200,7 +206,7 @@ def problem_of(
         upper=np.asarray(plant.upper)[free],
         known=None,
         substeps=substeps,
-        compiled=free_runs.supports(kernel) is None,
+        engine=free_runs.used(kernel),
     )
 
 

@@ -402,6 +402,7 @@ def _refinement(
         tuple(_per_sample(fit.before, fit.use, records, spans)),
         tuple(records),
         problem.substeps,
+        problem.engine,
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
-from eoi_jax.results import Status
+from eoi_jax.results import NOT_RECORDED, EngineUsed, Status
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Refinement:
         residual_before: as `residual`, at the starting point; empty where it was not kept.
         records: as given; empty where they were not kept.
         substeps: steps of the simulation per sample.
+        engine: that ran the simulations, and why where it was not the fast one.
     """
 
     parameters: dict[str, float]
@@ -79,6 +80,7 @@ class Refinement:
     residual_before: tuple[np.ndarray, ...] = ()
     records: tuple[Record, ...] = ()
     substeps: int = 4
+    engine: EngineUsed = NOT_RECORDED
 
     def __str__(self) -> str:
         """A short table."""
@@ -97,7 +99,7 @@ class Refinement:
         lines.append(f"rmse of {len(self.starts)} run(s), {length}:")
         for name, old_rmse, rmse in zip(self.plant.outputs, self.before, self.rmse, strict=True):
             lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
-        return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
+        return "\n".join([*lines, *(f"- {note}" for note in (*self.notes, *self.engine.notes))])
 
     def plot(self) -> Any:
         """Measured and free run, residual, and the parameters' intervals: a matplotlib figure."""

@@ -49,6 +49,7 @@ def identification_summary(
         "lowpass": result.lowpass,
         "reasons": result.reasons,
         "notes": result.notes,
+        "engine": _fields(result.engine),
         "validation": None if validation is None else _errors(validation),
     }
     return _plain({**summary, **_provenance(given)})
@@ -89,6 +90,7 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
         "equation": _equation(fitted, added),
         "findings": result.diagnosis.findings if result.diagnosis else (),
         "notes": result.notes,
+        "engine": _fields(result.engine),
     }
     return _plain({**summary, **_provenance(given)})
 
@@ -125,6 +127,7 @@ def refinement_summary(
         "steps": result.steps,
         "window": result.window,
         "notes": result.notes,
+        "engine": _fields(result.engine),
         "identified": {"status": _status(start), **_fit(start)},
         "validation": {
             name: None if one is None else _errors(one)

@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from eoi_jax.backend import configure
-from eoi_jax.batch.chunk import Arrays, precision_error, run_chunk
+from eoi_jax.batch.chunk import Arrays, engines_used, precision_error, run_chunk
 from eoi_jax.batch.plan import Part, Plan, Settings, plan
 from eoi_jax.batch.source import Choices
 from eoi_jax.batch.store import Labels, Store
@@ -123,11 +123,19 @@ def sweep(
                 done(place)
         except KeyboardInterrupt:
             finished = False
-    outcome = {"finished": int(finished), "engine": type(engine).__name__}
+    outcome = {"finished": int(finished), **(_engines(whole.only(own[0]), engine) if own else {})}
     if precision == "float32" and double and finished and own:
         errors = precision_error(whole.only(own[0]), engine, _CALIBRATED)
         outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
     return target.dataset(outcome)
+
+
+def _engines(part: Part, engine: AbstractEngine) -> dict[str, str]:
+    """Names of the engines that lanes run on, and why where that is not the fast one."""
+    used = engines_used(part, engine)
+    reasons = dict.fromkeys(one.reason for one in used if one.reason)
+    names = dict.fromkeys(one.name for one in used)
+    return {"engine": ", ".join(names), "engine_reason": "; ".join(reasons)}
 
 
 def _double() -> bool:

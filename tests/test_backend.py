@@ -4,9 +4,12 @@ import os
 import subprocess
 import sys
 
+import jax
 import pytest
 
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
+GIVEN = int(jax.__version_info__ < (0, 12))  # from then on XLA needs no option
+old_jax = pytest.mark.skipif(not GIVEN, reason="from JAX 0.12 on no option is set")
 
 
 def fresh(code, **environment):
@@ -32,8 +35,8 @@ import eoi_jax
 after = dict(jax.config.values)
 assert before == {key: after[key] for key in before}, "jax.config"
 assert os.environ.get("XLA_FLAGS") == flags, "XLA_FLAGS"
-from jax._src.xla_bridge import backends_are_initialized
-assert not backends_are_initialized(), "backend"
+from eoi_jax.jax_private import backend_runs
+assert not backend_runs(), "backend"
 """
     assert fresh(code) == ("", "")
 
@@ -56,7 +59,7 @@ warnings.simplefilter("error")
 import eoi_jax
 eoi_jax.configure()
 eoi_jax.configure()
-assert os.environ["XLA_FLAGS"].count("{OPTION}") == 1, "once"
+assert os.environ.get("XLA_FLAGS", "").count("{OPTION}") == {GIVEN}, "once"
 import jax, jax.numpy as jnp
 print(jnp.ones(1).dtype, jax.config.jax_compilation_cache_dir)
 """
@@ -69,8 +72,8 @@ def test_configure_keeps_flags_that_are_set_already():
 import os
 import eoi_jax
 eoi_jax.configure(float64=False, cache=False)
-assert os.environ["XLA_FLAGS"].startswith("--xla_force_host_platform_device_count=2 ")
-assert "{OPTION}" in os.environ["XLA_FLAGS"]
+assert "--xla_force_host_platform_device_count=2" in os.environ["XLA_FLAGS"].split()
+assert os.environ["XLA_FLAGS"].count("{OPTION}") == {GIVEN}
 import jax, jax.numpy as jnp
 print(jnp.ones(1).dtype, jax.device_count(), jax.config.jax_compilation_cache_dir)
 """
@@ -78,20 +81,19 @@ print(jnp.ones(1).dtype, jax.device_count(), jax.config.jax_compilation_cache_di
     assert shown.split() == ["float32", "2", "None"]
 
 
-def test_options_that_xla_does_not_know_are_not_given():
+def test_no_option_is_set_for_a_jax_that_may_not_know_it():
     code = """
 import os
-from eoi_jax import backend
-assert not backend._has_option("xla_cpu_an_option_that_nobody_has")
-backend._NEW_FUSIONS = "xla_cpu_an_option_that_nobody_has"
-backend.configure(cache=False)
-assert "nobody" not in os.environ["XLA_FLAGS"]
-import jax.numpy as jnp
-print(float(jnp.ones(1)[0]))
+import jax
+jax.__version_info__ = (0, 12, 0)
+import eoi_jax
+eoi_jax.configure(cache=False)
+print(os.environ.get("XLA_FLAGS"))
 """
-    assert fresh(code)[0].strip() == "1.0"
+    assert fresh(code)[0].strip() == "None"
 
 
+@old_jax
 def test_an_option_that_is_set_already_stays():
     code = """
 import os
@@ -102,6 +104,7 @@ print(os.environ["XLA_FLAGS"].count("fusion_emitters"))
     assert fresh(code, XLA_FLAGS="--xla_cpu_use_fusion_emitters=true")[0].strip() == "1"
 
 
+@old_jax
 def test_configure_warns_when_the_backend_runs_already():
     code = """
 import os, warnings
@@ -119,20 +122,6 @@ assert jnp.ones(1).dtype == "float64"
 """
     shown, _ = fresh(code)
     assert "Call `eoi_jax.configure()` before using JAX" in shown
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_the_state_of_the_backend_is_asked_where_jax_tells_it(known):
-    spoil = "" if known else "del xla_bridge.backends_are_initialized"
-    code = f"""
-import jax.numpy as jnp
-from jax._src import xla_bridge
-jnp.ones(1).block_until_ready()
-{spoil}
-from eoi_jax.backend import _backend_runs
-print(_backend_runs())
-"""
-    assert fresh(code)[0].strip() == str(known)
 
 
 def test_lanes_spread_over_devices_add_up_to_the_same():

@@ -23,7 +23,8 @@ COMMAND = sorted((PACKAGE.parent / "eoi_command").rglob("*.py"))
 
 # A module may import from its own layer and from layers above it in this list.
 LAYERS = (
-    ("types", "checks", "results", "backend", "blas", "certainty", "schema", "unfinished"),
+    ("types", "checks", "results", "jax_private", "backend", "blas"),
+    ("certainty", "schema", "unfinished"),
     ("drafts",),
     ("data",),
     ("inspection",),

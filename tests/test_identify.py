@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.core import Tracer
 from problems import (
     coupled_mass_matrices,
     grid,
@@ -26,6 +25,7 @@ from scipy.integrate import solve_ivp
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.identify import identify as identify_by_default
+from eoi_jax.jax_private import Tracer
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder, SuperTwisting
 from eoi_jax.plants import (

@@ -116,7 +116,7 @@ def test_the_scan_gives_the_same_numbers(whole):
     own = result.isel(record=[1], lowpass=[0], observer=[0])
     for name in ("parameters", "index", "common_index"):
         np.testing.assert_allclose(scanned[name], own[name], rtol=1e-7, atol=1e-18)
-    assert scanned.attrs["engine"] == "Scan"
+    assert (scanned.attrs["engine"], scanned.attrs["engine_reason"]) == ("scan", "")
 
 
 def test_labels_say_which_lane_is_which(whole):

@@ -11,12 +11,13 @@ from jaxtyping import Float, Int
 from eoi_jax.batch.plan import Part
 from eoi_jax.batch.source import Choices, Source
 from eoi_jax.engines import AbstractEngine, Lanes
+from eoi_jax.engines.automatic import engine_used
 from eoi_jax.iteration import Iterations, iterate, mean, sandwich
 from eoi_jax.observers import AbstractObserver
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.passes import Sums
 from eoi_jax.plants.plant import Plant
-from eoi_jax.results import ANSWERED
+from eoi_jax.results import ANSWERED, EngineUsed
 
 CODES = (
     "not_run",
@@ -45,11 +46,13 @@ def run_chunk(part: Part, engine: AbstractEngine) -> Arrays:
         ``standard_error`` (np), ``index`` (passes, ny), ``common_index`` and ``sliding_fraction``
         (ny), ``status`` (number in `CODES`), ``best_pass`` (from 0), ``passes``, ``blocks``.
     """
-    groups = part.observers
-    if groups is None:
-        groups = gain_sets(_default(part, part.choices)[1], len(part.plant.outputs))
-    results = [_Lanes(part, group, engine).run() for group in groups]
+    results = [_Lanes(part, group, engine).run() for group in _groups(part)]
     return {key: np.concatenate([one[key] for one in results]) for key in results[0]}
+
+
+def engines_used(part: Part, engine: AbstractEngine) -> list[EngineUsed]:
+    """Which engines the lanes of a chunk run on, each once; arguments as of `run_chunk`."""
+    return list(dict.fromkeys(_Lanes(part, group, engine).used() for group in _groups(part)))
 
 
 def precision_error(part: Part, engine: AbstractEngine, sets: int) -> dict[str, float]:
@@ -68,6 +71,13 @@ def precision_error(part: Part, engine: AbstractEngine, sets: int) -> dict[str, 
         size = np.max(np.abs(b), axis=0, initial=np.finfo(float).tiny)
         errors[name] = float(np.max(np.abs(a - b) / size, initial=0.0)) if b.size else np.nan
     return errors
+
+
+def _groups(part: Part) -> tuple[GainSets, ...]:
+    """Observers of a chunk, by kind."""
+    if part.observers is not None:
+        return part.observers
+    return gain_sets(_default(part, part.choices)[1], len(part.plant.outputs))
 
 
 class _Lanes:
@@ -114,6 +124,12 @@ class _Lanes:
         }
         return {key: value.reshape(*self.shape, *value.shape[1:]) for key, value in arrays.items()}
 
+    def used(self) -> EngineUsed:
+        """The engine that the passes run on: the same for all lanes and all records of a part."""
+        lanes = self._stacked(np.arange(1), self.part.starts[:1])
+        steps, lowpass = next(iter(self.source))
+        return engine_used(self.engine, self.part.plant, lanes, lowpass, steps)
+
     def _codes(self, done: Iterations) -> Int[np.ndarray, " lanes"]:
         names = np.where(self.gains.valid[self.gain], done.codes, "invalid_gains")
         return np.select([names == name for name in CODES], range(len(CODES))).astype(np.int8)
@@ -127,14 +143,23 @@ class _Lanes:
         weights: np.ndarray | None = None,
     ) -> Sums:
         """Sums over all records of the estimate, of some of the lanes."""
-        lanes = Lanes(
+        lanes = self._stacked(which, theta, increment, weights)
+        return _added(self.part, self.source, lanes, self.engine, store)
+
+    def _stacked(
+        self,
+        which: Int[np.ndarray, " lanes"],
+        theta: Float[np.ndarray, "lanes np"],
+        increment: np.ndarray | None = None,
+        weights: np.ndarray | None = None,
+    ) -> Lanes:
+        return Lanes(
             self.gains[self.gain[which]].observer,
             theta,
             np.zeros_like(theta) if increment is None else increment,
             np.ones((len(theta), len(self.part.plant.outputs))) if weights is None else weights,
             None if self.draws is None else self.draws[self.draw[which]],
         )
-        return _added(self.part, self.source, lanes, self.engine, store)
 
     def _common(self, theta: Float[np.ndarray, "lanes np"]) -> Float[np.ndarray, "lanes ny"]:
         """Index at the estimates under the filter and the observer that would be chosen.

@@ -21,6 +21,7 @@ from eoi_jax.batch.source import Choices
 from eoi_jax.checks import check, check_choice, check_count, check_kind
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
+from eoi_jax.jax_private import jaxprs_within
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.plants.plant import Plant, State
@@ -313,6 +314,5 @@ def _captured(jaxpr: Any) -> Iterator[Any]:
     """Arrays that a jaxpr holds, and those of the jaxprs inside it."""
     yield from getattr(jaxpr, "consts", ())
     for equation in jaxpr.eqns:
-        for part in jax.tree.leaves(equation.params):
-            if hasattr(part, "eqns"):
-                yield from _captured(part)
+        for part in jaxprs_within(equation):
+            yield from _captured(part)

@@ -5,7 +5,6 @@ loop has the regressors side by side in one vector, one direction in θ for each
 every step, from which Σφᵀφ follows; all else is of single numbers.
 """
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -25,11 +24,29 @@ from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Carry, Kernel, Step, Steps, Sums, Trace, run_pass
 from eoi_jax.plants.plant import Plant
+from eoi_jax.results import NATIVE, EngineUsed
 
 _CHUNK = 4096  # rows at a time: what they show stays in the cache
 
 Theta = Float[np.ndarray, " np"]
-OnePass = Callable[[Theta, str], tuple[Sums, Trace | None]]
+
+
+@dataclass(frozen=True)
+class OnePass:
+    """The pass of one observer over the same records, as a function of θ and of `store`.
+
+    Attributes:
+        run: gives sums and traces as NumPy arrays, each with the records as leading axis, as
+            `run_pass` does; `store` is any but ``"scores"``.
+        used: the engine that it runs on.
+    """
+
+    run: Callable[[Theta, str], tuple[Sums, Trace | None]]
+    used: EngineUsed
+
+    def __call__(self, theta: Theta, store: str) -> tuple[Sums, Trace | None]:
+        """One pass."""
+        return self.run(theta, store)
 
 
 def alone(
@@ -44,8 +61,7 @@ def alone(
         steps: the records (leading axis), padded to one length with `use` = `score` = 0.
 
     Returns:
-        A function of θ and of `store`, all but ``"scores"``. It gives sums and traces as NumPy
-        arrays, each with the records as leading axis, as `run_pass` does.
+        The pass; on the scan where it cannot be compiled to machine code.
     """
     dtype = np.dtype(jnp.result_type(float))
     records = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], (steps, lowpass))
@@ -57,8 +73,9 @@ def alone(
     def scanned(theta: Theta, store: str) -> Any:
         return run_pass(plant, observer, lowpass, steps, jnp.asarray(theta), store=store)
 
-    @functools.cache
     def code() -> FewLanes:
+        if not numeric:
+            raise Untranslatable("an observer that holds other things than numbers")
         lane = _lane(observer, np.asarray(plant.theta), len(plant.outputs), dtype)
         what, columns = pass_of(plant, lane, records[0][1], records[0][0], "signals")
         one = _OnePass(
@@ -66,13 +83,12 @@ def alone(
         )
         return few_lanes(one, columns, len(plant.names))
 
+    try:
+        compiled = code()
+    except Untranslatable as reason:
+        return OnePass(scanned, EngineUsed("scan", str(reason)))
+
     def run(theta: Theta, store: str) -> Any:
-        if not numeric:
-            return scanned(theta, store)
-        try:
-            compiled = code()
-        except Untranslatable:
-            return scanned(theta, store)
         if not rows:
             rows.extend(_counted(each, dtype) for each, _ in records)
         signals = None
@@ -90,7 +106,7 @@ def alone(
         trace = None if signals is None else _trace(signals, compiled.shown, len(theta))
         return jax.tree.map(lambda *leaves: np.stack(leaves), *sums), trace
 
-    return run
+    return OnePass(run, NATIVE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ import numpy as np
 from eoi_jax.engines.lane_program import AbstractLoop, LaneProgram, lane_program
 from eoi_jax.engines.machine_code import Layout, layout, source
 from eoi_jax.engines.scalars import Untranslatable
+from eoi_jax.engines.translation import kept_translation
 
 LINE = 64  # bytes that caches move at a time
 
@@ -41,7 +42,7 @@ class Compiled:
     owner: Any
 
 
-@functools.lru_cache(maxsize=256)
+@kept_translation
 def translated(what: AbstractLoop, columns: int, width: int | None = None) -> Compiled:
     """Trace, sort and compile a loop, once.
 
@@ -58,7 +59,7 @@ def translated(what: AbstractLoop, columns: int, width: int | None = None) -> Co
     return Compiled(program, where, *functions(source(program, where, what.dtype)))
 
 
-@functools.lru_cache(maxsize=256)
+@kept_translation
 def program_of(what: AbstractLoop) -> LaneProgram:
     """Traced and sorted, once; the same for vectors of any width."""
     return lane_program(what)

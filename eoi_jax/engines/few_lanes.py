@@ -1,7 +1,6 @@
 """Loops of few lanes, all in one vector (`one_vector.py`), and their runs."""
 
 import ctypes
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from eoi_jax.engines.compiled import aligned, engine_of, program_of, spread
 from eoi_jax.engines.lane_program import LANE, AbstractLoop, LaneProgram
 from eoi_jax.engines.machine_code import Layout, layout
 from eoi_jax.engines.scalars import Node, Untranslatable, evaluated
+from eoi_jax.engines.translation import kept_translation
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Run:
         return self.carries[where.steps[i]] if i in where.steps else program.initial[i].value
 
 
-@functools.lru_cache(maxsize=256)
+@kept_translation
 def few_lanes(what: AbstractLoop, columns: int, lanes: int) -> FewLanes:
     """Trace, sort and compile a loop for so many lanes at most, once.
 

@@ -30,6 +30,7 @@ from eoi_jax.engines.few_lanes import FewLanes, few_lanes
 from eoi_jax.engines.lane_program import AbstractLoop, shapes_of
 from eoi_jax.engines.scalars import Untranslatable, evaluated
 from eoi_jax.plants.plant import State
+from eoi_jax.results import NATIVE, EngineUsed
 from eoi_jax.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
 _ALONE = 4  # so many lanes run one by one: a vector of them would take longer
@@ -143,6 +144,12 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     except Untranslatable as reason:
         return str(reason)
     return None
+
+
+def used(kernel: RunKernel, lanes: int = 1) -> EngineUsed:
+    """Which engine free runs of a plant take, and why; arguments as of `supports`."""
+    reason = supports(kernel, lanes)
+    return NATIVE if reason is None else EngineUsed("scan", reason)
 
 
 def columns(nu: int, ny: int) -> tuple[slice, slice, slice, slice]:

@@ -6,10 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-try:
-    from jax.experimental.buffer_callback import buffer_callback
-except ImportError:  # it is experimental: a JAX without it copies the arrays
-    buffer_callback = None
+from eoi_jax.jax_private import BUFFER_CALLBACK
 
 
 def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:
@@ -30,6 +27,6 @@ def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *
         np.asarray(out)[...] = given(*parts)
 
     # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
-    if buffer_callback is not None and jax.default_backend() == "cpu":
-        return buffer_callback(written, result, vmap_method="expand_dims")(*args)
+    if BUFFER_CALLBACK is not None and jax.default_backend() == "cpu":
+        return BUFFER_CALLBACK(written, result, vmap_method="expand_dims")(*args)
     return jax.pure_callback(given, result, *args, vmap_method="expand_dims")

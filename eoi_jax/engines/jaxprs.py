@@ -12,9 +12,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.extend import core
 
 from eoi_jax.engines.scalars import OPERATIONS, Graph, Node, Untranslatable
+from eoi_jax.jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
 
 MOST_UNROLLED = 64  # turns of a loop
 
@@ -50,7 +50,7 @@ def translated(
     return _run(graph, closed, inputs)
 
 
-def _run(graph: Graph, closed: core.ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _run(graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
     jaxpr = closed.jaxpr
     known: dict[Any, np.ndarray] = dict(zip(jaxpr.invars, inputs, strict=True))
     known |= {
@@ -59,7 +59,7 @@ def _run(graph: Graph, closed: core.ClosedJaxpr, inputs: Sequence[np.ndarray]) -
     }
 
     def read(atom: Any) -> np.ndarray:
-        return nodes_of(graph, atom.val) if isinstance(atom, core.Literal) else known[atom]
+        return nodes_of(graph, atom.val) if isinstance(atom, Literal) else known[atom]
 
     for equation in jaxpr.eqns:
         results = _equation(graph, equation, [read(atom) for atom in equation.invars])
@@ -69,8 +69,8 @@ def _run(graph: Graph, closed: core.ClosedJaxpr, inputs: Sequence[np.ndarray]) -
 
 def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.ndarray]:
     name, params = equation.primitive.name, equation.params
-    if name in _CALLS:
-        return _run(graph, _closed(params[_CALLS[name]]), args)
+    if (function := called(equation)) is not None:
+        return _run(graph, function, args)
     if name in _MANY:
         return _MANY[name](graph, params, *args)
     shape = equation.outvars[0].aval.shape
@@ -90,26 +90,10 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
     return [out]
 
 
-def _closed(jaxpr: Any) -> core.ClosedJaxpr:
-    return jaxpr if isinstance(jaxpr, core.ClosedJaxpr) else core.ClosedJaxpr(jaxpr, [])
-
-
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "remat": "jaxpr",
-    "checkpoint": "jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-    "custom_vjp_call_jaxpr": "fun_jaxpr",
-}
-
-
 def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
     """A loop of known length, written out."""
-    length, consts, carries = params["length"], params["num_consts"], params["num_carry"]
+    loop = scan_parts(params)
+    length, consts, carries = loop.length, loop.constants, loop.carries
     if length > MOST_UNROLLED:
         raise Untranslatable(f"scan of {length} turns (more than {MOST_UNROLLED})")
     fixed, carry, rows = (
@@ -117,11 +101,11 @@ def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
         list(args[consts : consts + carries]),
         args[consts:][carries:],
     )
-    turns = range(length - 1, -1, -1) if params["reverse"] else range(length)
+    turns = range(length - 1, -1, -1) if loop.reverse else range(length)
     shown: dict[int, list[np.ndarray]] = {}
     for k in turns:
         row = [np.asarray(one[k], object) for one in rows]
-        out = _run(graph, params["jaxpr"], [*fixed, *carry, *row])
+        out = _run(graph, loop.body, [*fixed, *carry, *row])
         carry, shown[k] = out[:carries], out[carries:]
     return carry + [np.stack(one) for one in zip(*(shown[k] for k in range(length)), strict=True)]
 
@@ -130,7 +114,7 @@ def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> l
     """All branches, and of their results the right one: branches have no other effect."""
     chosen = _flag_of(graph, which.item())
     outer, branches = graph.branches, []
-    for i, branch in enumerate(params["branches"]):
+    for i, branch in enumerate(branches_of(params)):
         graph.branches = None if outer is None else []
         branches.append(_run(graph, branch, args))
         if outer is not None and i == 1 and chosen.is_bool:
@@ -171,7 +155,7 @@ def _split(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
 
 def _unstack(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
     del graph
-    return list(np.moveaxis(array, params["axis"], 0))
+    return [np.asarray(part, object) for part in np.moveaxis(array, params["axis"], 0)]
 
 
 def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
@@ -415,6 +399,15 @@ def _round(graph: Graph, equation: Any, node: Node) -> Node:
     return graph.make("mul", graph.make("sign", node), up)
 
 
+def _polynomial(graph: Graph, equation: Any, node: Node, *coefficients: Node) -> Node:
+    """Horner's rule; the constant coefficient comes first."""
+    del equation
+    value = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = graph.make("add", coefficient, graph.make("mul", node, value))
+    return value
+
+
 def _clamp(graph: Graph, equation: Any, low: Node, node: Node, high: Node) -> Node:
     del equation
     return graph.make("min", graph.make("max", low, node), high)
@@ -457,6 +450,7 @@ _COMPONENTS: dict[str, Callable] = {
     "gt": _swapped("lt"),
     "ge": _swapped("le"),
     "integer_pow": _power,
+    "polynomial": _polynomial,
     "round": _round,
     "square": lambda graph, _, a: graph.make("mul", a, a),
     "rsqrt": _composed("sqrt", 1.0, "div"),

@@ -7,7 +7,8 @@ arrays nor sizes that are no powers of two. A kernel of one thread goes before i
 depends on the record alone, of which it writes what the lanes need, one row a step.
 
 Experimental: compared with the scan by interpretation on a CPU, and lowered for CUDA; no speed
-has been measured on a GPU.
+has been measured on a GPU. JAX 0.12 warns that the Triton backend, which this needs, will be
+removed.
 """
 
 import functools

@@ -16,10 +16,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check_choice, check_positive
+from eoi_jax.jax_private import Tracer
 from eoi_jax.types import Output, Rates, Scalar
 
 SCHEMES = ("implicit", "explicit")

@@ -16,10 +16,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check, check_choice, check_kind, is_whole, real
+from eoi_jax.jax_private import inputs_read
 from eoi_jax.types import Input, Output, Regressor, Scalar
 
 # f just above and just below rest; small enough that only a jump shows between the two.
@@ -555,9 +555,7 @@ def _affine(
         return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
     line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
-    jaxpr = jax.make_jaxpr(slopes)(*line).jaxpr
-    _, read = dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
-    return not read[0]
+    return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
 @jax.jit

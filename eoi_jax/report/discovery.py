@@ -43,7 +43,7 @@ def discovery_text(discovery: Discovery) -> str:
         *_equations(discovery),
         candidate_table(discovery),
         _findings(discovery),
-        "\n".join(f"- {note}" for note in discovery.notes),
+        "\n".join(f"- {note}" for note in (*discovery.notes, *discovery.engine.notes)),
     ]
     return "\n\n".join(block for block in blocks if block)
 

@@ -26,7 +26,7 @@ def identification_text(result: Identification) -> str:
         index_table(result),
         health_table(result),
         f"observer  {_gains(result.observer)}\nlow-pass  {_gains(result.lowpass)}",
-        "\n".join(f"- {line}" for line in (*result.reasons, *result.notes)),
+        "\n".join(f"- {line}" for line in (*result.reasons, *result.notes, *result.engine.notes)),
     ]
     return "\n\n".join(block for block in blocks if block)
 

@@ -1,0 +1,120 @@
+"""Everything of JAX that is not part of its stable interface, in one place.
+
+JAX renames such parts without notice. No other module of the package may import them, or read the
+parameters of an equation of a jaxpr that are not those of an elementary operation; the tests of
+this module run on every version that the README names.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+from jax.core import Tracer as Tracer
+from jax.extend.core import ClosedJaxpr as ClosedJaxpr
+from jax.extend.core import Literal as Literal
+from jax.interpreters.partial_eval import dce_jaxpr
+
+try:
+    from jax.experimental.buffer_callback import buffer_callback
+except ImportError:  # experimental: without it arrays are copied on their way to the host
+    buffer_callback = None
+
+BUFFER_CALLBACK: Callable | None = buffer_callback
+
+
+def version() -> tuple[int, ...]:
+    """Of JAX, as numbers: (0, 10, 2)."""
+    return jax.__version_info__
+
+
+def backend_runs() -> bool:
+    """Whether JAX's backend has started, so that options of XLA come too late.
+
+    No public question exists for this; where the private one is gone, the answer is no.
+    """
+    try:
+        from jax._src.xla_bridge import backends_are_initialized
+    except ImportError:
+        return False
+    return backends_are_initialized()
+
+
+def inputs_read(closed: ClosedJaxpr) -> list[bool]:
+    """Which inputs of a traced function its results depend on.
+
+    Args:
+        closed: of `jax.make_jaxpr`.
+
+    Returns:
+        One flag for each input.
+    """
+    jaxpr = closed.jaxpr
+    return list(dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))[1])
+
+
+def closed_jaxpr(jaxpr: Any) -> ClosedJaxpr:
+    """A jaxpr with its constants; one that has none is closed as it is."""
+    return jaxpr if isinstance(jaxpr, ClosedJaxpr) else ClosedJaxpr(jaxpr, [])
+
+
+def jaxprs_within(equation: Any) -> list[Any]:
+    """The jaxprs among the parameters of an equation: bodies of loops, branches, calls."""
+    found = []
+    for value in equation.params.values():
+        parts = value if isinstance(value, tuple | list) else (value,)
+        found += [part for part in parts if hasattr(part, "eqns")]
+    return found
+
+
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "remat": "jaxpr",
+    "remat2": "jaxpr",
+    "checkpoint": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "custom_vjp_call_jaxpr": "fun_jaxpr",
+}
+
+
+def called(equation: Any) -> ClosedJaxpr | None:
+    """The function that an equation merely calls; None if it does something else."""
+    key = _CALLS.get(equation.primitive.name)
+    return None if key is None else closed_jaxpr(equation.params[key])
+
+
+@dataclass(frozen=True)
+class ScanParts:
+    """What `lax.scan` became in a jaxpr.
+
+    Attributes:
+        body: one turn; takes constants, carries and a row, gives carries and what is stacked.
+        length: turns.
+        reverse: whether the last row comes first.
+        constants, carries: how many of the operands come first, and next.
+    """
+
+    body: ClosedJaxpr
+    length: int
+    reverse: bool
+    constants: int
+    carries: int
+
+
+def scan_parts(params: dict[str, Any]) -> ScanParts:
+    """The parts of an equation of `lax.scan`."""
+    if "num_consts" in params:  # up to JAX 0.11
+        constants, carries = params["num_consts"], params["num_carry"]
+    else:
+        constants, carries, _ = (len(part) for part in params["ft_in"].unpack())
+    body = closed_jaxpr(params["jaxpr"])
+    return ScanParts(body, params["length"], params["reverse"], constants, carries)
+
+
+def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
+    """The branches of an equation of `lax.cond` or `lax.switch`."""
+    return [closed_jaxpr(branch) for branch in params["branches"]]
