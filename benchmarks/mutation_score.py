@@ -236,7 +236,7 @@ def main() -> None:
             session = [Fate(one) for one in faults.sample(judge.copy, given.faults, given.seed)]
         if not given.unmeasured:
             judge.map.update()
-        for fate in session:
+        for fate in sorted(session, key=lambda one: len(one.passed)):  # the least judged first
             if fate.status != "open" and not (given.again and fate.status == "survived"):
                 continue
             judge.judge(fate, given.seconds, given.only)
