@@ -83,6 +83,30 @@ def test_skipped_lines_and_decimal_commas_are_said(tmp_path):
     assert "decimal commas" in notes
 
 
+@pytest.mark.parametrize(
+    ("line", "columns", "said"),
+    [
+        ("{0};{1};{2}", (np.arange(30.0), np.arange(30.0) % 3, np.arange(30.0) ** 2), False),
+        ("{0},5;{1};{2}", (np.arange(30) + 0.5, np.arange(30.0) % 3, np.arange(30.0) ** 2), True),
+        ("{0},5;{1},25;{2}.25", (np.arange(30) + 0.5, np.arange(30) % 3 + 0.25, None), True),
+        ("{0};{1},5;{2}.25", (np.arange(30.0), None, np.arange(30) ** 2 + 0.25), False),  # a tie
+        ("{0}.5;{1},5;{2}.25", (np.arange(30) + 0.5, None, np.arange(30) ** 2 + 0.25), False),
+    ],
+)
+def test_the_decimal_mark_is_that_of_most_cells_and_a_point_on_a_tie(tmp_path, line, columns, said):
+    """Cells with the other mark are words, which a record refuses; None here."""
+    path = tmp_path / "run.csv"
+    text = "\n".join(line.format(k, k % 3, k * k) for k in range(30))
+    path.write_text("t;u;y\n" + text)
+    table = read_table(path)
+    assert any("decimal commas" in note for note in table.notes) is said
+    for values, want in zip(table.columns.values(), columns, strict=True):
+        if want is None:
+            assert values.dtype.kind not in "iuf"
+        else:
+            np.testing.assert_array_equal(values, want)
+
+
 def test_an_umlaut_of_windows_is_read(tmp_path):
     path = tmp_path / "run.csv"
     path.write_bytes(("t,u,y [°]\n" + rows()).encode("cp1252"))
