@@ -108,14 +108,14 @@ class CoverageMap:
                 )
             if reached:
                 share = 0.05 + len(ran) / (most + 1)
-                weights[file] = (1 + 9 * _beside(file, module)) * share / entry["seconds"]
+                weights[file] = (1 + 9 * _beside(file, module)) * share / entry["seconds"] ** 0.5
         if not weights and not inside:
             weights = {file: 1.0 / entry["seconds"] for file, entry in known.items()}
         return sorted(weights, key=lambda file: -weights[file])
 
     def _unknown(self, file: str, module: str) -> float:
         """Weight of a file that was not measured: it may run anything."""
-        return (1 + 9 * _beside(file, module)) * 0.2 / USUAL
+        return (1 + 9 * _beside(file, module)) * 0.2 / USUAL**0.5
 
     def seconds(self, file: str) -> float:
         """Time of a file without a fault [s]."""

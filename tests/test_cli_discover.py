@@ -13,6 +13,7 @@ import eoi_jax as eoi
 from eoi_command.commands import app
 from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
+from eoi_jax.report.equation import equation_lines
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
@@ -146,6 +147,10 @@ def test_json_is_one_object_with_everything(known, found, config, tmp_path):
     assert result["declared"]["parameters"] == found.declared.parameters
     assert result["parameters"] == found.plant.parameters
     assert "coulomb_friction·sign(position')" in result["equation"]["text"]
+    for key, numeric in (("names", False), ("values", True)):
+        lines, changes = equation_lines(found.declared_part, found.added, numeric=numeric)
+        assert result["equation"]["lines"][key] == list(lines)
+        assert result["equation"]["changes"][key] == list(changes)
     assert len(result["records"][0]["hash"]) == 16
     assert [one["name"] for one in result["held_out_records"]] == ["hidden, held out"]
     assert set(result["versions"]) == {"eoi_jax", "jax", "numpy", "python"}

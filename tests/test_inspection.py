@@ -196,6 +196,18 @@ def test_an_inspection_prints_plots_and_is_json(tmp_path):
     assert eoi.inspect is inspect
 
 
+@pytest.mark.parametrize(
+    "name", ["time", "time [ms]", "log.time_ms", "rig/run.time (s)", "t_s", "rig.log.t", "a/b/Time"]
+)
+def test_a_clock_is_known_by_its_name_without_unit_and_path(tmp_path, name):
+    """It restarts once, which only a column that is called so may do."""
+    stamps = np.concatenate([T[: N // 2], T[: N // 2]])
+    found = inspect(written(tmp_path / "run.csv", **{"u.time.of_flight": U, name: stamps, "y": Y}))
+    assert found.clock.column == name
+    assert "is called so" in found.clock.why
+    assert found.clock.backwards == (1, N // 2)
+
+
 def test_a_wide_file_is_told_in_short(tmp_path):
     wide = {f"c{i:04}": np.cos(0.01 * (i + 1) * np.arange(50)) for i in range(100)}
     found = inspect(written(tmp_path / "run.csv", t=T[:50], **wide))

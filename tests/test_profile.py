@@ -77,17 +77,32 @@ def test_coloured_residuals_are_worth_fewer_samples(profiled: Profile):
     assert coloured.samples < 0.25 * COUNT
 
 
+def test_a_profile_goes_as_far_as_its_threshold_and_no_further(profiled: Profile):
+    """One point beyond it on each side; the ends lie between the last two, by the root of D."""
+    below = profiled.values < profiled.estimate
+    beyond = profiled.statistic >= profiled.threshold
+    assert np.count_nonzero(below & beyond) == np.count_nonzero(~below & beyond) == 1
+    root = np.sqrt(profiled.statistic) * np.where(below, -1.0, 1.0)
+    ends = np.interp(np.sqrt(profiled.threshold) * np.array([-1.0, 1.0]), root, profiled.values)
+    np.testing.assert_allclose(profiled.interval, ends, rtol=1e-12)
+    error = profiled.standard_error
+    steps = np.diff(profiled.values) / (np.sqrt(profiled.threshold) * error)
+    np.testing.assert_allclose(steps, 0.5, rtol=1e-9)  # of the half width by the parabola
+
+
 def test_a_bound_inside_the_interval_leaves_it_open(refined):
     measured, result = refined
     error = result.standard_errors["rate"]
-    bounds = {"rate": (0.0, result.parameters["rate"] + 0.7 * error)}
-    plant = eoi.Plant(PLANT.dynamics, result.parameters, bounds=bounds, name="tank")
-    near = replace(result, plant=plant)
-    found = eoi.profile(near, measured, "rate", substeps=1)
-    assert found.interval[1] == np.inf
-    assert "the bound" in found.notes[0]
-    assert np.isfinite(found.interval[0])
-    assert found.values[-1] == bounds["rate"][1]
+    for side, end in ((-1, "below"), (1, "above")):
+        bound = result.parameters["rate"] + side * 0.7 * error
+        limits = (bound, 10.0) if side < 0 else (0.0, bound)
+        plant = eoi.Plant(PLANT.dynamics, result.parameters, bounds={"rate": limits}, name="tank")
+        found = eoi.profile(replace(result, plant=plant), measured, "rate", substeps=1)
+        (note,) = found.notes
+        assert note == f"open {end}: the bound {bound:g} lies inside the interval"
+        assert found.interval[(side + 1) // 2] == side * np.inf
+        assert np.isfinite(found.interval[(1 - side) // 2])
+        assert bound == (found.values[0] if side < 0 else found.values[-1])
 
 
 def test_wrong_calls_of_profile_are_named(refined):

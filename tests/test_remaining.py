@@ -9,8 +9,9 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import augmented, place
+from eoi_jax.linearised import Candidate
 from eoi_jax.refine import refine
-from eoi_jax.remaining import remaining
+from eoi_jax.remaining import Remaining, remaining
 from eoi_jax.results import Status
 
 PERIOD = 5e-3
@@ -102,6 +103,40 @@ def test_held_out_records_confirm_what_is_there_and_refuse_what_only_fits():
     assert found.answer is None
     assert found.with_best() is found.plant
     assert "None of them lowers the error on held-out records" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("shares", "first", "others"),
+    [
+        # Two that leave less than half of what one leaves go first, else one goes first.
+        ({"one": (0.5, 0.4), "two": (0.76, 0.3)}, "two0", ["one0", "one1", "two1"]),
+        ({"one": (0.5, 0.4), "two": (0.74, 0.3)}, "one0", ["two0", "one1", "two1"]),
+        ({"one": (0.5, 0.4), "two": ()}, "one0", ["one1"]),
+        ({"one": (), "two": (0.2, 0.1)}, "two0", ["two1"]),
+        ({"one": (), "two": ()}, None, []),
+    ],
+)
+def test_two_effects_are_the_answer_where_they_leave_less_than_half(shares, first, others):
+    """Each is once among the significant ones, by its probability; what may be chance is not."""
+
+    def made(kind: str, chance: float, share: float) -> Candidate:
+        return Candidate(
+            tuple(place(PLANT, one, 0) for one in (effects.Drift(), effects.ConstantOffset())),
+            {kind: 1.0}, share, chance,
+        )  # fmt: skip
+
+    several = {
+        kind: [made(f"{kind}{i}", 1e-6 * (i + 1), share) for i, share in enumerate(values)]
+        + [made("chance", 0.02, 0.9)]
+        for kind, values in shares.items()
+    }
+    found = Remaining(
+        PLANT, tuple(several["one"][::-1]), tuple(several["two"][::-1]), np.ones(1), 0.01
+    )
+    names = [next(iter(one.values)) for one in found.significant]
+    assert names == ([first, *others] if first else [])
+    assert (found.best is None) if first is None else (found.best is found.significant[0])
+    assert found.answer is None
 
 
 def test_only_given_effects_are_tried():

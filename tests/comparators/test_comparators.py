@@ -6,6 +6,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import comparators
+from eoi_jax.comparators import vss_direct
 from eoi_jax.comparators.filtered import default_filters, equation, linearised, motion
 from eoi_jax.comparators.plain import explicit_form
 from eoi_jax.comparators.svf import least_squares_on
@@ -343,6 +344,27 @@ def test_vss_takes_first_order_and_several_outputs():
     found = comparators.VSSDirect().estimate(plant, [record])
     assert np.max(np.abs(errors(found, truth))) < 0.1
     assert found.standard_errors is None
+
+
+@pytest.mark.parametrize(
+    ("drift", "code", "advice"), [(0.0, "converged", False), (0.1, "passes_exhausted", True)]
+)
+def test_vss_answers_by_the_mean_of_its_last_tenth_and_says_whether_it_drifts(drift, code, advice):
+    plant, share = mass(), np.linspace(-9.0, 1.0, 2001)  # over the last tenth from zero to one
+    steady = np.array([100.0, 6.0, 1.6])
+    history = steady * (1.0 + drift * share[:, None])
+    found = vss_direct._answer(plant, history)
+    assert found.status.code == code
+    assert ("longer records" in found.status.message) is advice
+    # From the first half of it to the second the mean moves by half of what it moves in all.
+    moved = 0.5 * drift / (1.0 + 0.5 * drift)
+    assert f"by {moved:.2g} at most" in found.status.message
+    assert found.parameters is not None
+    np.testing.assert_allclose(
+        list(found.parameters.values()), steady * (1.0 + 0.5 * drift), rtol=1e-3
+    )
+    history[7] = np.nan
+    assert vss_direct._answer(plant, history).status.code == "diverged"
 
 
 def test_vss_uses_the_papers_intervals_for_the_papers_plant(clean: eoi.Record):
