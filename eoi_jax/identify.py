@@ -21,7 +21,7 @@ from eoi_jax.checks import check_count
 from eoi_jax.data.record import Record
 from eoi_jax.engines.alone import OnePass, alone
 from eoi_jax.instruments import Instrumented, cured
-from eoi_jax.iteration import Iterations, Pass, by_sample, iterate, mean
+from eoi_jax.iteration import Iterations, Pass, by_sample, iterate, mean, sample_counts
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, Trace
@@ -435,7 +435,7 @@ def _covariance(
     scores = np.einsum("sj,sja->sa", error, rows)
     if not (np.all(np.isfinite(scores)) and np.any(inverse)):
         return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
-    return long_run(scores, rows, inverse)
+    return long_run(scores, rows, inverse, sample_counts(use, substeps).tolist())
 
 
 _BRIEF = "filter, transient and instruments are chosen without it"

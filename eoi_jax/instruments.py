@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float
 from eoi_jax.along import state_slopes
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
-from eoi_jax.iteration import Pass, by_sample, mean
+from eoi_jax.iteration import Pass, by_sample, mean, sample_counts
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.pairs import PairSums, Rows, run_pairs, together
 from eoi_jax.passes import Steps
@@ -117,7 +117,7 @@ def instrumented(
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
         if number == 1:  # weighed by a guess
             continue
-        covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, inverse)
+        covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, runs.owner, inverse)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         if np.all(np.abs(increment) <= _SETTLED * errors + 1e-9 * np.abs(theta)):
             held = (theta == plant.lower) | (theta == plant.upper)
@@ -198,11 +198,13 @@ class _Runs:
         measured: made ready for a pass.
         simulated: free runs, as they come.
         windows: of each record.
+        owner: index of the record that each is a window of.
     """
 
     measured: tuple[Record, ...]
     simulated: tuple[Record, ...]
     windows: int
+    owner: tuple[int, ...]
 
 
 def _runs(
@@ -210,8 +212,8 @@ def _runs(
 ) -> _Runs | str:
     """Free runs that follow the records: in windows as before, or at first in as few as do."""
     for count in _WINDOWS if before is None else (before.windows,):
-        simulated, parts, follows = [], [], True
-        for record in records:
+        simulated, parts, owner, follows = [], [], [], True
+        for i, record in enumerate(records):
             length = -(-len(record) // count)
             head = _head(record, length, prepared)
             if count > 1 and head is None:
@@ -227,12 +229,13 @@ def _runs(
             for first in range(0, len(record), length):
                 part = slice(first, first + length)
                 parts.append((record, part))
+                owner.append(i)
                 simulated.append(run.predictions[0][part].without_inputs())
         if follows and before is not None:
-            return _Runs(before.measured, tuple(simulated), count)
+            return _Runs(before.measured, tuple(simulated), count, before.owner)
         if follows:
             measured = tuple(_fine(record[part], prepared) for record, part in parts)
-            return _Runs(measured, tuple(simulated), count)
+            return _Runs(measured, tuple(simulated), count, tuple(owner))
     return _AWAY
 
 
@@ -327,13 +330,19 @@ def _one_pass(
 
 
 def _covariance(
-    rows: Rows, steps: Steps, substeps: int, inverse: Float[np.ndarray, "np np"]
+    rows: Rows,
+    steps: Steps,
+    substeps: int,
+    owner: Sequence[int],
+    inverse: Float[np.ndarray, "np np"],
 ) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
     """Of the estimate, with its degrees of freedom."""
     error, zeta = (
         by_sample(np.asarray(one), steps.use, substeps) for one in (rows.error, rows.zeta)
     )
-    return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse)
+    # Windows of one record are its parts, and no independent ones.
+    lengths = np.bincount(owner, sample_counts(steps.use, substeps)).astype(int).tolist()
+    return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse, lengths)
 
 
 def _leak(plant: Plant, one: PairSums, runs: _Runs) -> float:

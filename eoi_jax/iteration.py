@@ -242,12 +242,17 @@ def by_sample(
         By sample; its rows are the outputs in all of its steps. What happens within a sample is far
         faster than any cosine of `long_run`.
     """
-    used = np.any(np.asarray(use) > 0, axis=-1)
-    ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
-    ends = -(-ends // substeps) * substeps
+    ends = substeps * sample_counts(use, substeps)
     parts = [one[:end] for one, end in zip(values, ends, strict=True)]
     whole = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return whole.reshape(-1, substeps * values.shape[2], *values.shape[3:])
+
+
+def sample_counts(use: Any, substeps: int) -> Int[np.ndarray, " records"]:
+    """Samples of each record up to the last that counts: of `by_sample`."""
+    used = np.any(np.asarray(use) > 0, axis=-1)
+    ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
+    return np.where(np.any(used, axis=1), -(-ends // substeps), 0)
 
 
 def sandwich(

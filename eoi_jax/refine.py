@@ -474,11 +474,13 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
         ),
         strict=True,
     )
+    # Windows of one record are its parts, and no independent ones.
+    lengths = np.bincount([one.record for one in spans], [len(one) for one in scores]).astype(int)
     rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
     flat = rows.reshape(-1, len(names))
     square = flat.T @ flat
     solution = least_squares(square, np.zeros(len(names)), loose)
-    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse))
+    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse), lengths.tolist())
     freedom[free] = small_freedom
     small[loose == 0] = small[:, loose == 0] = np.nan
     covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square

@@ -167,3 +167,78 @@ def test_a_parameter_without_trace_takes_nothing_though_rounding_makes_it_look_e
     alone = long_run(phi[:, :2] * error[:, None], phi[:, None, :2], inverse[:2, :2])
     np.testing.assert_allclose(got[:2, :2], alone[0], rtol=1e-9)
     np.testing.assert_array_equal(got[2], 0.0)
+
+
+LENGTHS = (500, 250, 60, 190)
+
+
+def several_records(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors of records that differ in length, as slow as the cosines, and their errors."""
+    columns = [
+        np.stack([np.sin(np.arange(n) / (40.0 + 9.0 * i)), np.ones(n)], axis=1)
+        for i, n in enumerate(LENGTHS)
+    ]
+    return np.concatenate(columns), np.concatenate([ar1(0.9, n, rng) for n in LENGTHS])
+
+
+def test_errors_do_not_depend_on_the_order_of_the_records():
+    phi, error = several_records(np.random.default_rng(0))
+    inverse = np.linalg.inv(phi.T @ phi)
+    residual = error - phi @ (inverse @ phi.T @ error)
+    parts = np.split(np.arange(len(phi)), np.cumsum(LENGTHS)[:-1])
+    results = []
+    for order in ([0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0]):
+        at = np.concatenate([parts[i] for i in order])
+        lengths = [LENGTHS[i] for i in order]
+        scores = phi[at] * residual[at, None]
+        results.append(long_run(scores, phi[at][:, None, :], inverse, lengths))
+    for covariance, freedom in results[1:]:
+        np.testing.assert_allclose(covariance, results[0][0], rtol=1e-9)
+        np.testing.assert_allclose(freedom, results[0][1], rtol=1e-9)
+
+
+def test_slopes_of_several_records_are_covered_with_more_degrees_of_freedom():
+    """The sum of each record's scores is one more thing known, however short the record."""
+    rng, inside, freedoms, strung = np.random.default_rng(0), [], [], []
+    for _ in range(TRIALS):
+        phi, error = several_records(rng)
+        inverse = np.linalg.inv(phi.T @ phi)
+        slopes = inverse @ phi.T @ error
+        scores = phi * (error - phi @ slopes)[:, None]
+        covariance, freedom = long_run(scores, phi[:, None, :], inverse, LENGTHS)
+        half = student(0.95, freedom) * np.sqrt(np.diagonal(covariance))
+        inside.append(np.abs(slopes) < half)
+        freedoms.append(freedom)
+        strung.append(long_run(scores, phi[:, None, :], inverse)[1])
+    assert np.all(np.abs(np.mean(inside, axis=0) - 0.95) < 3 * SIGMA)
+    assert np.all(np.mean(freedoms, axis=0) > np.mean(strung, axis=0))
+
+
+def test_of_several_records_too_what_the_estimate_took_is_given_back():
+    """As of one record; the functions are zero outside their record, and have mean square one."""
+    rng, lengths, count = np.random.default_rng(0), (40, 30), 70
+    t = np.arange(count)
+    phi = np.stack([np.exp(-t / 20.0), t / 60.0], axis=1)
+    inverse = np.linalg.inv(phi.T @ phi)
+    half = np.linalg.cholesky(inverse)
+    maker = np.eye(count) - phi @ inverse @ phi.T
+    scores = phi * (maker @ rng.standard_normal(count))[:, None]
+    cosines = round(0.4 * (count / (8 / 3 * correlation_time(scores, lengths))) ** (2 / 3))
+    functions = []
+    for first, length in ((0, 40), (40, 30)):
+        number = round(max(cosines, 2) * length / count)
+        for j in range(number + 1):
+            one = np.zeros(count)
+            wave = np.cos(np.pi * j * (np.arange(length) + 0.5) / length)
+            one[first : first + length] = (np.sqrt(2.0) if j else 1.0) * wave
+            functions.append(one / np.sqrt(number + 1))
+    own = np.stack(functions)[:, :, None] * (phi @ half)
+    expected = np.einsum("jta,ts,jsb->ab", own, maker, own, optimize=True)
+    values, vectors = np.linalg.eigh(expected)
+    moved = half @ vectors / np.sqrt(values) @ vectors.T
+    sums = np.stack(functions) @ scores @ half
+    covariance, freedom = long_run(scores, phi[:, None, :], inverse, lengths)
+    np.testing.assert_allclose(covariance, moved @ sums.T @ sums @ moved.T, rtol=1e-9)
+    for i, row in enumerate(moved):
+        form = sum(np.outer(one, one) for one in (maker @ each @ row for each in own))
+        assert freedom[i] == pytest.approx(np.trace(form) ** 2 / np.sum(form * form), rel=1e-9)

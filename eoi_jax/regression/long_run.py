@@ -1,35 +1,46 @@
 r"""Covariance of an estimate whose residual is coloured, and its degrees of freedom.
 
 $C = I^{-1} S I^{-1}$, with I the information and S the covariance of the sum of all scores φᵀe.
-S is N times the spectrum of the scores at frequency zero, here the mean over the B slowest cosines:
+Records are independent, whatever their order: S is the sum over them of N_r times the spectrum of
+the scores of record r at frequency zero. That is here the mean over its constant and its B_r
+slowest cosines, each of mean square one:
 
-$$S = \frac{2}{B}\sum_{j=1}^{B} c_j c_j^\top, \quad
-c_j = \sum_{k=0}^{N-1} \cos\!\left(\pi j \frac{k+1/2}{N}\right) s_k$$
+$$S = \sum_r \frac{1}{B_r + 1} \sum_{j=0}^{B_r} c_{rj} c_{rj}^\top, \quad
+c_{rj} = a_j \sum_{k=0}^{N_r-1} \cos\!\left(\pi j \frac{k+1/2}{N_r}\right) s_{rk}, \quad
+a_0 = 1,\ a_j = \sqrt 2$$
 
-N is rounded up, with scores of zero, to a length without large factors, of which a transform takes
-a tenth of the time. The cosines know nothing of a constant, which the estimate has set to zero. The
-c_j are independent and nearly normal. More cosines make S steadier, as long as the spectrum is flat
-below the fastest of them: B = 0.4 n^(2/3), n the number of independent scores: N over their
-correlation time. That is the inverse width of their spectrum at zero. The width of all of it,
-1/Σ ρ², is up to 8/3 times that: of two oscillations of one frequency, as regressor and residual
-near a resonance are, half of the product lies at zero, and a quarter at twice the frequency on
-either side.
+N_r is rounded up, with scores of zero, to a length without large factors, of which a transform
+takes a tenth of the time. The c_rj are independent and nearly normal. More cosines make S steadier,
+as long as the spectrum is flat below the fastest of them. All records have the same bandwidth:
+B_r = B N_r / N, rounded, with N samples in all records, B = 0.4 n^(2/3), and n the number of
+independent scores: N over their correlation time. That is the inverse width of their spectrum at
+zero. The width of all of it, 1/Σ ρ², is up to 8/3 times that: of two oscillations of one frequency,
+as regressor and residual near a resonance are, half of the product lies at zero, and a quarter at
+twice the frequency on either side. Of short records the constant is all that counts: the sum of
+their scores.
 
-**What the estimate has taken.** It has made the residual e = Mε smaller than the noise ε, by all
-that the regressors can follow: M = 1 - ΦI⁻¹Φᵀ. With regressors as slow as the cosines that takes a
-good part of c_j = ΦᵀD_j e (D_j the cosine). Were ε white of variance one, then with Φ made
-orthonormal, and O_j = ΦᵀD_jΦ the cosine sums of its squares,
+**What the estimate has taken.** The sum of all scores is zero, so that the constant of a single
+record says nothing. Nor is that all: the estimate has made the residual e = Mε smaller than the
+noise ε, by all that the regressors can follow: M = 1 - ΦI⁻¹Φᵀ. With regressors as slow as the
+cosines that takes a good part of c_i = ΦᵀD_i e, i = (r, j), D_i the cosine, zero outside its
+record. Were ε white of variance one, then with Φ made orthonormal, and O_i = ΦᵀD_iΦ the cosine sums
+of its squares,
 
-$$E[c_j c_k^\top] = \Phi^\top D_j M D_k \Phi = \tfrac12\,(O_{j+k} + O_{|j-k|}) - O_j O_k$$
+$$E[c_i c_k^\top] = \Phi^\top D_i M D_k \Phi = \Phi^\top D_i D_k \Phi - O_i O_k, \quad
+\Phi^\top D_{rj} D_{rk} \Phi = \frac{a_j a_k}{2}
+\left(\frac{O_{r,j+k}}{a_{j+k}} + \frac{O_{r,|j-k|}}{a_{j-k}}\right)$$
 
-in place of ½ δ_jk. So S is multiplied from both sides by G^(-1/2), $G = E[S]$, and the variance of
-an estimate a'θ is a quadratic form in ε: with κ the B values of its matrix K_jk, it has
-(Σκ)²/Σκ² degrees of freedom. Regressors that never repeat leave few of the B.
+in place of δ_ik times the share of record r in I. So S is multiplied from both sides by G^(-1/2),
+$G = E[S]$, and the variance of an estimate a'θ is a quadratic form in ε: with κ the eigenvalues of
+its matrix K_ik, it has (Σκ)²/Σκ² degrees of freedom. Regressors that never repeat leave few.
 
 **Sources.** E. Lazarus, D. Lewis, J. Stock, M. Watson, Journal of Business & Economic Statistics 36
 (2018) 541 (equal-weighted cosines, and B); R. Bell, D. McCaffrey, Survey Methodology 28 (2002) 169
 (both corrections, there for clusters in place of cosines).
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -45,16 +56,18 @@ def long_run(
     scores: Float[np.ndarray, "time np"],
     rows: Float[np.ndarray, "time ny np"],
     inverse: Float[np.ndarray, "np np"],
+    lengths: Sequence[int] | None = None,
 ) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
     """Covariance of an estimate from its scores, and the degrees of freedom of each variance.
 
     Args:
-        scores: s = Σ_j φ_jᵀ e_j of each sample over all outputs, in order of time, one record (or
-            run) after the other; zero where not scored. At the estimate they sum to zero.
+        scores: s = Σ_j φ_jᵀ e_j of each sample over all outputs, in order of time, one record
+            after the other; zero where not scored. At the estimate they sum to zero.
         rows: φ_j, or ζ_j of instrumental variables, times the root of the weights that are in the
             scores; all those that a sample's score is the sum of.
         inverse: I⁻¹ = [Σ φᵀφ]⁻¹ with these weights; of instrumental variables [Σ ζᵀψ]⁻¹, which is
             not symmetric. Zero for what was not estimated.
+        lengths: samples of each record; a single one if left out.
 
     Returns:
         C, and the degrees of freedom. Infinite ones, with C = 0, where all scores are zero.
@@ -62,19 +75,35 @@ def long_run(
     size = len(inverse)
     if not np.any(scores):
         return np.zeros_like(inverse), np.full(size, np.inf)
-    independent = len(scores) / (_PEAKS * correlation_time(scores))
-    count = min(max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST), len(scores) - 1)
+    lengths = [len(scores)] if lengths is None else [int(one) for one in lengths if one > 0]
+    independent = len(scores) / (_PEAKS * correlation_time(scores, lengths))
+    count = max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST)
     estimated = np.any(inverse != 0, axis=0)
     flat = (rows if np.all(estimated) else rows[..., estimated]).reshape(-1, np.sum(estimated))
     unit = _orthonormal(flat)
-    squares = _overlaps((flat @ unit).reshape(*rows.shape[:2], -1), count)
-    sums = _cosine_sums(unit.T @ scores[:, estimated].T)[:, 1 : count + 1]
-    spread = 2.0 / count * sums @ sums.T
-    values, vectors = np.linalg.eigh(_expected(squares, count))
+    along = (flat @ unit).reshape(*rows.shape[:2], -1)
+    projected = scores[:, estimated] @ unit
+    groups = [
+        _sums(projected[places], along[places], count / len(scores))
+        for places in _of_one_length(lengths)
+    ]
+    spread = np.sum([one.spread for one in groups], axis=0)
+    values, vectors = np.linalg.eigh(np.sum([one.expected for one in groups], axis=0))
     restored = vectors / np.sqrt(np.maximum(values, _LEFT)) @ vectors.T
     # θ moves by `inverse` times the sum of the scores: unit⁻ᵀ times those made orthonormal.
     moved = inverse[:, estimated] @ np.linalg.pinv(unit).T @ restored
-    return moved @ spread @ moved.T, _freedom(squares, moved, count)
+    return moved @ spread @ moved.T, _freedom(groups, moved)
+
+
+def _of_one_length(lengths: Sequence[int]) -> list[np.ndarray]:
+    """Places of the samples of all records of each length, shape (records, time)."""
+    ends = np.cumsum(lengths)
+    if ends[-1] == lengths[0]:
+        return [np.arange(ends[-1])[None]]
+    return [
+        (ends[np.asarray(lengths) == one] - one)[:, None] + np.arange(one)
+        for one in np.unique(lengths)
+    ]
 
 
 def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"]:
@@ -87,11 +116,77 @@ def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"
     return vectors[:, kept] / np.sqrt(values[kept]) / length[:, None]
 
 
-def _cosine_sums(signals: Float[np.ndarray, "k time"]) -> Float[np.ndarray, "k cosines"]:
-    """c_j of each row, all j from 0."""
+@dataclass(frozen=True)
+class _Sums:
+    """Of all records of one length, each with the functions j = 0 … B.
+
+    Attributes:
+        spread: their part of S.
+        expected: their part of G.
+        squares: O_rj without the factor a_j, j = 0 … 2B, shape (records, 2B + 1, k, k).
+    """
+
+    spread: Float[np.ndarray, "k k"]
+    expected: Float[np.ndarray, "k k"]
+    squares: Float[np.ndarray, "records cosines k k"]
+
+    @property
+    def functions(self) -> int:
+        """B + 1."""
+        return (self.squares.shape[1] + 1) // 2
+
+    def forms(
+        self, m: Float[np.ndarray, " k"]
+    ) -> tuple[Float[np.ndarray, "records j j"], Float[np.ndarray, "records j k"]]:
+        """m'ΦᵀD_jD_kΦm within each record, and O_j m, both times the root of 1/(B + 1)."""
+        j, a = np.arange(self.functions), _factors(self.functions)
+        along = self.squares @ m
+        own = along @ m
+        both = own[:, j[:, None] + j] + own[:, np.abs(j[:, None] - j)]
+        taken = a[:, None] * along[:, : self.functions]
+        return 0.5 * np.outer(a, a) * both / len(j), taken / np.sqrt(len(j))
+
+
+def _sums(
+    scores: Float[np.ndarray, "records time k"],
+    rows: Float[np.ndarray, "records time ny k"],
+    bandwidth: float,
+) -> _Sums:
+    """Of records of one length, with orthonormal regressors; cosines per sample are given."""
+    length, size = rows.shape[1], rows.shape[3]
+    functions = min(round(bandwidth * length), length - 1) + 1
+    a = _factors(functions)
+    sums = a * _cosine_sums(np.moveaxis(scores, 1, 2), functions)
+    # Time last: transforms and products then run along the memory, in half the time.
+    along = np.ascontiguousarray(np.moveaxis(rows, 1, 3))
+    squares = np.zeros((len(rows), 2 * functions - 1, size, size))
+    for i in range(size):
+        products = np.einsum("rjt,rjbt->rbt", along[:, :, i], along[:, :, i:])
+        of_each = np.moveaxis(_cosine_sums(products, 2 * functions - 1), 1, 2)
+        squares[:, :, i, i:] = squares[:, :, i:, i] = of_each
+    even, first = squares[:, 0 : 2 * functions - 1 : 2], squares[:, :functions]
+    whole = 0.5 * np.einsum("j,rjab->ab", a**2, even + squares[:, :1])
+    taken = np.einsum("j,rjab,rjbc->ac", a**2, first, first)
+    spread = np.einsum("raj,rbj->ab", sums, sums)
+    return _Sums(spread / functions, (whole - taken) / functions, squares)
+
+
+def _factors(functions: int) -> Float[np.ndarray, " j"]:
+    """a_j: all functions have a mean square of one."""
+    return np.where(np.arange(functions) == 0, 1.0, np.sqrt(2.0))
+
+
+def _cosine_sums(
+    signals: Float[np.ndarray, "*k time"], functions: int
+) -> Float[np.ndarray, "*k cosines"]:
+    """Σ_k cos(πj(k + ½)/N) times each signal, j from 0; zero from j = N on."""
     from scipy.fft import dct
 
-    return 0.5 * np.asarray(dct(signals, type=2, n=_rounded_up(signals.shape[1])))
+    if functions == 1:
+        return np.sum(signals, axis=-1, keepdims=True)
+    sums = 0.5 * np.asarray(dct(signals, type=2, n=_rounded_up(signals.shape[-1]), axis=-1))
+    sums = sums[..., :functions]
+    return np.pad(sums, [(0, 0)] * (sums.ndim - 1) + [(0, functions - sums.shape[-1])])
 
 
 def _rounded_up(count: int) -> int:
@@ -101,51 +196,49 @@ def _rounded_up(count: int) -> int:
     return int(next_fast_len(count, real=True) or count)
 
 
-def _overlaps(rows: Float[np.ndarray, "time ny k"], count: int) -> Float[np.ndarray, "cosines k k"]:
-    """O_j, j = 0 … 2B, of orthonormal regressors."""
-    # Time last: transforms and products then run along the memory, in half the time.
-    size, along = rows.shape[2], np.ascontiguousarray(np.moveaxis(rows, 0, 2))
-    squares = np.zeros((2 * count + 1, size, size))
-    for a in range(size):
-        products = np.einsum("jt,jbt->bt", along[:, a], along[:, a:])
-        sums = _cosine_sums(products)[:, : 2 * count + 1].T
-        squares[: len(sums), a, a:] = squares[: len(sums), a:, a] = sums
-    return squares
-
-
-def _expected(squares: Float[np.ndarray, "cosines k k"], count: int) -> Float[np.ndarray, "k k"]:
-    """G: what S is expected to be, times what it should be; one without any loss."""
-    j = np.arange(1, count + 1)
-    taken = np.einsum("jab,jbc->ac", squares[j], squares[j])
-    return 2.0 / count * (0.5 * np.sum(squares[2 * j] + squares[0], axis=0) - taken)
-
-
-def _freedom(
-    squares: Float[np.ndarray, "cosines k k"], moved: Float[np.ndarray, "np k"], count: int
-) -> Float[np.ndarray, " np"]:
+def _freedom(groups: Sequence[_Sums], moved: Float[np.ndarray, "np k"]) -> Float[np.ndarray, " np"]:
     """(tr K)²/tr(K²) for each parameter; infinite for what has no variance."""
+    count = sum(len(one.squares) * one.functions for one in groups)
+    varies = np.any(moved != 0, axis=1)
     if count > _MANY:
-        return np.where(np.any(moved != 0, axis=1), float(count), np.inf)
-    j = np.arange(1, count + 1)
+        return np.where(varies, float(count - 1), np.inf)
     freedom = np.full(len(moved), np.inf)
-    for i in np.flatnonzero(np.any(moved != 0, axis=1)):
-        along = squares @ moved[i]
-        own, taken = along @ moved[i], along[j]
-        kernel = 0.5 * (own[j[:, None] + j] + own[np.abs(j[:, None] - j)]) - taken @ taken.T
+    for i in np.flatnonzero(varies):
+        kernel, taken, place = np.zeros((count, count)), [], 0
+        for one in groups:
+            for within, out in zip(*one.forms(moved[i]), strict=True):
+                part = slice(place, place + one.functions)
+                kernel[part, part], place = within, part.stop
+                taken.append(out)
+        outside = np.concatenate(taken)
+        kernel -= outside @ outside.T
         freedom[i] = np.trace(kernel) ** 2 / np.sum(kernel**2)
     return freedom
 
 
-def correlation_time(scores: Float[np.ndarray, "time np"]) -> float:
-    """Σ ρ(l)² over all lags, of the most correlated column [samples]; one for white noise.
+def correlation_time(
+    scores: Float[np.ndarray, "time np"], lengths: Sequence[int] | None = None
+) -> float:
+    r"""Σ ρ(l)² over all lags, of the most correlated column [samples]; one for white noise.
 
-    Inverse width of the whole spectrum, wherever its peaks lie.
+    Inverse width of the whole spectrum, wherever its peaks lie: by Parseval the mean square of the
+    spectrum over its squared mean. With the periodogram P_r of each record, of which E P² = 2 (E
+    P)², the square of their sum is without bias $(\sum P_r)^2 - \tfrac12 \sum P_r^2$.
 
-    By Parseval the mean square of the spectrum over its squared mean; a periodogram's square is
-    twice the spectrum's.
+    Args:
+        scores: one record after the other.
+        lengths: of each record; a single one if left out.
     """
-    used, count = scores[:, np.any(scores != 0, axis=0)], _rounded_up(len(scores))
-    # The constant and the highest frequency, which have no pair, are left out.
-    power = np.abs(np.fft.rfft(used, count, axis=0)[1 : (count + 1) // 2]) ** 2
-    ratio = np.mean(power**2, axis=0) / np.mean(power, axis=0) ** 2
-    return float(max(0.5 * np.max(ratio), 1.0))
+    lengths = [len(scores)] if lengths is None else list(lengths)
+    used = scores[:, np.any(scores != 0, axis=0)]
+    # Periodograms add up on a common grid: of records that differ, all have that of the longest.
+    count = _rounded_up(max(lengths))
+    total, squares = np.zeros((2, (count + 1) // 2 - 1, used.shape[1]))
+    for places in _of_one_length(lengths):
+        for one in places:
+            # The constant and the highest frequency, which have no pair, are left out.
+            power = np.abs(np.fft.rfft(used[one], count, axis=0)[1 : (count + 1) // 2]) ** 2
+            total += power
+            squares += power**2
+    ratio = np.mean(total**2 - 0.5 * squares, axis=0) / np.mean(total, axis=0) ** 2
+    return float(max(np.max(ratio), 1.0))
