@@ -20,7 +20,13 @@ from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.observers.per_output import PerOutput
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant
-from eoi_jax.tuning import default_lowpass, default_smoothing, default_substeps, velocity_noise
+from eoi_jax.tuning import (
+    check_runs_of_samples,
+    default_lowpass,
+    default_smoothing,
+    default_substeps,
+    velocity_noise,
+)
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
@@ -217,6 +223,7 @@ def ready(
     """
     reasons: list[str] = []
     check_kind("lowpass", lowpass, (LowPass, NoneType), "a filter `LowPass(cutoff, order)`")
+    check_runs_of_samples(records)
     if lowpass is None:
         lowpass, reason = default_lowpass(plant, records)
         reasons.append(reason)

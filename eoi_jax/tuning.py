@@ -13,6 +13,7 @@ in sliding; in the implicit form a large relay costs nothing (no chatter), and w
 through, the filter removes.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -23,6 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.checks import check
+from eoi_jax.data.ingest import SHORTEST
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
@@ -53,14 +56,14 @@ _RELAY = 2.0  # relay over the largest injection foreseen
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
     """The filter (19) for these records, and the reason for its cut-off."""
     order = plant.relative_degree + 1
-    several = [
-        [spectrum(record, j, degree) for j, degree in enumerate(plant.degrees)]
-        for record in records
-    ]
+
+    @functools.cache
+    def several(i: int) -> list[Spectrum]:
+        return [spectrum(records[i], j, degree) for j, degree in enumerate(plant.degrees)]
 
     def chosen(brief: Sequence[bool]) -> tuple[float, str]:
         kept = [i for i, short in enumerate(brief) if not short]
-        spectra = [one for i in kept for one in several[i]]
+        spectra = [one for i in kept for one in several(i)]
         return _cutoff(spectra, [records[i] for i in kept], order)
 
     shortest = too_short(records, 0.0)
@@ -80,7 +83,39 @@ def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
     """
     lengths = [record.sample_period * len(record) for record in records]
     least = _SHORT * max(lengths)
-    return tuple(one < least and one * cutoff < _TELLS for one in lengths)
+    torn = [_torn(record) for record in records]
+    return tuple(
+        (gone and not all(torn)) or (one < least and one * cutoff < _TELLS)
+        for gone, one in zip(torn, lengths, strict=True)
+    )
+
+
+def check_runs_of_samples(records: Sequence[Record]) -> None:
+    """Differences are taken between samples that follow each other.
+
+    Args:
+        records: of one estimate.
+
+    Raises:
+        ValueError: no record with a run of valid samples that is long enough.
+    """
+    longest = max(_longest_run(record) for record in records)
+    check(
+        longest >= SHORTEST,
+        "records",
+        f"must hold a run of at least {SHORTEST} valid samples one after the other",
+        f"{longest} at most: values are missing in between",
+        "With two sensors of different rates keep the rows in which both have a value, or fill in "
+        "the slower one; or use `refine`, which scores the samples that are there.",
+    )
+
+
+def _longest_run(record: Record) -> int:
+    return max(stop - start for start, stop in record.segments())
+
+
+def _torn(record: Record) -> bool:
+    return _longest_run(record) < SHORTEST
 
 
 def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str]:
@@ -91,13 +126,17 @@ def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str
         cutoff: of F [rad/s].
         what: is done with them.
     """
+
+    def why(one: Record) -> str:
+        if _torn(one):
+            return f"no {SHORTEST} valid samples follow each other"
+        return (
+            f"{one.sample_period * len(one):.3g} s are too short beside the other records, less "
+            f"than {_TELLS:g} time constants of the filter"
+        )
+
     each = zip(records, too_short(records, cutoff), strict=True)
-    return [
-        f"{one.name}: {one.sample_period * len(one):.3g} s are too short beside the other records, "
-        f"less than {_TELLS:g} time constants of the filter: {what}"
-        for one, short in each
-        if short
-    ]
+    return [f"{one.name}: {why(one)}: {what}" for one, short in each if short]
 
 
 def _cutoff(
@@ -326,6 +365,8 @@ def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
     Returns:
         Frequency [rad/s] and rms [unit of y] of each, in their order; none where no input moves.
     """
+    if _torn(record):
+        return []
     omega, power, foreign, window = _periodogram(record, output)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2
     edges = np.flatnonzero(np.diff(np.concatenate([[0], foreign.astype(int), [0]])))

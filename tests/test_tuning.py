@@ -14,6 +14,7 @@ from eoi_jax.plants import Plant, level_tank, mass_spring_damper
 from eoi_jax.tuning import (
     Spectrum,
     brief_notes,
+    check_runs_of_samples,
     default_lowpass,
     default_observer,
     default_smoothing,
@@ -281,3 +282,29 @@ def test_quiet_cutoff_is_that_of_every_frequency_by_itself():
         found = cutoff if gain @ noise <= 1e-6 * (gain @ signal) else found
     assert omega[5] < found < omega[-5]
     assert one.quiet_cutoff(1e-3, order) == pytest.approx(found, rel=1e-9)
+
+
+def torn(kept, samples=2001):
+    """A record of which only the samples in `kept` (of each ten) have an output."""
+    u, y = moved_mass_spring(grid(samples, H), TRUE, SWAY)
+    y = np.where(np.isin(np.arange(samples) % 10, kept), y, np.nan)
+    with pytest.warns(RecordWarning):
+        return Record.from_period(H, u, y, "torn", hold="smooth")
+
+
+@pytest.mark.parametrize("kept", [(0, 2, 4, 6, 8), (0, 3, 6), (0, 1, 2, 3, 4, 5, 6)])
+def test_no_run_of_samples_is_said_with_what_to_do(kept):
+    """Two sensors of different rates look so."""
+    with pytest.raises(ValueError, match=r"`records` must hold a run of at least 8 .* `refine`"):
+        check_runs_of_samples([torn(kept)])
+
+
+def test_a_torn_record_beside_whole_ones_has_no_say():
+    whole, holed = made(), torn((0, 2, 4, 6, 8))
+    chosen = default_lowpass(PLANT, [whole])
+    assert default_lowpass(PLANT, [whole, holed]) == chosen
+    assert default_lowpass(PLANT, [holed, whole]) == chosen
+    assert brief_notes([whole, holed], chosen[0].cutoff, "left out") == [
+        "torn: no 8 valid samples follow each other: left out"
+    ]
+    assert foreign_lines(holed, 0) == []

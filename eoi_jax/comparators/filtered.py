@@ -30,7 +30,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resample import low_pass
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import TAPER, constant, moving, tapered
-from eoi_jax.tuning import default_lowpass, velocity_noise
+from eoi_jax.tuning import check_runs_of_samples, default_lowpass, velocity_noise
 
 _WIDE = 5.0  # cut-off of W over that of L: there it is flat to 1e-5
 _MOST = 0.5  # of the Nyquist frequency, with sub-steps, for W
@@ -72,6 +72,7 @@ def default_filters(plant: Plant, records: Sequence[Record]) -> Filters:
     Records that are too coarse for W get sub-steps: harmonics of a nonlinear motion lie beyond
     their own Nyquist frequency, and a filter that cuts them off bends f.
     """
+    check_runs_of_samples(records)
     narrow = default_lowpass(plant, records)[0].cutoff
     wide = _WIDE * narrow
     nyquist = np.pi / max(record.sample_period for record in records)
