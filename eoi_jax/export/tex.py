@@ -5,14 +5,8 @@ from collections.abc import Mapping
 from eoi_jax.equations.expression import Call, Expression, Number, Operation, Symbol
 from eoi_jax.export.names import comment, identifiers
 from eoi_jax.export.program import Program
-from eoi_jax.report.expression import latex
+from eoi_jax.report.expression import escaped, latex
 
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    **{one: f"\\{one}" for one in "{}$&#%_"},
-}
 _SIGNS = {"≤": r"\le", "≥": r"\ge", "≠": r"\ne"}
 
 
@@ -41,8 +35,10 @@ def latex_text(model: Program, version: str) -> str:
         own, times = latex(shown[Symbol(source)], {}), " + ".join(parameters[one] for one in late)
         lines.append(rf"&\text{{with }} {own} \text{{ taken at }} t - ({times})")
     lines += [rf"&\text{{set-valued at }} {_written(symbol, shown)} = 0" for symbol in model.rough]
-    rows = [f"${parameters[one.name]}$ & ${latex(Number(value), {})}$ & {escaped(one.unit)} \\\\"
-            for one, value in model.parameters]  # fmt: skip
+    rows = [
+        f"${parameters[one.name]}$ & ${latex(Number(value), {})}$ & {_unit(one.unit)} \\\\"
+        for one, value in model.parameters
+    ]
     parts = [
         f"% Written by eoi_jax {version}. Needs amsmath.",
         *(r"\[", r"\begin{aligned}", " \\\\\n".join(lines), r"\end{aligned}", r"\]", ""),
@@ -51,13 +47,8 @@ def latex_text(model: Program, version: str) -> str:
     return "\n".join(parts) + "\n"
 
 
-def escaped(text: str) -> str:
-    r"""A text for LaTeX outside of mathematics: nothing in it is a command.
-
-    Args:
-        text: any.
-    """
-    return "".join(_SPECIAL.get(one, one) for one in comment(text.replace("\\", "/")))
+def _unit(unit: str) -> str:
+    return escaped(comment(unit.replace("\\", "/")))
 
 
 def _written(expression: Expression, shown: Mapping[Symbol, Symbol]) -> str:

@@ -216,15 +216,32 @@ _GREEK = (
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda"),
     *("mu", "nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
 )
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    **{one: f"\\{one}" for one in "{}$&#%_"},
+}
 _KNOWN = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "max", "min")
+
+
+def escaped(text: str) -> str:
+    """A text for LaTeX outside of mathematics: nothing in it is a command, or ends the line.
+
+    Args:
+        text: any.
+    """
+    return "".join(_SPECIAL.get(one, one if one.isprintable() else " ") for one in text)
 
 
 def name_latex(name: str) -> str:
     """A name in LaTeX: ``alpha`` as α, ``a2`` and ``position_1`` with a subscript.
 
     Args:
-        name: an identifier.
+        name: an identifier; any other text is set as it stands.
     """
+    if not re.fullmatch(r"\w+", name):
+        return rf"\text{{{escaped(name)}}}"
     parts = re.fullmatch(r"(.*?[^\d_])_?(\d+)", name)
     base, subscript = (parts[1], f"_{{{parts[2]}}}") if parts else (name, "")
     if base in _GREEK:

@@ -119,7 +119,7 @@ def inspection_figure(found: Inspection) -> Any:
         _draw_steps(grid[-1], time, clock.sample_period or 1.0)
     more = sum(one.role in ("input", "output", "other") for one in found.channels) - count
     title = found.path.name + (f" ({more} more columns)" if more > 0 else "")
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(title, fontsize=12, parse_math=False)
     return figure
 
 
@@ -132,7 +132,7 @@ def _draw_signal(
         time, values = time[order], values[order]
     axes.plot(*decimate(time, values), color=colour, linewidth=0.8)
     unit = f" [{one.unit}]" if one.unit and one.unit not in one.name else ""
-    axes.set_ylabel(f"{one.name[:24]}{unit}")
+    axes.set_ylabel(f"{one.name[:24]}{unit}", parse_math=False)
     label = one.role if one.role in _COLOURS else "?"
     axes.annotate(
         f"{label}?" if label != "?" else "?", (0.005, 0.97), xycoords="axes fraction", va="top",

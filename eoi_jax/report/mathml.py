@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 _OUTER = re.compile(r"^<math[^>]*>(.*)</math>$", re.DOTALL)
 # `\mathrm{mass}` comes as a letter each, which a screen reader would spell.
 _LETTERS = re.compile(r'(?:<mi mathvariant="normal">[^<]*</mi>)+')
+_WITH_SIGNS = re.compile(r"\\text\{[^}]*\\")
 _PRIMES = {"\u02d9": "′", "\u00a8": "″"}
 _ELEMENTS = frozenset(
     ("mrow", "mi", "mn", "mo", "mtext", "mspace", "mfrac", "msqrt", "msub", "msup", "msubsup",
@@ -64,6 +65,8 @@ def _infix(term: str) -> str:
 def _converted(latex: str) -> str:
     from latex2mathml.converter import convert
 
+    if _WITH_SIGNS.search(latex):  # of which the converter makes letters and commands
+        raise _UnreadableError
     try:
         found = _OUTER.match(convert(latex))
         inner = _LETTERS.sub(_whole, found[1]) if found else ""
