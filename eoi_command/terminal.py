@@ -10,6 +10,7 @@ import re
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -41,12 +42,13 @@ def failures(as_json: bool) -> Iterator[None]:
     """A user's mistake ends in one sentence and status 2, an interrupt in 130: no traceback.
 
     What nobody foresaw ends so, too, and asks to be reported; ``--debug`` lets it through.
+    Warnings are a line each.
 
     Args:
         as_json: print the sentence as an object on stdout, too.
     """
     try:
-        with handled(lambda *_: _leave(as_json)):
+        with handled(lambda *_: _leave(as_json)), _warnings_said():
             yield
     except (typer.Exit, typer.Abort, _ClickError):
         raise
@@ -70,6 +72,33 @@ def _sentence(error: Exception) -> str:
         f"an error that should not be ({type(error).__name__}: {error}). Please report it to the "
         "developers of eoi_jax, with what the same command and --debug show"
     )
+
+
+@contextmanager
+def _warnings_said() -> Iterator[None]:
+    """Warnings as a line each, at the end and once, without the place in the program.
+
+    ``--debug`` shows them as Python does.
+    """
+    if debugged():
+        yield
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        try:
+            yield
+        finally:
+            for line in dict.fromkeys(_warning(one) for one in caught):
+                say(f"note: {line}", err=True)
+
+
+def _warning(one: warnings.WarningMessage) -> str:
+    """What a warning says to a user; NumPy's name an operation, and not what came of it."""
+    if issubclass(one.category, RuntimeWarning) and " encountered in " in str(one.message):
+        return (
+            f"some numbers left the range of double precision ({one.message}): what depends on "
+            "them is shown as inf or nan"
+        )
+    return str(one.message)
 
 
 def debug(wanted: bool) -> None:

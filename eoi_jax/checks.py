@@ -17,6 +17,10 @@ class RecordWarning(UserWarning):
     """A record was changed on the way in (resampled, masked): nothing is done silently."""
 
 
+class FigureWarning(UserWarning):
+    """A figure could not be drawn and is left out: it costs no answer."""
+
+
 def check(
     condition: bool | np.bool_, name: str, rule: str, value: object, advice: str = ""
 ) -> None:

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from eoi_jax.inspection import Inspection
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refinement import Refinement
 from eoi_jax.report.discovery import discovery_text
+from eoi_jax.report.drawn import save_drawn
 from eoi_jax.report.equation import equation_latex
 from eoi_jax.report.sweep import sweep_figure
 from eoi_jax.store import save
@@ -137,7 +139,7 @@ def write_identification(
     from eoi_jax.report.figures import identification_figure
 
     _write_json(folder / "result.json", summary)
-    identification_figure(result).savefig(folder / "figure.png")
+    save_drawn(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
     save({"diagnosis": diagnose(result), "validation": validation}, folder / BESIDE)
     (folder / "config.toml").write_text(config, encoding="utf-8")
@@ -164,7 +166,7 @@ def write_refinement(
     """
     _write_json(folder / "result.json", summary)
     (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
-    result.plot().savefig(folder / "figure.png")
+    save_drawn(folder / "figure.png", result.plot)
     result.save(folder / RESULT)
     save({**beside, "diagnosis": diagnose(beside["start"])}, folder / BESIDE)
     (folder / "config.toml").write_text(config, encoding="utf-8")
@@ -179,7 +181,7 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
         summary: of `discovery_summary`.
         config: text of the config, with the command that was given above it.
     """
-    from eoi_jax.report.discovery_figures import discovery_figures
+    from eoi_jax.report import discovery_figures
 
     _write_json(folder / "discovery.json", summary)
     (folder / "report.txt").write_text(discovery_text(result) + "\n", encoding="utf-8")
@@ -187,8 +189,8 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
     (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
-    for name, figure in discovery_figures(result).items():
-        figure.savefig(folder / f"{name}.png")
+    for name, draw in discovery_figures.PARTS.items():
+        save_drawn(folder / f"{name}.png", partial(draw, result))
     result.save(folder / RESULT)
     last = result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
     save({"diagnosis": last}, folder / BESIDE)
@@ -212,7 +214,7 @@ def write_sweep(
     def fill(draft: Path) -> None:
         _write_json(draft / SWEEP, summary)
         (draft / "report.txt").write_text(text + "\n", encoding="utf-8")
-        sweep_figure(result, best).savefig(draft / "figure.png")
+        save_drawn(draft / "figure.png", lambda: sweep_figure(result, best))
         (draft / "config.toml").write_text(config, encoding="utf-8")
 
     write_files(folder, SWEEP, fill)
@@ -229,7 +231,7 @@ def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], t
     """
     _write_json(folder / "inspect.json", summary)
     (folder / "inspect.txt").write_text(text + "\n", encoding="utf-8")
-    found.plot().savefig(folder / "inspect.png")
+    save_drawn(folder / "inspect.png", found.plot)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:

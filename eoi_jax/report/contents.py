@@ -1,7 +1,8 @@
 """What the report of a run says and shows, from what its folder holds: no numerical work."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,12 +44,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Shown:
-    """A figure with its title and how to read it."""
+    """A figure with its title and how to read it; `figure` draws it."""
 
     name: str
     title: str
     caption: str
-    figure: Any
+    figure: Callable[[], Any]
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def identification_contents(result: Identification, beside: Mapping[str, Any]) -
     tiles = [*_fits(validation), *tiles][: 2 * _MOST]
     shown = [_data(result.records), _injection(result), _index([(result, "")])]
     if validation is not None:
-        shown.append(_free_run(figures.validation_figure(validation), "the estimate"))
+        shown.append(_free_run(partial(figures.validation_figure, validation), "the estimate"))
     shown += _estimates(uncertainty(result), result.nominal.parameters)
     shown += _maps(beside["diagnosis"])
     notes = (*result.reasons, *result.notes)
@@ -170,9 +171,10 @@ def refinement_contents(result: Refinement, beside: Mapping[str, Any]) -> Conten
             tables.append(_table(title, validation_rows(one), (1, 2, 3)))
     shown = [_data(start.records)]
     if result.records:
-        shown.append(_free_run(estimate_figures.refined_runs_figure(result), "both estimates"))
+        runs = partial(estimate_figures.refined_runs_figure, result)
+        shown.append(_free_run(runs, "both estimates"))
     if beside["after"] is not None:
-        held_out = figures.validation_figure(beside["after"])
+        held_out = partial(figures.validation_figure, beside["after"])
         shown.append(_free_run(held_out, "the refined estimate", "held_out"))
     shown += _estimates(uncertainty(result), result.nominal.parameters)
     shown += [_index([(start, "")]), _injection(start)]
@@ -249,14 +251,14 @@ def _discovery_shown(result: Discovery) -> list[Shown]:
     pair = [(declared, "before"), (found, "after")] if result.added else [(declared, "")]
     shown = [
         Shown("effect", "The residual against what it depends on", effect,
-              discovery_figures.effect_figure(result)),
+              partial(discovery_figures.effect_figure, result)),
         Shown("residual", "What the model lacks over time",
               "The injection that the observer needs, less what other parameters could do.",
-              discovery_figures.residual_figure(result)),
+              partial(discovery_figures.residual_figure, result)),
     ]  # fmt: skip
     if result.before is not None:
         which = "the declared and the augmented model" if result.added else "the declared model"
-        shown.append(_free_run(discovery_figures.free_run_figure(result), which))
+        shown.append(_free_run(partial(discovery_figures.free_run_figure, result), which))
     shown += [_injection(declared), _index(pair)]
     shown += _estimates(uncertainty(found), declared.parameters if result.added else {})
     shown.append(_data(declared.records))
@@ -269,21 +271,21 @@ def _data(records: Sequence[Any], name: str = "data", what: str = "fitted") -> S
     more = f" The first of {len(records)} records." if len(records) > 1 else ""
     whose = "As the fit used it" if what == "fitted" else "What judges the fit"
     caption = f"{whose}.{more}"
-    return Shown(name, f"Data, {what}", caption, figures.record_figure(records[0]))
+    return Shown(name, f"Data, {what}", caption, partial(figures.record_figure, records[0]))
 
 
 def _injection(result: Identification) -> Shown:
     caption = "What the model lacked at the nominal parameters, and what is left in the best pass."
     return Shown("injection", "Injection of the first and best pass", caption,
-                 figures.injection_figure(result))  # fmt: skip
+                 partial(figures.injection_figure, result))  # fmt: skip
 
 
 def _index(results: Sequence[tuple[Identification, str]]) -> Shown:
     caption = "Power of the injection, eq. (14): the pass with the smallest one is the answer."
-    return Shown("index", "Index of each pass", caption, figures.index_figure(results))
+    return Shown("index", "Index of each pass", caption, partial(figures.index_figure, results))
 
 
-def _free_run(figure: Any, whose: str, name: str = "free_run") -> Shown:
+def _free_run(figure: Callable[[], Any], whose: str, name: str = "free_run") -> Shown:
     caption = f"Simulation of {whose} without feedback from the measurement, and its error."
     return Shown(name, "Free run against measurement", caption, figure)
 
@@ -291,7 +293,7 @@ def _free_run(figure: Any, whose: str, name: str = "free_run") -> Shown:
 def _estimates(known: Uncertainty, before: Mapping[str, float]) -> list[Shown]:
     if not np.any(np.isfinite(np.diagonal(known.covariance))):
         return []
-    intervals = estimate_figures.interval_figure(known, before)
+    intervals = partial(estimate_figures.interval_figure, known, before)
     shown = [
         Shown("intervals", "Parameters with 95 % intervals",
               "Each panel has a scale of its own.", intervals)
@@ -299,7 +301,7 @@ def _estimates(known: Uncertainty, before: Mapping[str, float]) -> list[Shown]:
     free = sum(error != 0 for error in known.standard_errors.values())
     if free > 1:
         caption = "Near ±1 the records say only how two parameters go together, not what each is."
-        figure = estimate_figures.correlation_figure(known)
+        figure = partial(estimate_figures.correlation_figure, known)
         shown.append(Shown("correlation", "Correlation of the estimates", caption, figure))
     return shown
 
@@ -320,7 +322,7 @@ def _maps(diagnosis: Diagnosis) -> list[Shown]:
             f"map{j}",
             f"Residual of {name} against everything measured",
             "Means of bins with their 95 % band: a shape says what the model lacks depends on.",
-            diagnoses.map_figure(diagnosis, name),
+            partial(diagnoses.map_figure, diagnosis, name),
         )
         for j, name in enumerate(named[:_MOST])
     ]

@@ -108,11 +108,10 @@ def discovery_figures(discovery: Discovery) -> dict[str, Any]:
         against the variable that each effect depends on (against every variable where nothing was
         found); ``free_run``, against the measurement, with its error.
     """
-    return {
-        "residual": residual_figure(discovery),
-        "effect": effect_figure(discovery),
-        "free_run": free_run_figure(discovery),
-    }
+    return {name: draw(discovery) for name, draw in PARTS.items()}
+
+
+PARTS = {"residual": residual_figure, "effect": effect_figure, "free_run": free_run_figure}
 
 
 def _found(discovery: Discovery) -> str:
@@ -197,10 +196,13 @@ def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) 
     # Where the plant sticks only the model without friction is scored: what both score is shown.
     good = np.isfinite(variable) & np.isfinite(taken)
     order = np.argsort(variable[good])
-    bins = np.array_split(np.flatnonzero(good)[order], _BINS)
+    bins = np.array_split(np.flatnonzero(good)[order], np.clip(np.sum(good), 1, _BINS))
+    if not np.any(good):
+        axes.text(0.5, 0.5, "no sample to show", transform=axes.transAxes, ha="center")
+        bins = []
     centre = np.array([np.mean(variable[one]) for one in bins])
     # Every sample is too many points, and hides where most of them are.
-    low, high = np.array([np.quantile(residual[one], (0.1, 0.9)) for one in bins]).T
+    low, high = np.reshape([np.quantile(residual[one], (0.1, 0.9)) for one in bins], (-1, 2)).T
     means = [np.mean(residual[one]) for one in bins]
     axes.fill_between(centre, low, high, color=series(BEFORE), alpha=0.18, linewidth=0)
     label = "residual before: mean, band of 80 %"

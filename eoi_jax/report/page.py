@@ -3,10 +3,11 @@
 import base64
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eoi_jax.report.contents import Contents
+from eoi_jax.report.contents import Contents, Shown
+from eoi_jax.report.drawn import drawn
 from eoi_jax.report.mathml import equation_mathml
 from eoi_jax.report.svg import inline, variables
 
@@ -41,6 +42,7 @@ def page(
     # Only the page's own script may run, whatever a name tries.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     equation = summary.get("equation")
+    figures, lost = _figures(contents.shown)
     parts = {
         "name": summary["name"],
         "verb": verb,
@@ -51,19 +53,11 @@ def page(
         "tables": contents.tables,
         "beneath": contents.beneath,
         "checks": contents.checks,
-        "notes": contents.notes,
+        "notes": (*contents.notes, *lost),
         "added": contents.added,
         "equations": [Markup(one) for one in _equations(equation)],
         "equation_title": "The model with what it lacked" if contents.added else "The model",
-        "figures": [
-            {
-                "name": one.name,
-                "title": one.title,
-                "caption": one.caption,
-                "svg": Markup(inline(one.figure, one.name.replace("_", ""), one.title)),
-            }
-            for one in contents.shown
-        ],
+        "figures": figures,
         "records": _records(summary),
         "versions": summary["versions"],
         "command": command,
@@ -77,6 +71,23 @@ def page(
         light=Markup(_rules({**variables(dark=False), **_LIGHT})),
         dark=Markup(_rules({**variables(dark=True), **_DARK})),
     )
+
+
+def _figures(shown: Sequence[Shown]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Those that can be drawn, and a sentence for each that cannot."""
+    from markupsafe import Markup
+
+    figures, lost = [], []
+    for one in shown:
+        svg = drawn(
+            one.name, lambda one=one: inline(one.figure(), one.name.replace("_", ""), one.title)
+        )
+        if svg is None:
+            lost.append(f"The figure `{one.title}` could not be drawn and is left out.")
+            continue
+        parts = {"name": one.name, "title": one.title, "caption": one.caption}
+        figures.append({**parts, "svg": Markup(svg)})
+    return figures, lost
 
 
 def _prose(text: str) -> Any:
