@@ -398,11 +398,12 @@ def _estimate(one: Experiment, result: Any, index: np.ndarray, scored: int) -> E
     places = [result.plant.names.index(name) for name in names]
     freedom = result.degrees_of_freedom
     freedom = np.full(len(result.plant.names), np.nan) if freedom is None else freedom
-    values = (
+    theta, errors = (
         np.asarray([part[name] for name in names]) / one.units.parameters
         for part in (result.parameters, result.standard_errors)
     )
-    return Estimate(result.status.code, *values, np.asarray(freedom)[places], index, scored)
+    known = np.asarray(freedom)[places]
+    return Estimate(result.status.code, theta, errors, known, index, scored)
 
 
 def violations(base: Estimate, other: Estimate, change: str) -> list[str]:

@@ -75,7 +75,7 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
 
 
 def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
-    """Which records are too short, beside the longest, to have a say in what is chosen.
+    """Which records are too short, or torn, beside others, to have a say in what is chosen.
 
     Args:
         records: of one estimate.

@@ -4,7 +4,11 @@ import warnings
 
 import numpy as np
 
+import pytest
+
 from eoi_command.terminal import debug, failures
+
+pytestmark = pytest.mark.filterwarnings("default")  # not errors, as everywhere else in the tests
 
 
 def test_a_warning_is_a_line_said_once(capsys):

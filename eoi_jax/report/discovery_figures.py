@@ -196,7 +196,7 @@ def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) 
     # Where the plant sticks only the model without friction is scored: what both score is shown.
     good = np.isfinite(variable) & np.isfinite(taken)
     order = np.argsort(variable[good])
-    bins = np.array_split(np.flatnonzero(good)[order], np.clip(np.sum(good), 1, _BINS))
+    bins = np.array_split(np.flatnonzero(good)[order], int(np.clip(np.sum(good), 1, _BINS)))
     if not np.any(good):
         axes.text(0.5, 0.5, "no sample to show", transform=axes.transAxes, ha="center")
         bins = []
