@@ -135,8 +135,8 @@ def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str
             f"than {_TELLS:g} time constants of the filter"
         )
 
-    each = zip(records, too_short(records, cutoff), strict=True)
-    return [f"{one.name}: {why(one)}: {what}" for one, short in each if short]
+    brief = too_short(records, cutoff)
+    return [f"{one.name}: {why(one)}: {what}" for i, one in enumerate(records) if brief[i]]
 
 
 def _cutoff(

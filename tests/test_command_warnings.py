@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-
 import pytest
 
 from eoi_command.terminal import debug, failures
