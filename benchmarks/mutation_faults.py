@@ -36,6 +36,7 @@ ROOMS = {
     "engines": "engines",
     "ground": "checks types results backend store blas unfinished schema",
 }
+REST = "ground"
 ROOM = {name: room for room, names in ROOMS.items() for name in names.split()}
 
 # Only changes that still compute: the tool's others (a shift of floats, `is` of numbers) raise at
@@ -127,17 +128,15 @@ def modules(root: Path) -> dict[str, list[Path]]:
         root: the repository.
 
     Returns:
-        Sorted paths by room.
-
-    Raises:
-        KeyError: for a module that belongs to no room.
+        Sorted paths by room; a module that no room names is of the ground.
     """
     rooms: dict[str, list[Path]] = defaultdict(list)
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             parts = path.relative_to(root).with_suffix("").parts
             if path.stem not in ("__init__", "__main__") or package == "eoi_command":
-                rooms[ROOM[parts[0] if package == "eoi_command" else parts[1]]].append(path)
+                name = parts[0] if package == "eoi_command" else parts[1]
+                rooms[ROOM.get(name, REST)].append(path)
     return dict(rooms)
 
 
@@ -145,14 +144,17 @@ def _cannot_matter(node: Any, operator: str, in_report: bool) -> bool:
     """A type annotation, a decorator, an `assert`, `strict=` of `zip`, a figure's looks, a nudge.
 
     Assertions narrow types for the checker; `strict` says again what holds already; a nudge changes
-    a constant of the module, such as a count of trials, by a tenth or less.
+    a constant of the module or a default, such as a count of trials, by a tenth or less.
     """
     child, parent = node, node.parent
     if node.type == "assert_stmt":
         return True
     if parent is not None and parent.type in ("parameters", "typedargslist", "lambdef"):
         return True  # the star of a signature, no product
-    outside = parent is not None and parent.search_ancestor("funcdef", "lambdef") is None
+    outside = parent is not None and (
+        parent.search_ancestor("funcdef", "lambdef") is None
+        or (parent.type == "param" and node is parent.default)
+    )
     if outside and operator == "core/NumberReplacer" and abs(ast.literal_eval(node.value)) >= 10:
         return True
     while parent is not None:

@@ -14,6 +14,7 @@ TEXT = '''\
 """A module."""
 
 LIMIT, WAIT = 3, 0.5
+TRIES = 40
 
 
 class Tank:
@@ -21,7 +22,7 @@ class Tank:
 
     level: float = 1.0
 
-    def outflow(self, rate: float | None = 2.0, *, below=0) -> float:
+    def outflow(self, rate: float | None = 2.0, *, below=0, most=50) -> float:
         """What leaves it."""
         assert rate is not None
         for _ in range(2):
@@ -38,21 +39,20 @@ def test_every_module_belongs_to_a_room():
     assert set(rooms) == set(mutation_faults.ROOMS)
     count = sum(len(paths) for paths in rooms.values())
     assert count > 180
-    assert len(set(mutation_faults.ROOM)) == sum(
-        len(names.split()) for names in mutation_faults.ROOMS.values()
-    )
+    twice = sum(len(names.split()) for names in mutation_faults.ROOMS.values())
+    assert len(mutation_faults.ROOM) == twice  # no module in two rooms
 
 
 @pytest.mark.parametrize(
     ("row", "inside", "rows", "names"),
     [
         (3, False, range(3, 4), {"LIMIT", "WAIT"}),
-        (9, False, range(9, 10), {"Tank", "level"}),
-        (11, False, range(11, 12), {"outflow"}),
-        (13, True, range(13, 14), None),
+        (10, False, range(10, 11), {"Tank", "level"}),
+        (12, False, range(12, 13), {"outflow"}),
         (14, True, range(14, 15), None),
         (15, True, range(15, 16), None),
-        (17, True, range(16, 19), None),
+        (16, True, range(16, 17), None),
+        (18, True, range(17, 20), None),
     ],
 )
 def test_the_statement_around_a_change_is_known(row, inside, rows, names):
@@ -66,7 +66,8 @@ def test_faults_stand_where_they_can_matter_and_are_found_again():
     pytest.importorskip("cosmic_ray")
     found = mutation_faults._faults(TEXT, "eoi_jax/tank.py", "models")
     lines = {where.first for where in found.values()}
-    assert lines == {3, 9, 11, 14, 15, 16, 17, 19}  # neither annotation nor assertion
+    # Neither annotations nor assertions, and no nudges of a constant or a default.
+    assert lines == {3, 10, 12, 15, 16, 17, 18, 20}
     moved = TEXT.replace("class Tank", "\n\nclass Tank")
     for fault in found:
         changed = mutation_faults.mutated(moved, fault)
