@@ -46,6 +46,20 @@ def test_jitter_beyond_the_clock_s_digits_asks_for_interpolation():
     assert uniform_grid(stamps).index is None
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 250.0])
+def test_a_grid_between_stamps_ends_within_a_period_of_the_last_one(scale):
+    """Whatever the unit of time: jitter about a line, and spacings that follow no line."""
+    draw = np.random.default_rng(1)
+    for spacing in (draw.uniform(0.7, 1.3, 500), draw.uniform(0.5, 2.0, 500)):
+        stamps = scale * (3.0 + np.cumsum(spacing))
+        grid = uniform_grid(stamps)
+        assert grid.index is None
+        np.testing.assert_allclose(np.diff(grid.time), grid.sample_period, rtol=1e-9)
+        assert stamps[0] <= grid.time[0] < stamps[0] + grid.sample_period
+        rest = (stamps[-1] - grid.time[-1]) / grid.sample_period
+        assert -1e-6 < rest < 1.0 + 1e-6
+
+
 def test_jitter_just_below_the_tolerance_is_no_jitter():
     rng = np.random.default_rng(0)
     noise = rng.uniform(-1, 1, 1000)

@@ -71,6 +71,10 @@ def test_units_come_from_their_row_or_from_the_names(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t,u,y\n[s],[V],[rad]\n" + rows())
     assert read_table(path).units == {"t": "s", "u": "V", "y": "rad"}
+    path.write_text("t,u,y\n[s],[V],[V]\n" + rows())  # units may repeat, names may not
+    assert read_table(path).units == {"t": "s", "u": "V", "y": "V"}
+    path.write_text("t,t,y\nt,u,y\n" + rows())
+    assert list(read_table(path).columns) == ["t", "u", "y"]
     path.write_text("t [ms],u (V),y[2]\n" + rows())
     assert read_table(path).units == {"t [ms]": "ms", "u (V)": "V"}
 
@@ -176,6 +180,21 @@ def test_times_of_day_go_on_over_midnight(tmp_path):
     path.write_text("clock,y\n" + "\n".join(lines))
     np.testing.assert_allclose(read_record(path, "clock", (), "y").time, np.arange(N), atol=1e-9)
     assert "over 1 midnight" in " ".join(read_table(path).notes)
+
+
+@pytest.mark.parametrize(("back", "nights"), [(11.5, 0), (12.5, 1)])
+def test_a_clock_that_is_set_back_by_less_than_half_a_day_is_over_no_midnight(
+    tmp_path, back, nights
+):
+    hours = [20.0, 20.5, 20.5 - back, 21.0 - back, *(21.0 - back + 0.1 * np.arange(1, 20))]
+    path = tmp_path / "run.csv"
+    lines = [f"{int(one)}:{round(60 * (one % 1)):02d}:00,{k}" for k, one in enumerate(hours)]
+    path.write_text("clock,y\n" + "\n".join(lines))
+    table = read_table(path)
+    elapsed = (table.columns["clock"] - table.columns["clock"][0]).astype(float) / 3.6e12
+    np.testing.assert_allclose(elapsed, np.array(hours) - 20.0 + 24.0 * nights * (
+        np.arange(len(hours)) > 1), atol=1e-9)  # fmt: skip
+    assert ("midnight" in " ".join(table.notes)) == bool(nights)
 
 
 def test_what_begins_like_dates_and_is_not_is_said(tmp_path):
