@@ -156,6 +156,21 @@ def test_common_index_does_not_know_the_method(plant, record, truth):
     assert found["one"].index < found["plain_explicit"].index
 
 
+def test_scores_of_an_answer_are_those_of_validate_and_of_its_distance_to_the_truth(
+    plant, record, held
+):
+    """Relative to the truth's size, whatever its sign; to one where it is zero."""
+    values = {"alpha": 150.0, "beta": 12.0, "rho": 1.5}
+    truth = {"alpha": -200.0, "beta": 0.0, "rho": 2.0}
+    found = eoi.compare(plant, record, held, truth, [Given("given", values)])
+    assert found["given"].errors == {"alpha": 1.75, "beta": 12.0, "rho": -0.25}
+    at = plant.with_parameters(values)
+    np.testing.assert_allclose(found["given"].rmse, eoi.validate(at, held).rmse, rtol=1e-9)
+    assert found.window is not None
+    windows = eoi.validate(at, held, window=found.window).rmse
+    np.testing.assert_allclose(found["given"].windows, windows, rtol=1e-9)
+
+
 # -- whatever a method does -----------------------------------------------------------------------
 
 
