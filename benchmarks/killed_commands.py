@@ -25,7 +25,7 @@ from pathlib import Path
 from common import ROOT, Report, arguments, table
 
 COUNT = 50  # of each command
-COMMANDS = ("discover", "refine", "report", "sweep")
+COMMANDS = ("report", "sweep", "refine", "discover")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
 START = (sys.executable, "-c", "from eoi_command import main; main()")
 MARK = "mark"  # a file beside those of the run that stands already
@@ -39,14 +39,15 @@ plant = "mass_spring_damper"
 cutoff = 40.0
 
 [identify]
-passes = 4
+passes = 2
 
 [discover]
 effects = ["coulomb_friction"]
+most = 1
 
 [simulate]
 sample_period = 0.005
-duration = 6.0
+duration = 4.0
 increments = { alpha = -20.0, beta = -2.0, rho = -0.2 }
 effects = { coulomb_friction = 0.3 }
 noise = { position = 1e-4 }
@@ -63,7 +64,7 @@ amplitude = 0.8
 frequency = 0.7
 
 [sweep]
-observers = [{ kind = "second_order", gains = { c1 = 20.0, c2 = 100.0, c3 = { low = 50.0, high = 5000.0, count = 40 } } }]
+observers = [{ kind = "second_order", gains = { c1 = 20.0, c2 = 100.0, c3 = { low = 50.0, high = 5000.0, count = 12 } } }]
 chunk = 4
 """  # noqa: E501
 
@@ -291,6 +292,7 @@ def main() -> int:
                 rows.append([command, number.name, kills, ends, stands, one.leftovers,
                              len(one.wrong)])  # fmt: skip
                 wrong += [f"{command}, {number.name}: {text}" for text in one.wrong]
+                print(rows[-1], *wrong, file=sys.stderr, flush=True)
     report.add(
         "Exit status: 0 where the command was done before, 130 where it ended itself, negative "
         "where the signal did (always for SIGKILL; for the others while Python is starting). "

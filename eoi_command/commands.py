@@ -10,10 +10,12 @@ from typing import Annotated, Any
 import typer
 
 from eoi_command.options import (
+    MAX_GIGABYTES,
     RUNS,
     AsJson,
     Data,
     DataFile,
+    MaxGigabytes,
     Output,
     Quiet,
     Run,
@@ -171,11 +173,12 @@ def sweep(
 def inspect(
     file: DataFile,
     output: Output = RUNS,
+    max_gigabytes: MaxGigabytes = MAX_GIGABYTES,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Look at a data file before anything is configured: a table, and a picture."""
-    _answer(as_json, quiet, lambda cli, shown: cli.inspect(file, output, shown))
+    _answer(as_json, quiet, lambda cli, shown: cli.inspect(file, output, shown, max_gigabytes))
 
 
 @app.command(
@@ -195,11 +198,12 @@ def init(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a config that is there.")] = False,
+    max_gigabytes: MaxGigabytes = MAX_GIGABYTES,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Write a commented config for a data file; it runs as it is, and says what is guessed."""
-    _answer(as_json, quiet, lambda cli, _: cli.init(file, output, force))
+    _answer(as_json, quiet, lambda cli, _: cli.init(file, output, force, max_gigabytes))
 
 
 @app.command(

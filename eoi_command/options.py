@@ -88,3 +88,7 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print only where the result was written.")]
+MaxGigabytes = Annotated[
+    float, typer.Option(help="What a compressed file may unpack to; inf for no limit.")
+]
+MAX_GIGABYTES = 4.0  # as in `eoi_jax.data.limits`, which would import JAX

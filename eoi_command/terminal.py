@@ -6,7 +6,6 @@ Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data
 import contextlib
 import json
 import os
-import re
 import signal
 import sys
 import threading
@@ -27,8 +26,6 @@ _AGAIN = 0.5  # seconds; cleaning up takes less
 _BARS: list[Any] = []  # that are on the terminal now
 
 _DEBUGGED = [False]
-# Characters that a terminal obeys: control characters, and what turns the direction of writing.
-_ESCAPED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 _WrongCall: Any = typer.BadParameter.__base__  # whichever click it is that typer is built on
 _ClickError: Any = _WrongCall.__base__
@@ -170,7 +167,8 @@ def say(text: object, err: bool = False) -> None:
         err: on stderr.
     """
     stream = sys.stderr if err else sys.stdout
-    line = _ESCAPED.sub(lambda one: repr(one[0])[1:-1], str(text))
+    shown = (one if one.isprintable() or one in "\n\t" else repr(one)[1:-1] for one in str(text))
+    line = "".join(shown)
     line = line.encode(stream.encoding or "utf-8", "backslashreplace").decode(
         stream.encoding or "utf-8", "replace"
     )

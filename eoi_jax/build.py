@@ -247,6 +247,7 @@ def _read(
             hold=table.hold,
             burn_in=table.burn_in,
             slice=table.slice,
+            max_gigabytes=table.max_gigabytes,
         )
         for file in table.files
     ]

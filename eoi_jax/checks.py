@@ -6,6 +6,7 @@ to do. All raise `ValueError`, so that a caller needs one `except`.
 
 import difflib
 from collections.abc import Iterable, Sequence
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -126,6 +127,19 @@ def check_choice(name: str, value: str, known: Iterable[str]) -> None:
     )
 
 
+def printable(text: str, keep: str = "") -> str:
+    """A text with whatever does not print as its code: a terminal would obey some of it.
+
+    Args:
+        text: of any origin.
+        keep: characters that stay as they are.
+    """
+    if text.isprintable():
+        return text
+    shown = (one if one.isprintable() or one in keep else repr(one)[1:-1] for one in text)
+    return "".join(shown)
+
+
 def _short(value: object) -> str:
-    text = str(value)
+    text = printable(str(value), "" if isinstance(value, str | PurePath) else "\n")
     return text if len(text) <= 200 else text[:197] + "..."

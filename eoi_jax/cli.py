@@ -15,6 +15,7 @@ from eoi_jax import backend, build, pages, runs, summaries
 from eoi_jax import config as configs
 from eoi_jax.batch.best import best
 from eoi_jax.checks import check
+from eoi_jax.data.limits import MAX_GIGABYTES
 from eoi_jax.discover import discover as run_discovery
 from eoi_jax.discovery import Discovery
 from eoi_jax.draft import checked, draft
@@ -218,13 +219,16 @@ def sweep(
     return Ending(summary, text, folder)
 
 
-def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
+def inspect(
+    path: Path, output: Path, shown: Shown | None, max_gigabytes: float = MAX_GIGABYTES
+) -> Ending:
     """Look at a data file before anything is configured.
 
     Args:
         path: of the file.
         output: folder that a folder with the picture goes into.
         shown: is told how far the work is.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
 
     Returns:
         How it ended.
@@ -236,7 +240,7 @@ def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
     runs.check_place(folder, "file")
     if shown is not None:
         shown("reading", 0, None, "")
-    found = look(path)
+    found = look(path, max_gigabytes)
     if shown is not None:
         shown("drawing", 0, None, "")
     summary, text = found.summary(), str(found)
@@ -244,13 +248,16 @@ def inspect(path: Path, output: Path, shown: Shown | None) -> Ending:
     return Ending(summary, text, folder)
 
 
-def init(path: Path, target: Path | None, force: bool) -> Ending:
+def init(
+    path: Path, target: Path | None, force: bool, max_gigabytes: float = MAX_GIGABYTES
+) -> Ending:
     """Write a config for a data file: one that runs as it is, with every guess said.
 
     Args:
         path: of the data file.
         target: of the config; None: named after the file, in the working folder.
         force: replace a config that is there.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
 
     Returns:
         How it ended.
@@ -264,7 +271,7 @@ def init(path: Path, target: Path | None, force: bool) -> Ending:
     check(not goal.is_dir(), "--output", "must be a file", goal)
     runs.check_place(goal, "--output")
     with runs.quiet_records():
-        found = look(path)
+        found = look(path, max_gigabytes)
         text = checked(draft(found, goal), goal)
 
     def fill(new: Path) -> None:

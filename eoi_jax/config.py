@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from eoi_jax.checks import check
+from eoi_jax.data.limits import MAX_GIGABYTES
 from eoi_jax.equations.model import ModelTable
 from eoi_jax.schema import struct
 
@@ -19,7 +20,7 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Gain = Positive | tuple[Positive, ...]
 # The name becomes a folder under runs/: nothing that could leave it or hide in it.
-FolderName = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
 
 
 class ParameterTable(msgspec.Struct, frozen=True):
@@ -290,6 +291,7 @@ class DataTable(msgspec.Struct, frozen=True):
         slice: first and last (excluded) sample used.
         hold: what the input did between samples: zero, linear, smooth, or auto.
         burn_in: not scored at the start [s].
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; inf for no limit.
     """
 
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -302,6 +304,7 @@ class DataTable(msgspec.Struct, frozen=True):
     slice: tuple[int, int] | None = None
     hold: Literal["auto", "zero", "linear", "smooth"] = "auto"
     burn_in: NotNegative = 0.0
+    max_gigabytes: Positive = MAX_GIGABYTES
 
 
 class Config(msgspec.Struct, frozen=True):

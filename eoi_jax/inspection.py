@@ -16,8 +16,10 @@ from jaxtyping import Float
 from eoi_jax.checks import RecordWarning, check
 from eoi_jax.data.clock import Clock, find_clock
 from eoi_jax.data.ingest import SHORTEST
+from eoi_jax.data.limits import MAX_GIGABYTES
 from eoi_jax.data.readers import read_table
 from eoi_jax.data.record import Record
+from eoi_jax.data.resample import Real
 from eoi_jax.data.saturation import saturations
 from eoi_jax.data.table import Table
 
@@ -149,11 +151,12 @@ class Inspection:
         save(self, path)
 
 
-def inspect(path: str | Path) -> Inspection:
+def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection:
     """Look at a file before anything is configured.
 
     Args:
         path: a file of a kind that `read_record` knows.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
 
     Returns:
         Its columns, its clock, and guesses of what is what: time [s], inputs and outputs.
@@ -163,7 +166,7 @@ def inspect(path: str | Path) -> Inspection:
             without a column of numbers of at least 8 rows.
     """
     path = Path(path)
-    table = read_table(path)
+    table = read_table(path, max_gigabytes)
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
     clock = find_clock(table, numbers)
@@ -171,7 +174,7 @@ def inspect(path: str | Path) -> Inspection:
         clock = _said_period(table, clock)
     channels = [
         _channel(key, values, table, clock, numbers)
-        for key, values in _split(table.columns).items()
+        for key, values in table.columns.items()
         if len(values) == samples
     ]
     channels = _with_roles(channels, table, clock, numbers)
@@ -189,7 +192,7 @@ def inspect(path: str | Path) -> Inspection:
 
 def _said_period(table: Table, clock: Clock) -> Clock:
     """The sample period that a file without time says in a column or variable of its own."""
-    for key, values in _split(table.columns).items():
+    for key, values in table.columns.items():
         word = key.rsplit(".", 1)[-1].lower().replace("_", "")
         if values.dtype.kind not in "iuf" or word not in _PERIODS | _RATES:
             continue
@@ -203,7 +206,7 @@ def _said_period(table: Table, clock: Clock) -> Clock:
 def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]]:
     """The columns of numbers and dates of one length, in float64."""
     found = {}
-    for key, values in _split(table.columns).items():
+    for key, values in table.columns.items():
         if len(values) != samples:
             continue
         if values.dtype.kind in "Mm":
@@ -213,20 +216,9 @@ def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]
     return found
 
 
-def _split(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Matrices as the columns that they hold, by the names that `read_record` has for them."""
-    flat = {}
-    for key, values in columns.items():
-        if values.ndim == 1:
-            flat[key] = values
-        else:
-            flat |= {f"{key}[{j}]": values[:, j] for j in range(values.shape[1])}
-    return flat
-
-
 def _samples(path: Path, table: Table) -> int:
     """The length that the most columns of numbers have, and the longer one of two."""
-    lengths = [len(one) for one in _split(table.columns).values() if one.dtype.kind in "biufMm"]
+    lengths = [len(one) for one in table.columns.values() if one.dtype.kind in "biufMm"]
     check(
         len(lengths) > 0,
         "path",
@@ -248,7 +240,7 @@ def _samples(path: Path, table: Table) -> int:
 
 _KINDS = {
     "f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "truth values",
-    "M": "dates", "m": "times of day",
+    "M": "dates", "m": "times of day", "c": "complex numbers",
 }  # fmt: skip
 
 

@@ -227,8 +227,8 @@ def record_from_benchmark(
     unscored = getattr(data, "state_initialization_window_length", None) or 0
     return Record.from_period(
         float(period[0]),
-        np.asarray(data.u, dtype=float),
-        np.asarray(data.y, dtype=float),
+        np.asarray(data.u),
+        np.asarray(data.y),
         str(getattr(data, "name", "") or "benchmark"),
         input_names=input_names,
         output_names=output_names,

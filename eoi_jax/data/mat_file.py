@@ -18,7 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.data.table import Columns, Table
+from eoi_jax.data.hdf5_file import Walk
+from eoi_jax.data.limits import Allowance
+from eoi_jax.data.mat5_scan import check_sizes
+from eoi_jax.data.table import Columns, Table, add_columns
 
 _SAVE = {
     "iddata": "z = get({name}); save('run.mat', '-struct', 'z')",
@@ -37,6 +40,7 @@ _OTHER = "s = struct({name}); save('run.mat', '-struct', 's')"
 class _Found:
     """What a walk through a file's variables collects."""
 
+    allowance: Allowance
     columns: Columns = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -46,23 +50,26 @@ class _Found:
     outputs: list[str] = field(default_factory=list)
 
 
-def read_mat(path: Path) -> Table:
+def read_mat(path: Path, allowance: Allowance) -> Table:
     """The columns of a MAT file of any version.
 
     Args:
         path: of the file.
+        allowance: bytes that it may unpack to.
 
     Raises:
         ValueError: it holds nothing but objects of MATLAB; the message has the line that saves
-            what is in them.
+            what is in them. It unpacks to more than is allowed.
     """
+    import h5py
     from scipy.io import loadmat
 
-    found = _Found()
-    try:
+    found = _Found(allowance)
+    if h5py.is_hdf5(path):  # version 7.3
+        content = _from_hdf5(path, allowance, found.notes)
+    else:
+        check_sizes(path, allowance)
         content = loadmat(path, simplify_cells=True)
-    except NotImplementedError:  # version 7.3 is an HDF5 file
-        content = _from_hdf5(path)
     _walk({key: value for key, value in content.items() if not key.startswith("__")}, "", found)
     if not found.columns and found.objects:
         raise ValueError(" ".join(found.objects.values()))
@@ -91,6 +98,9 @@ def _walk(content: Mapping[str, Any], prefix: str, found: _Found) -> None:
         if kind is not None:
             own, kind = (_own_name(value) or name), kind
             found.objects[own] = _advice(own, kind)
+        elif hasattr(value, "toarray"):  # a sparse matrix
+            found.allowance.take(8.0 * float(value.shape[0]) * float(value.shape[1]))
+            add_columns(found.columns, found.notes, name, value.toarray())
         elif isinstance(value, Mapping):
             _walk(value, f"{name}.", found)
         elif isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
@@ -161,7 +171,10 @@ def _only(value: Any) -> Any:
 
 def _matrix(values: Any, count: int | None = None) -> np.ndarray:
     """Channels as columns; a single sample row of several channels is told from one channel."""
-    array = np.asarray(values, dtype=float)
+    array = np.asarray(values)
+    if array.dtype.kind == "c":
+        raise ValueError("its iddata object is complex; save its real and imaginary parts apart")
+    array = array.astype(float)
     if array.size == 0:
         return np.zeros((count or 0, 0))
     if array.ndim < 2:
@@ -242,30 +255,41 @@ class _Opaque:
 # -- version 7.3 --------------------------------------------------------------------------
 
 
-def _from_hdf5(path: Path) -> dict[str, Any]:
+def _from_hdf5(path: Path, allowance: Allowance, notes: list[str]) -> dict[str, Any]:
     """The same nested dictionary that scipy makes of the older versions."""
     import h5py
 
     with h5py.File(path, "r") as file:
-        return {str(key): _item(file, file[key]) for key in file if not str(key).startswith("#")}
+        walk = Walk(file, allowance, notes)
+        members = walk.members(file, "")
+        return {key: _item(file, key, one, walk) for key, one in members if not key.startswith("#")}
 
 
-def _item(file: Any, item: Any) -> Any:
+def _item(file: Any, name: str, item: Any, walk: Walk) -> Any:
     import h5py
 
     if isinstance(item, h5py.Group):
-        return {key: _item(file, item[key]) for key in item}
+        members = walk.members(item, f"{name}.")
+        return {key: _item(file, f"{name}.{key}", one, walk) for key, one in members}
+    if not isinstance(item, h5py.Dataset):
+        return np.zeros(0)
     kind = item.attrs.get("MATLAB_class", b"")
-    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    kind = kind.decode(errors="replace") if isinstance(kind, bytes) else str(kind)
     if "MATLAB_object_decode" in item.attrs and kind not in ("", "char", "cell", "struct"):
         return _Opaque(kind)
     if item.attrs.get("MATLAB_empty", 0):
         return "" if kind == "char" else np.zeros(0)
-    values = np.asarray(item[()])
-    if kind == "char":
-        return "".join(chr(one) for one in values.T.ravel())
+    values = walk.values(name, item)
+    if values is None:
+        return np.zeros(0)
+    if kind == "char" and values.dtype.kind in "iu":
+        return values.T.astype("<u4").tobytes().decode("utf-32-le", errors="replace")
     if h5py.check_ref_dtype(values.dtype) is not None:  # a cell
-        return [_item(file, file[one]) for one in values.T.ravel()]
+        cells = [file[one] if one else None for one in values.T.ravel()]
+        return [_item(file, f"{name}{{{i + 1}}}", one, walk) if one is not None and walk.is_new(one)
+                else np.zeros(0) for i, one in enumerate(cells)]  # fmt: skip
+    if values.dtype.names is not None and set(values.dtype.names) == {"real", "imag"}:
+        return (values["real"] + 1j * values["imag"]).T
     return values.T
 
 
@@ -273,24 +297,20 @@ def _item(file: Any, item: Any) -> Any:
 
 
 def _array(value: Any) -> np.ndarray:
-    try:
-        return np.asarray(value)
-    except ValueError:  # a cell of entries of different sizes
-        return np.asarray([str(one) for one in value])
+    if isinstance(value, list):
+        return _cell(value)
+    return np.asarray(value)
 
 
-def add_columns(columns: Columns, notes: list[str], key: str, values: np.ndarray) -> None:
-    """Scalars, vectors and matrices; samples run along a matrix's longer axis.
-
-    Args:
-        columns: that get one more.
-        notes: that get a sentence where an array has too many axes.
-        key: its name.
-        values: the array.
-    """
-    values = np.atleast_1d(np.squeeze(values))
-    if values.ndim <= 2:
-        wide = values.ndim == 2 and values.shape[0] < values.shape[1]
-        columns[key] = values.T if wide else values
-    else:
-        notes.append(f"`{key}` of shape {values.shape} has more than two axes: left out.")
+def _cell(entries: list[Any]) -> np.ndarray:
+    """Vectors of one length as the columns of a matrix, numbers and texts as a column."""
+    arrays = [np.squeeze(one) if isinstance(one, np.ndarray) else one for one in entries]
+    lengths = {one.shape if isinstance(one, np.ndarray) else () for one in arrays}
+    if len(lengths) == 1 and all(np.ndim(one) < 2 for one in arrays):
+        kinds = {np.asarray(one).dtype.kind for one in arrays}
+        if kinds <= set("biufc"):
+            return np.stack([np.asarray(one) for one in arrays], axis=-1)
+    values = np.empty(len(arrays), dtype=object)
+    for i, one in enumerate(arrays):
+        values[i] = one if isinstance(one, str) else f"an entry of shape {np.shape(one)}"
+    return values

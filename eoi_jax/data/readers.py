@@ -1,24 +1,29 @@
 """From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ, Excel.
 
-A reader turns a file into columns by name, each (N,) or, for a matrix variable, (N, k). Its
-columns are then reached as ``name[0]`` … ``name[k-1]``.
+A reader turns a file into columns by name, each (N,). Those of a matrix variable are called
+``name[0]`` … ``name[k-1]``.
 """
 
 import re
-import zipfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check, check_choice, check_kind, check_positive
-from eoi_jax.data.mat_file import add_columns, read_mat
+from eoi_jax.checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax.data.archive import read_arrays
+from eoi_jax.data.excel_file import read_excel
+from eoi_jax.data.hdf5_file import read_hdf5
+from eoi_jax.data.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.mat_file import read_mat
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import Real
-from eoi_jax.data.table import Columns, Table
-from eoi_jax.data.text_table import line_of, read_lines, read_text
+from eoi_jax.data.table import Columns, Table, add_columns
+from eoi_jax.data.text_table import line_of, read_text
+
+_SHOWN = 300  # characters of what a library says of a damaged file
 
 
 def read_record(
@@ -34,6 +39,7 @@ def read_record(
     burn_in: Real = 0.0,
     slice: tuple[int, int | None] | None = None,
     renames: Mapping[str, str] | Mapping[int, str] | None = None,
+    max_gigabytes: Real = MAX_GIGABYTES,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -58,6 +64,7 @@ def read_record(
         slice: ``(start, stop)``, the only samples to be taken; stop may be None. Time stays as it
             is in the file, or counts from the file's first sample.
         renames: ``{column: name in the record}``.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
 
     Returns:
         The record, with `notes` on whatever was done to it.
@@ -65,12 +72,13 @@ def read_record(
     Raises:
         ValueError: a file that is missing, of an unknown kind or not what its name says; a column
             that is unknown, not numeric or of another length; no stamps and no sample period;
-            a `scale`, `units` or `renames` for a column that is not read; whatever `Record` finds.
+            a `scale`, `units` or `renames` for a column that is not read; a file that unpacks to
+            more than `max_gigabytes`; whatever `Record` finds.
     """
     path = Path(path)
     _known_suffix(path)
     _check_clock(time, sample_period)
-    table = read_table(path)
+    table = read_table(path, max_gigabytes)
     columns = table.columns
     clock = None if time is None else _named("time", time)
     u_columns, y_columns = _all_named("inputs", inputs), _all_named("outputs", outputs)
@@ -111,7 +119,7 @@ def read_record(
 def _named(field: str, column: str | int) -> str:
     """A column's name; columns without one are called by their numbers."""
     check_kind(field, column, (str, int, np.integer), "the name of a column, or its number")
-    return str(column)
+    return printable(str(column))
 
 
 def _all_named(field: str, given: str | int | Sequence[str | int]) -> list[str]:
@@ -153,26 +161,18 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
     if path.suffix.lower() == ".mat" and key not in columns:
         key = key.replace("/", ".")  # as in the HDF5 file that a new MAT file is
     if key in columns:
-        values = columns[key]
-        check(
-            values.ndim == 1,
-            field,
-            f"must name one column of {path}",
-            f"`{key}` of shape {values.shape}",
-            f"Write {key}[0] for the first one.",
-        )
-        return values
+        return columns[key]
+    wide = sum(re.fullmatch(re.escape(key) + r"\[\d+\]", one) is not None for one in columns)
+    shape = f"`{key}` of shape ({len(columns[f'{key}[0]'])}, {wide})" if wide else ""
+    advice = f"Write {key}[0] for the first one."
+    check(not wide, field, f"must name one column of {path}", shape, advice)
     match = re.fullmatch(r"(.+)\[(\d+)\]", key)
-    if match and match[1] in columns:
-        matrix = columns[match[1]]
-        wide = matrix.shape[1] if matrix.ndim == 2 else 1
-        check(
-            int(match[2]) < wide,
-            field,
-            f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}",
-            key,
-        )
-        return matrix.reshape(len(matrix), wide)[:, int(match[2])]
+    if match and (match[1] in columns or f"{match[1]}[0]" in columns):
+        if match[1] in columns and int(match[2]) == 0:
+            return columns[match[1]]
+        wide = sum(one.startswith(f"{match[1]}[") for one in columns) or 1
+        rule = f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}"
+        check(False, field, rule, key)
     owner = next((one for one in table.objects if f"{key}.".startswith(f"{one}.")), None)
     check(
         owner is None,
@@ -200,6 +200,9 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         return (values - values[0]) / np.timedelta64(1, "s")
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
+    advice = "Save its real and imaginary parts, or its size and phase, as columns of their own."
+    rule = f"must be a real column of {path}"
+    check(values.dtype.kind != "c", key, rule, "complex numbers", advice)
     for row, value in enumerate(values.tolist()):
         try:
             float("nan" if value is None else value)
@@ -254,27 +257,60 @@ def _known_suffix(path: Path) -> str:
     return suffix
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
     """Everything that is in a file, before anything is chosen from it.
 
     Args:
         path: a file of a kind that `read_record` knows.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+
+    Returns:
+        Its columns; in their names, whatever does not print stands as its code.
 
     Raises:
-        ValueError: a file that is missing, of an unknown kind or not what its name says.
+        ValueError: a file that is missing, of an unknown kind or not what its name says, or one
+            that unpacks to more than `max_gigabytes`.
     """
     path = Path(path)
     suffix = _known_suffix(path)
+    allowance = Allowance(max_gigabytes)
     try:
-        table = _READERS[suffix](path)
-    except MemoryError:
-        raise
+        with warnings.catch_warnings():  # of the libraries, about damage that they go on with
+            warnings.simplefilter("ignore")
+            table = _READERS[suffix](path, allowance)
     except Exception as failure:  # each library raises its own kinds for a damaged file
-        cause = str(failure).splitlines()[0] if str(failure) else type(failure).__name__
-        check(False, "path", f"must be a readable {suffix} file", path, f"The reader says: {cause}")
+        rule = f"must be a readable {suffix} file"
+        check(False, "path", rule, path, f"The reader says: {_cause(failure)}")
         raise
     check(bool(table.columns), "path", "must hold columns", path)
-    return table
+    return _printable(table)
+
+
+def _cause(failure: Exception) -> str:
+    if isinstance(failure, MemoryError):
+        return "it needs more memory than there is"
+    if isinstance(failure, RecursionError):
+        return "it is nested too deeply"
+    lines = str(failure).splitlines()
+    return printable(lines[0][:_SHOWN]) if lines else type(failure).__name__
+
+
+def _printable(table: Table) -> Table:
+    """The same under names that a terminal and a figure can show."""
+    clear = {key: printable(key) for key in table.columns}
+    changed = [shown for key, shown in clear.items() if shown != key]
+    if not changed:
+        return table
+    note = f"What does not print in a name stands as its code: {', '.join(changed[:5])}."
+    return Table(
+        {clear[key]: values for key, values in table.columns.items()},
+        {clear.get(key, printable(key)): printable(unit) for key, unit in table.units.items()},
+        (*map(printable, table.notes), note),
+        {printable(key): printable(said) for key, said in table.objects.items()},
+        None if table.time is None else clear.get(table.time),
+        tuple(clear[key] for key in table.inputs),
+        tuple(clear[key] for key in table.outputs),
+    )
 
 
 def _stem(path: Path) -> str:
@@ -282,73 +318,46 @@ def _stem(path: Path) -> str:
     return Path(stem).stem
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path, allowance: Allowance) -> Table:
     import pandas as pd
+    import pyarrow.parquet
 
+    with pyarrow.parquet.ParquetFile(path) as file:
+        known = file.metadata
+        sizes = (known.row_group(i).total_byte_size for i in range(known.num_row_groups))
+        # A column of one value takes no room in the file, and eight bytes a row in memory.
+        allowance.take(max(sum(sizes), 8.0 * known.num_rows * known.num_columns))
     table = pd.read_parquet(path)
-    return Table({str(key): table[key].to_numpy() for key in table.columns})
-
-
-def _read_excel(path: Path) -> Table:
-    import pandas as pd
-
-    try:
-        sheets = pd.read_excel(path, sheet_name=None, header=None)
-    except ImportError as failure:
-        raise ValueError(
-            "reading it needs openpyxl: pip install 'eoi_jax[excel]', or export it as .csv"
-        ) from failure
-    filled = {name: sheet for name, sheet in sheets.items() if not sheet.empty}
-    if not filled:
-        return Table({})
-    name, first = next(iter(filled.items()))
-    # As text, so that its titles and units are found as those of a text table are.
-    table = read_lines(first.to_csv(sep=";", header=False, index=False))
-    others = f", the first of {len(filled)} that hold anything" if len(filled) > 1 else ""
-    return replace(table, notes=(f"Read from the sheet `{name}`{others}.", *table.notes))
-
-
-def _read_hdf5(path: Path) -> Table:
-    import h5py
-
     columns: Columns = {}
     notes: list[str] = []
-
-    def visit(key: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not key.startswith("#"):
-            add_columns(columns, notes, key, np.asarray(item[()]))
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
+    for i, key in enumerate(table.columns):
+        add_columns(columns, notes, str(key), table.iloc[:, i].to_numpy())
     return Table(columns, notes=tuple(notes))
 
 
-def _read_npz(path: Path) -> Table:
+def _read_npz(path: Path, allowance: Allowance) -> Table:
     columns: Columns = {}
     notes: list[str] = []
     objects: dict[str, str] = {}
-    if not zipfile.is_zipfile(path):
-        raise ValueError("it is no archive of arrays, as `numpy.savez` writes it")
-    with np.load(path, allow_pickle=False) as file:
-        for key in file.files:
-            try:
-                add_columns(columns, notes, key, file[key])
-            except ValueError:  # NumPy would have to run what is in the file
-                objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
+    for key, values in read_arrays(path, allowance).items():
+        if values is None:  # Python would have to run what is in the file
+            objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
+        else:
+            add_columns(columns, notes, key, values)
     if objects and not columns:
         raise ValueError(" ".join(objects.values()))
     return Table(columns, notes=tuple(notes), objects=objects)
 
 
-_READERS: dict[str, Callable[[Path], Table]] = {
+_READERS: dict[str, Callable[[Path, Allowance], Table]] = {
     ".csv": read_text,
     ".tsv": read_text,
     ".txt": read_text,
     ".dat": read_text,
     ".parquet": _read_parquet,
     ".mat": read_mat,
-    ".h5": _read_hdf5,
-    ".hdf5": _read_hdf5,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
     ".npz": _read_npz,
-    ".xlsx": _read_excel,
+    ".xlsx": read_excel,
 }

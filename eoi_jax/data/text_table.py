@@ -19,9 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.data.limits import Allowance
 from eoi_jax.data.table import Columns, Table
 
 _HEAD = 200  # lines that are looked at
+_PIECE = 1 << 20  # bytes that are unpacked at a time, to count them
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
 _EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
@@ -60,15 +62,18 @@ class _Layout:
     notes: tuple[str, ...]
 
 
-def read_text(path: Path) -> Table:
+def read_text(path: Path, allowance: Allowance) -> Table:
     """The columns of a text file, numbers as float64, dates as datetime64, the rest as text.
 
     Args:
         path: .csv, .tsv, .txt, .dat, also with .gz.
+        allowance: bytes that it may unpack to.
 
     Raises:
-        ValueError: it is no text, holds no data, or repeats a name.
+        ValueError: it is no text, holds no data, repeats a name, or unpacks to more than allowed.
     """
+    if _is_compressed(path):
+        _check_size(path, allowance)
     first = _beginning(path)
     kind = next((name for mark, name in _KINDS if first.startswith(mark)), None)
     if kind is not None:
@@ -104,6 +109,12 @@ def _beginning(path: Path) -> bytes:
 def _opened(path: Path, encoding: str) -> Any:
     opener = gzip.open if _is_compressed(path) else open
     return opener(path, "rt", encoding=encoding, errors="replace", newline=None)
+
+
+def _check_size(path: Path, allowance: Allowance) -> None:
+    with gzip.open(path, "rb") as stream:
+        while piece := stream.read(_PIECE):
+            allowance.take(len(piece))
 
 
 def _is_compressed(path: Path) -> bool:
