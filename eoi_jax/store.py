@@ -6,9 +6,7 @@ of the user's own, or an effect, cannot be stored, so it is given again to `load
 """
 
 import dataclasses
-import importlib
 import json
-import zipfile
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -20,11 +18,15 @@ import numpy as np
 
 from eoi_jax.certainty import Deferred
 from eoi_jax.checks import check
+from eoi_jax.data.archive import read_arrays
+from eoi_jax.data.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.resample import Real
 from eoi_jax.discovery import Discovery
 from eoi_jax.drafts import write_file
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
+from eoi_jax.stored import check_fields, check_tree, class_named, function_named
 
 _FORMAT = 3  # 2: records keep what smoothed them. 3: errors of a pass lie together
 _HEADER = "eoi_jax"
@@ -101,7 +103,10 @@ def save(result: Any, path: str | Path) -> None:
 
 
 def load(
-    path: str | Path, plant: Plant | None = None, effects: Sequence[AbstractEffect] = ()
+    path: str | Path,
+    plant: Plant | None = None,
+    effects: Sequence[AbstractEffect] = (),
+    max_gigabytes: Real = MAX_GIGABYTES,
 ) -> Any:
     """Read a result that `.save(path)` wrote, or a model that `export` wrote as JSON.
 
@@ -110,13 +115,15 @@ def load(
         plant: that the result was made with, if its model is not one of `eoi_jax.plants`; only its
             functions are taken (f, g, the start of z, the actuator), parameters come from the file.
         effects: of the user's own that the result holds.
+        max_gigabytes: what the file may unpack to [1e9 bytes]; infinite for no limit.
 
     Returns:
         The result, of the class that was saved; of a JSON file the `Plant`.
 
     Raises:
-        ValueError: no such file, a file of something else or of another format, a plant of other
-            parameters, relative degrees or channels, or with other functions left out.
+        ValueError: no such file, a file of something else, of another format, damaged or larger
+            than `max_gigabytes`, a plant of other parameters, relative degrees or channels, or
+            with other functions left out.
     """
     path = Path(path)
     check(path.is_file(), "path", "must be a file", path)
@@ -125,14 +132,7 @@ def load(
             return plant_from_json(path.read_text(encoding="utf-8"))
         except UnicodeDecodeError:
             check(False, "path", "must be a model that `export` wrote", path)
-    try:
-        # Opened here, so that it is closed also where it turns out to be no archive.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = dict(file)
-        tree = json.loads(str(arrays[_HEADER]))
-    except (zipfile.BadZipFile, KeyError, ValueError, OSError):
-        tree, arrays = {}, {}
-    check("result" in tree, "path", "must be a result that `save` wrote", path)
+    tree, arrays = _read(path, Allowance(max_gigabytes))
     check(
         tree["format"] == _FORMAT,
         "path",
@@ -141,7 +141,36 @@ def load(
         "Update eoi_jax." if tree["format"] > _FORMAT else "Make the result anew.",
     )
     given = _Given(plant, {_name(type(one)): type(one) for one in effects})
+    try:
+        check_tree(tree["result"], list(arrays))
+    except (ValueError, RecursionError) as error:
+        check(False, "path", "must be a result that `save` wrote", path, _reason(error))
     return _decode(tree["result"], arrays, given)
+
+
+def _read(path: Path, allowance: Allowance) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The tree of a file with its format and version, and its arrays."""
+    rule = "must be a result that `save` wrote"
+    try:
+        found = read_arrays(path, allowance)
+        arrays = {key: one for key, one in found.items() if one is not None}
+        header = arrays[_HEADER]
+        tree = json.loads(str(header)) if header.ndim == 0 and header.dtype.kind == "U" else {}
+    except Exception as error:  # each part of a damaged archive raises its own kinds
+        check(False, "path", rule, path, _reason(error))
+        raise
+    good = isinstance(tree, dict) and "result" in tree
+    good = good and type(tree.get("format")) is int and isinstance(tree.get("version"), str)
+    check(good, "path", rule, path)
+    return tree, arrays
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return ""
+    if isinstance(error, RecursionError):
+        return "It is nested too deeply."
+    return f"The reader says: {error or type(error).__name__}."
 
 
 def is_whole(plant: Plant) -> bool:
@@ -294,6 +323,7 @@ def _decode(
     if kind is MissingEffect:
         return MissingEffect(tree["name"], tree["effect"], content)
     # Past __init__: what was checked once is not worked out anew.
+    check_fields(kind, content, (MissingModel, MissingEffect))
     new = object.__new__(kind)
     for name, one in content.items():
         object.__setattr__(new, name, one)
@@ -303,11 +333,11 @@ def _decode(
 def _kind(tree: dict[str, Any], given: _Given) -> Any:
     """The class of a stored result, or effect."""
     if "effect" in tree:
-        kind = given.effects.get(tree["effect"], _resolve(tree["effect"]))
+        kind = given.effects.get(tree["effect"], class_named(tree["effect"]))
         known = isinstance(kind, type) and issubclass(kind, AbstractEffect)
         return kind if known else MissingEffect
-    kind = _resolve(tree["class"])
-    good = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    kind = class_named(tree["class"])
+    good = kind is not None and dataclasses.is_dataclass(kind)
     check(good, "path", "must hold results of eoi_jax only", tree["class"])
     return kind
 
@@ -315,24 +345,13 @@ def _kind(tree: dict[str, Any], given: _Given) -> Any:
 def _function(name: str, given: Any) -> Callable:
     if given is not None:
         return given
-    found = _resolve(name) if name.startswith(f"{_PACKAGE}plants.") else None
+    found = function_named(name)
     return found if found is not None else MissingModel(name)
 
 
 def _own(value: Any) -> bool:
     """Whether its class is of this package."""
     return type(value).__module__.startswith(_PACKAGE)
-
-
-def _resolve(name: str) -> Any:
-    """An object of this package by ``module:name``; None for any other."""
-    module, _, attribute = name.partition(":")
-    if not module.startswith(_PACKAGE) or not attribute.isidentifier():
-        return None
-    try:
-        return getattr(importlib.import_module(module), attribute, None)
-    except ImportError:
-        return None
 
 
 def _name(value: Any) -> str:

@@ -76,6 +76,7 @@ LAYERS = (
     ("refit",),
     ("rivals", "parsimony", "confirm", "verdict", "ranking"),
     ("discover",),
+    ("stored",),
     ("store",),
     ("report",),
     ("export",),

@@ -1,0 +1,212 @@
+"""What a stored result may look like: checked before anything of it is built.
+
+A tree is a plain value, or an object with one key that says what it is: an array by its key, a
+path, a dictionary, a list, a tuple, a function by name, or a class or an effect with its fields.
+"""
+
+import dataclasses
+import sys
+import types
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+import jax
+import msgspec
+import numpy as np
+from jaxtyping import AbstractArray, jaxtyped
+from msgspec import UNSET, UnsetType
+
+from eoi_jax.checks import check
+
+_PACKAGE = "eoi_jax."
+_RENAMES = {"mapping": "dict", "listed": "list", "grouped": "tuple", "kind": "class"}
+_WITH_FIELDS = {"class": {"fields"}, "effect": {"fields", "name"}}
+
+
+class Branch(msgspec.Struct, forbid_unknown_fields=True, rename=_RENAMES):
+    """A part of a tree that is no plain value: one of its keys says what it is.
+
+    Attributes:
+        array: key of an array of the file.
+        path: of a file.
+        mapping: of the key ``dict``: parts by name.
+        listed: of the key ``list``: parts in order.
+        grouped: of the key ``tuple``: parts in order.
+        function: ``module:name`` of a function.
+        kind: of the key ``class``: ``module:name`` of a class, with its `fields`.
+        effect: ``module:name`` of an effect's class, with its `fields` and its canonical `name`.
+        fields: by name.
+        name: of an effect.
+    """
+
+    array: str | UnsetType = UNSET
+    path: str | UnsetType = UNSET
+    mapping: "dict[str, Branch | str | float | int | bool | None] | UnsetType" = UNSET
+    listed: "list[Branch | str | float | int | bool | None] | UnsetType" = UNSET
+    grouped: "list[Branch | str | float | int | bool | None] | UnsetType" = UNSET
+    function: str | UnsetType = UNSET
+    kind: str | UnsetType = UNSET
+    effect: str | UnsetType = UNSET
+    fields: "dict[str, Branch | str | float | int | bool | None] | UnsetType" = UNSET
+    name: str | UnsetType = UNSET
+
+
+def check_tree(tree: Any, keys: Sequence[str]) -> None:
+    """A tree must be of the form that `save` writes, and name arrays that are there.
+
+    Args:
+        tree: as JSON has it.
+        keys: of the arrays.
+
+    Raises:
+        ValueError: it is not, or is nested too deeply.
+    """
+    try:
+        msgspec.convert(tree, Branch | str | float | int | bool | None)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"its structure is not that of a result: {error}") from None
+    known, waiting = set(keys), [tree]
+    while waiting:
+        part = waiting.pop()
+        if not isinstance(part, dict):
+            continue
+        marks = [key for key in part if key not in ("fields", "name")]
+        rest = set(part) - set(marks)
+        if len(marks) != 1 or rest != _WITH_FIELDS.get(marks[0], set()):
+            shown = ", ".join(sorted(part)) or "no key"
+            raise ValueError(f"its structure is not that of a result: an object of {shown}")
+        content = part.get("fields", part[marks[0]])
+        if marks[0] == "array" and content not in known:
+            raise ValueError(f"it has no array {content}")
+        if isinstance(content, dict | list):
+            waiting += content.values() if isinstance(content, dict) else content
+
+
+def class_named(name: str) -> type | None:
+    """A class of this package; None for any other.
+
+    Args:
+        name: as ``module:name``.
+    """
+    found = _loaded(name)
+    return (
+        found
+        if isinstance(found, type) and f"{found.__module__}:{found.__qualname__}" == name
+        else None
+    )
+
+
+def function_named(name: str) -> Callable | None:
+    """A function of a plant of this package; None for any other.
+
+    Args:
+        name: as ``module:name``.
+    """
+    found = _loaded(name) if name.startswith(f"{_PACKAGE}plants.") else None
+    return found if isinstance(found, types.FunctionType) and found.__module__ in name else None
+
+
+def _loaded(name: str) -> Any:
+    """What is in a module that is loaded already: nothing is imported because a file says so."""
+    module, _, attribute = name.partition(":")
+    known = sys.modules.get(module) if module.startswith(_PACKAGE) else None
+    return vars(known).get(attribute) if known is not None else None
+
+
+def check_fields(kind: type, content: Mapping[str, Any], stand_ins: tuple[type, ...]) -> None:
+    """Fields of a stored object must be those that its class declares, and of their types.
+
+    Args:
+        kind: a dataclass, or a class without fields.
+        content: the fields, built.
+        stand_ins: classes of what stands for something that a file cannot hold.
+
+    Raises:
+        ValueError: a field that is unknown, missing, or of another type or shape.
+    """
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    declared = {field.name: field for field in fields}
+    unknown = sorted(set(content) - set(declared))
+    check(not unknown, "path", f"must hold a {kind.__name__} of this version", f"a field {unknown}")
+    with jaxtyped("context"):  # a size that two arrays share is one size
+        for name, field in declared.items():
+            optional = field.default is not dataclasses.MISSING
+            optional |= field.default_factory is not dataclasses.MISSING
+            where = f"{kind.__name__}.{name}"
+            check(name in content or optional, "path", f"must hold {where}", "nothing")
+            if name in content:
+                good = conforms(content[name], field.type, stand_ins)
+                shown = _shape(content[name])
+                check(good, "path", f"must hold {where} as it is declared", shown)
+
+
+def _shape(value: Any) -> str:
+    array = isinstance(value, np.ndarray)
+    return f"an array {value.dtype} of shape {value.shape}" if array else type(value).__name__
+
+
+def conforms(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
+    """Whether a value is of a declared type, containers with all that is in them.
+
+    Args:
+        value: any.
+        annotation: of a field.
+        stand_ins: as of `check_fields`.
+    """
+    if annotation is None:
+        return value is None
+    if isinstance(annotation, str | TypeVar) or annotation is Any:
+        return True
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType):
+        return any(conforms(value, one, stand_ins) for one in inner)
+    if origin is Annotated:
+        return conforms(value, inner[0], stand_ins)
+    if origin is Literal:
+        return value in inner
+    if origin is not None:
+        return _container(value, origin, inner, stand_ins)
+    return _plain(value, annotation, stand_ins)
+
+
+def _container(value: Any, origin: Any, inner: tuple, stand_ins: tuple[type, ...]) -> bool:
+    if origin is Callable or not inner:
+        return callable(value) if origin is Callable else isinstance(value, origin)
+    if issubclass(origin, tuple) and not (len(inner) == 2 and inner[1] is Ellipsis):
+        same = isinstance(value, tuple) and len(value) == len(inner)
+        return same and all(conforms(v, a, stand_ins) for v, a in zip(value, inner, strict=True))
+    if issubclass(origin, Mapping):
+        return isinstance(value, dict) and all(
+            conforms(key, inner[0], stand_ins) and _alone(one, inner[1], stand_ins)
+            for key, one in value.items()
+        )
+    if issubclass(origin, Sequence):
+        return isinstance(value, origin) and all(_alone(v, inner[0], stand_ins) for v in value)
+    return isinstance(value, origin)
+
+
+def _alone(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
+    """One of several, as the records are: its sizes are its own."""
+    with jaxtyped("context"):
+        return conforms(value, annotation, stand_ins)
+
+
+def _plain(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
+    if isinstance(value, stand_ins):
+        return True
+    if isinstance(annotation, type) and issubclass(annotation, AbstractArray):
+        if isinstance(value, np.ndarray) and annotation.array_type is jax.Array:
+            annotation = annotation.dtype[np.ndarray, annotation.dim_str]
+        return isinstance(value, annotation)
+    if annotation is float:
+        return isinstance(value, float | int | np.number) and not isinstance(value, bool)
+    if annotation is int:
+        return isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if annotation is Path or annotation in (str, bool):
+        return isinstance(value, annotation)
+    if annotation is Callable:
+        return callable(value)
+    if annotation is jax.Array or annotation is np.ndarray:
+        return isinstance(value, np.ndarray)
+    return not isinstance(annotation, type) or isinstance(value, annotation)
