@@ -25,7 +25,7 @@ from pathlib import Path
 from common import ROOT, Report, arguments, table
 
 COUNT = 50  # of each command
-COMMANDS = ("report", "sweep", "refine", "discover")
+COMMANDS = ("sweep", "discover", "refine", "report")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
 START = (sys.executable, "-c", "from eoi_command import main; main()")
 MARK = "mark"  # a file beside those of the run that stands already
@@ -115,6 +115,7 @@ class Bench:
         return subprocess.Popen(
             [*START, *words, "--quiet"], cwd=self.folder, env=self.environment,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            preexec_fn=_hear,
         )  # fmt: skip
 
     def _finish(self, words: tuple[str, ...]) -> None:
@@ -237,6 +238,12 @@ class Bench:
             elif path.is_file() and not _is_whole(path, whole, self.command):
                 wrong.append(f"{'old' if old else 'new'} {path.name} is not whole")
         return wrong
+
+
+def _hear() -> None:
+    """A benchmark under `nohup` ignores SIGHUP, and so would what it starts."""
+    for number in SIGNALS[1:]:
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _is_whole(path: Path, whole: Path, command: str) -> bool:

@@ -8,7 +8,7 @@ import contextlib
 import os
 import sys
 
-from eoi_command.signals import handled, interrupt
+from eoi_command.signals import handled, ignore, interrupt
 
 _WRONG, _INTERRUPTED = 2, 130
 
@@ -16,10 +16,13 @@ _WRONG, _INTERRUPTED = 2, 130
 def main() -> None:
     """The entry point of the ``eoi`` command."""
     try:
-        with handled(interrupt):
-            from eoi_command.commands import app
+        try:
+            with handled(interrupt):
+                from eoi_command.commands import app
 
-            app(prog_name="eoi")
+                app(prog_name="eoi")
+        finally:
+            ignore()  # what is left is to end, with the status that is due
     except KeyboardInterrupt:  # before a command has begun
         _end(_INTERRUPTED, "interrupted; nothing half-written is left")
     except Exception as error:  # before a command has begun, too: `terminal.failures` is within
