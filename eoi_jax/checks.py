@@ -18,6 +18,10 @@ class RecordWarning(UserWarning):
     """A record was changed on the way in (resampled, masked): nothing is done silently."""
 
 
+class StoreWarning(UserWarning):
+    """A part of a sweep's store is damaged: it is computed again, or left out."""
+
+
 class FigureWarning(UserWarning):
     """A figure could not be drawn and is left out: it costs no answer."""
 

@@ -51,12 +51,13 @@ def make_draft(goal: Path) -> Path:
     return Path(tempfile.mkdtemp(suffix=_SUFFIX, prefix=f".{goal.name}-", dir=goal.parent))
 
 
-def write_folder(goal: Path, fill: Callable[[Path], None]) -> None:
+def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -> None:
     """Make a folder, all or nothing; one that is there is replaced at the very end.
 
     Args:
         goal: the folder; that above it is made where it is missing.
         fill: writes into the empty folder that it is given.
+        keep: leave alone a folder with something in it that another process made meanwhile.
     """
     goal.parent.mkdir(parents=True, exist_ok=True)
     with _drafted(goal) as draft:
@@ -64,14 +65,17 @@ def write_folder(goal: Path, fill: Callable[[Path], None]) -> None:
         new.mkdir()
         fill(new)
         for path in new.rglob("*"):
-            _settle(path)
-        _settle(new)
-        if goal.exists() and not _exchanged(new, goal):
+            settle(path)
+        settle(new)
+        if keep:
+            with suppress(FileExistsError):
+                _placed(new, goal)
+        elif goal.exists() and not _exchanged(new, goal):
             goal.rename(draft / "old")
             new.rename(goal)
         elif not goal.exists():
             new.rename(goal)
-        _settle(goal.parent)
+        settle(goal.parent)
 
 
 def write_file(goal: Path, fill: Callable[[Path], None]) -> None:
@@ -87,9 +91,9 @@ def write_file(goal: Path, fill: Callable[[Path], None]) -> None:
     with _drafted(goal) as draft:
         new = draft / "new"
         fill(new)
-        _settle(new)
+        settle(new)
         new.replace(goal)
-        _settle(goal.parent)
+        settle(goal.parent)
 
 
 def write_files(folder: Path, last: str, fill: Callable[[Path], None]) -> None:
@@ -106,9 +110,9 @@ def write_files(folder: Path, last: str, fill: Callable[[Path], None]) -> None:
         new.mkdir()
         fill(new)
         for path in sorted(new.iterdir(), key=lambda one: one.name == last):
-            _settle(path)
+            settle(path)
             path.replace(folder / path.name)
-        _settle(folder)
+        settle(folder)
 
 
 def sweep_up(folder: Path) -> None:
@@ -200,7 +204,17 @@ def _exchanged(one: Path, other: Path) -> bool:
     return exchange is not None and exchange(*arguments) == 0
 
 
-def _settle(path: Path) -> None:
+def _placed(new: Path, goal: Path) -> None:
+    """Rename a folder; `FileExistsError` where something is there that is not an empty folder."""
+    try:
+        new.rename(goal)
+    except OSError:
+        if goal.is_dir():  # systems name this error in several ways
+            raise FileExistsError(goal) from None
+        raise
+
+
+def settle(path: Path) -> None:
     """Have the system write it to the disk, as far as it can."""
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)

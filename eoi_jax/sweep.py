@@ -94,6 +94,9 @@ def sweep(
     Raises:
         ValueError: what does not fit, before any work; the message says what to do.
         OSError: the store cannot be written.
+
+    Warns:
+        StoreWarning: a part of the store was damaged, and is computed again.
     """
     good = isinstance(part, Sequence) and len(part) == 2 and all(is_whole(one) for one in part)
     check(good and 0 <= part[0] < part[1], "part", "must be (i, n) with 0 ≤ i < n", part)
@@ -111,7 +114,7 @@ def sweep(
     engine = engine or Automatic()
     target = Store(whole, store, _labels(whole))
     own = [place for i, place in enumerate(whole.chunks()) if i % part[1] == part[0]]
-    left = [place for place in own if not target.landed(place)]
+    left = target.unfinished(own)
     finished = True
     with _shown(progress, whole, own, left) as done:
         try:

@@ -388,7 +388,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     root = zarr.open_group(str(tmp_path / "s"), mode="r+")
     for key, value, message in (
         ("version", "0.0.7", "written by this version"),
-        ("format", 99, "format 3"),
+        ("format", 99, "format 4"),
     ):
         labels = json.loads(str(root.attrs["eoi_jax"]))
         root.attrs["eoi_jax"] = json.dumps({**labels, key: value})

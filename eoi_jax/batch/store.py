@@ -1,13 +1,15 @@
 """Where the chunks of a sweep land: a Zarr store, on disk or in memory.
 
-A chunk of a sweep is one chunk of every array. Its mark in ``done`` is written last: whatever is
-marked is whole. A store belongs to one sweep, whose fingerprint it bears.
+A chunk of a sweep is one chunk of every array, with Zarr's checksum. Its mark in ``done``
+(`marks.py`) is written last, when the arrays are on the disk. A store belongs to one sweep, whose
+fingerprint it bears; whatever of it does not read is made anew from the plan, and said.
 """
 
 import json
-import os
 import shutil
 import tempfile
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,11 +18,14 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.batch.chunk import CODES, OK, Arrays
+from eoi_jax.batch.marks import Chunks, Condition, Place, digest
 from eoi_jax.batch.plan import DIMENSIONS, Plan
-from eoi_jax.checks import check
+from eoi_jax.checks import StoreWarning, check
+from eoi_jax.drafts import settle, sweep_up, write_file, write_folder
 
-_FORMAT = 3
+_FORMAT = 4
 _LABELS = "eoi_jax"
+_SAME = "The same sweep with this store computes what is missing."
 _LEFT = {"f": np.nan, "i": 0}  # what a lane shows that has not run
 
 
@@ -64,25 +69,79 @@ class Store:
             _create(self._store, plan, labels)
         else:
             if not self._path.exists():
-                _publish(self._path, plan, labels)
+                write_folder(self._path, lambda new: _create(str(new), plan, labels), keep=True)
             self._store = str(self._path)
             _check(self._path, plan)
-        self._root = zarr.open_group(self._store, mode="r+")
+            _mend(self._path, plan, labels)
+        self._root: Any = zarr.open_group(self._store, mode="r+")
+        self._chunks = Chunks(self._root, list(_ARRAYS), plan.fingerprint)
 
-    def landed(self, place: tuple[int, ...]) -> bool:
-        """Whether a chunk is whole in the store."""
-        return bool(self._array("done")[place])
+    def unfinished(self, places: Iterable[Place]) -> list[Place]:
+        """Which of some chunks are to be computed.
 
-    def write(self, place: tuple[int, ...], arrays: Arrays) -> None:
+        Leftovers in them, of a process that was killed or of a damage, are removed.
+
+        Warns:
+            StoreWarning: how many were damaged.
+        """
+        places = list(places)
+        if self._path is None:
+            return places
+        sweep_up(self._path.parent)
+        conditions = {place: self._chunks.condition(place) for place in places}
+        left = [place for place, found in conditions.items() if found is not Condition.WHOLE]
+        damaged = [place for place in left if conditions[place] is Condition.DAMAGED]
+        for place in left:
+            self._clear(place, place in damaged)
+        if damaged:
+            number = f"{len(damaged)} of {len(places)} chunks"
+            said = f"{number} of the store {self._path} were damaged, and are computed again"
+            warnings.warn(said, StoreWarning, stacklevel=3)
+        return left
+
+    def write(self, place: Place, arrays: Arrays) -> None:
         """One chunk, then its mark."""
         region = self._plan.region(place)
-        for name, values in arrays.items():
-            self._array(name)[region] = values[None, None]
-        self._array("done")[place] = True
+        stored = {name: arrays[name].astype(_ARRAYS[name][0]) for name in _ARRAYS}
+        for name, values in stored.items():
+            self._root[name][region] = values[None, None]
+        self._settle(place, _ARRAYS)
+        self._root["done"][place] = digest(self._plan.fingerprint, place, stored)
+        self._settle(place, ["done"])
 
-    def mark_lost(self, place: tuple[int, ...]) -> None:
+    def mark_lost(self, place: Place) -> None:
         """A chunk whose workers failed; it is not marked as done, so that a resumed sweep tries."""
-        self._array("status")[self._plan.region(place)] = CODES.index("lost")
+        self._root["status"][self._plan.region(place)] = CODES.index("lost")
+
+    def _settle(self, place: Place, names: Iterable[str]) -> None:
+        """Have chunks of arrays on the disk; one that holds nothing but the fill has no file."""
+        if self._path is not None:
+            for name in names:
+                path = self._file(name, place)
+                settle(path)
+                settle(path.parent)
+
+    def _clear(self, place: Place, damaged: bool) -> None:
+        """Remove what a killed process left beside a chunk's files; damaged files too."""
+        for name in ("done", *_ARRAYS):
+            path = self._file(name, place)
+            if damaged:
+                _remove(path)
+            # As Zarr names what it has not yet put in place; none but this job writes the chunk.
+            for leftover in path.parent.glob(f"{path.name}.*.partial"):
+                _remove(leftover)
+            for folder in path.parents:  # a file in the place of a folder
+                if folder == self._path:
+                    break
+                if folder.is_file():
+                    folder.unlink()
+
+    def _file(self, name: str, place: Place) -> Path:
+        """Of a chunk of an array."""
+        assert self._path is not None
+        array = self._root[name]
+        coordinates = (*place, *[0] * (len(array.shape) - len(place)))
+        return self._path / name / array.metadata.encode_chunk_key(coordinates)
 
     def dataset(self, outcome: dict[str, Any] | None = None) -> Any:
         """What is there, labelled; read from disk only when it is used.
@@ -94,32 +153,47 @@ class Store:
         opened = opened.load() if self._path is None else opened
         return opened.assign_attrs(outcome or {})
 
-    def _array(self, name: str) -> Any:
-        return self._root[name]
-
 
 def open_sweep(path: Any) -> Any:
     """A sweep's store as a labelled dataset; values are read when they are used.
+
+    Every chunk is read once here, and compared with its mark.
 
     Args:
         path: of the store.
 
     Returns:
-        The `xarray.Dataset` that `eoi_jax.sweep` gave, or would give by now.
+        The `xarray.Dataset` that `eoi_jax.sweep` gave, or would give by now. Chunks that are
+        damaged are ``not_run``; `eoi_jax.sweep` with this store computes them again.
 
     Raises:
-        ValueError: it is not there, or no sweep's.
+        ValueError: it is not there, no sweep's, or damaged in more than its chunks.
+
+    Warns:
+        StoreWarning: how many chunks are damaged.
     """
     if isinstance(path, str | Path):
         check(Path(path).exists(), "store", "must exist", path)
-        _labels(Path(path))
+        check(_labels(Path(path)) is not None, "store", "must be the store of a sweep", path, _SAME)
+    try:
+        return _labelled(path)
+    except Exception as error:  # of the disk, of a codec, of Zarr: they have no class in common
+        reason = f"{path}, which does not read: {error}"
+        check(False, "store", "must be whole", reason, _SAME)
+        raise
+
+
+def _labelled(path: Any) -> Any:
     import xarray as xr
+    import zarr
 
     raw = xr.open_zarr(path, consolidated=False, chunks=None)
     labels = json.loads(raw.attrs[_LABELS])
-    lanes = raw.drop_vars(["done", *labels["numbers"]])
+    raw = raw.assign(_without_damage(zarr.open_group(path, mode="r"), labels["sweep"], path))
+    lanes = raw[list(_ARRAYS)].drop_vars(labels["numbers"], errors="ignore")
     # One by one, for a store lists its arrays in an order of its own.
-    lanes = lanes.assign_coords({name: raw[name].variable for name in labels["numbers"]})
+    coordinates = {name: raw[name].variable.load() for name in labels["numbers"]}
+    lanes = lanes.assign_coords(coordinates)
     if labels["kinds"]:
         names = np.asarray(labels["kinds"])
         lanes = lanes.assign_coords(kind=("observer", names[lanes["kind"].values]))
@@ -133,29 +207,36 @@ def open_sweep(path: Any) -> Any:
     return data.drop_attrs(deep=False).assign_attrs(attributes)
 
 
+def _without_damage(root: Any, sweep: str, path: Any) -> dict[str, Any]:
+    """Arrays, in memory, whose damaged chunks hold what a lane shows that has not run."""
+    chunks = Chunks(root, list(_ARRAYS), sweep)
+    places = list(chunks)
+    sound = [one for one in places if chunks.condition(one) is not Condition.DAMAGED]
+    if len(sound) == len(places):
+        return {}
+    number = f"{len(places) - len(sound)} of {len(places)} chunks"
+    said = f"{number} of the store {path} are damaged, and shown as not_run. {_SAME}"
+    warnings.warn(said, StoreWarning, stacklevel=4)
+    arrays = {
+        name: np.full(root[name].shape, _LEFT[kind[0]], kind)
+        for name, (kind, _, _) in _ARRAYS.items()
+    }
+    for place in sound:
+        for name, values in chunks.read(place).items():
+            arrays[name][chunks.region(place)] = values
+    return {name: (DIMENSIONS + _ARRAYS[name][1], values) for name, values in arrays.items()}
+
+
 def _version() -> str:
     return version("eoi_jax")
 
 
-def _publish(path: Path, plan: Plan, labels: Labels) -> None:
-    """Made beside and moved into place whole: several machines may start one sweep at a time."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        _create(str(draft), plan, labels)
-        os.chmod(draft, 0o755)
-        os.rename(draft, path)
-    except OSError:
-        if not path.exists():
-            raise
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-
-
 def _create(store: Any, plan: Plan, labels: Labels) -> None:
     import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
 
     root = zarr.open_group(store, mode="w")
+    checked = (ZstdCodec(), Crc32cCodec())
     sizes = {"pass": plan.settings.passes, "output": len(plan.plant.outputs)}
     sizes["parameter"] = len(plan.plant.names)
     for name, (kind, extra, about) in _ARRAYS.items():
@@ -166,19 +247,27 @@ def _create(store: Any, plan: Plan, labels: Labels) -> None:
             chunks=plan.steps + tail,
             dtype=kind,
             fill_value=_LEFT[kind[0]],
+            compressors=checked,
             dimension_names=DIMENSIONS + extra,
             attributes={"long_name": about},
         )
-    places = tuple(f"{one}_chunk" for one in DIMENSIONS)
+    identity = {"format": _FORMAT, "sweep": plan.fingerprint, "version": _version()}
     root.create_array(
-        "done", shape=plan.grid, chunks=(1,) * 5, dtype="bool", dimension_names=places
+        "done",
+        shape=plan.grid,
+        chunks=(1,) * 5,
+        dtype="u8",
+        fill_value=0,
+        compressors=checked,
+        dimension_names=tuple(f"{one}_chunk" for one in DIMENSIONS),
+        attributes={_LABELS: json.dumps(identity)},  # again, should those of the group be lost
     )
     for name, (dims, values) in labels.numbers.items():
-        root.create_array(name, data=values, chunks=values.shape, dimension_names=dims)
+        root.create_array(
+            name, data=values, chunks=values.shape, compressors=checked, dimension_names=dims
+        )
     texts = {
-        "format": _FORMAT,
-        "sweep": plan.fingerprint,
-        "version": _version(),
+        **identity,
         "texts": labels.texts,
         "numbers": list(labels.numbers),
         "kinds": labels.kinds,
@@ -200,18 +289,100 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
 }
 
 
-def _labels(path: Path) -> dict[str, Any]:
+def _labels(path: Path) -> dict[str, Any] | None:
+    """What the group says of itself; None where it cannot be read, or is no sweep's."""
     import zarr
 
     try:
-        return json.loads(zarr.open_group(str(path), mode="r").attrs[_LABELS])  # type: ignore[arg-type]
-    except (KeyError, ValueError, FileNotFoundError, TypeError):
-        check(False, "store", "must be the store of a sweep, or not exist", path)
-        raise
+        return _identified(zarr.open_group(str(path), mode="r"))
+    except Exception:  # of the disk, of JSON, of Zarr: they have no class in common
+        return None
+
+
+def _identified(node: Any) -> dict[str, Any]:
+    """Labels of a group or an array that name format, version and sweep."""
+    labels = json.loads(node.attrs[_LABELS])
+    return labels | {key: labels[key] for key in ("format", "version", "sweep")}
+
+
+def _identity(path: Path) -> dict[str, Any] | None:
+    """Format, version and sweep of a store, though the group's own attributes may be lost."""
+    import zarr
+
+    try:
+        return _labels(path) or _identified(zarr.open_array(str(path / "done"), mode="r"))
+    except Exception:  # as in `_labels`
+        return None
+
+
+def _mend(path: Path, plan: Plan, labels: Labels) -> None:
+    """Write anew what the plan says and the store does not: attributes, metadata, coordinates.
+
+    Warns:
+        StoreWarning: what was damaged.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        sound = Path(folder) / "store"
+        _create(str(sound), plan, labels)
+        damaged = [
+            name
+            for name in (".", "done", *_ARRAYS, *labels.numbers)
+            if not _alike(path / name, sound / name, name in labels.numbers)
+        ]
+        for name in damaged:
+            sweep_up(path / name)
+            files = (sound / name).rglob("*") if name in labels.numbers else ()
+            for file in (sound / name / "zarr.json", *files):
+                if file.is_file():
+                    _replace(path, file.relative_to(sound), file)
+    if damaged:
+        names = ", ".join("attributes" if name == "." else f"`{name}`" for name in damaged)
+        said = f"{names} of the store {path} were damaged, and are written anew"
+        warnings.warn(said, StoreWarning, stacklevel=4)
+
+
+def _alike(node: Path, sound: Path, values: bool) -> bool:
+    """Whether a group or an array reads, and says the same as another; holds the same `values`."""
+    import zarr
+
+    try:
+        one, other = (zarr.open(str(path), mode="r") for path in (node, sound))
+        if isinstance(other, zarr.Group):
+            return isinstance(one, zarr.Group) and dict(one.attrs) == dict(other.attrs)
+        if not isinstance(one, zarr.Array) or one.metadata.to_dict() != other.metadata.to_dict():
+            return False
+        if not values:
+            return True
+        a, b = np.asarray(one[...]), np.asarray(other[...])
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    except Exception:  # of the disk, of JSON, of a codec, of Zarr: they have no class in common
+        return False
+
+
+def _replace(path: Path, place: Path, new: Path) -> None:
+    """Put a copy of a file into a store, whatever stands in its way."""
+    for parent in reversed(place.parents):
+        if (path / parent).is_file():
+            (path / parent).unlink()
+    goal = path / place
+    if goal.is_dir():
+        shutil.rmtree(goal)
+    goal.parent.mkdir(parents=True, exist_ok=True)
+    write_file(goal, lambda draft: shutil.copyfile(new, draft) and None)
+
+
+def _remove(path: Path) -> None:
+    """A file or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    elif not any(parent.is_file() for parent in path.parents):
+        path.unlink(missing_ok=True)
 
 
 def _check(path: Path, plan: Plan) -> None:
-    own = _labels(path)
+    own = _identity(path)
+    check(own is not None, "store", "must be the store of a sweep, or not exist", path)
+    assert own is not None
     check(
         own["format"] == _FORMAT,
         "store",
