@@ -42,7 +42,7 @@ class Fate:
         status: open, killed, survived, equivalent, or gone (its line is no longer in the code).
         by: the test that killed it.
         why: where it survived or is equivalent, the reason, written by hand.
-        first: status after the first run.
+        first: status by the tests that were there when it was drawn; untried where none was run.
         passed: test files that did not notice it, while it is open.
         commit: at which it was judged last.
     """
@@ -174,11 +174,11 @@ def _git(folder: Path, *given: str) -> str:
 
 
 def score(session: list[Fate], name: str) -> str:
-    """Share killed of those that were judged and are not equivalent."""
-    seen = [getattr(fate, name) for fate in session if fate.status != "equivalent"]
-    count = Counter(seen)
-    judged = count["killed"] + count["survived"]
-    return f"{count['killed']} of {judged}, {count['killed'] / judged:.0%}" if judged else "–"
+    """Share killed of those that any test file was run against and that are not equivalent."""
+    tried = [one for one in session if one.status in ("killed", "survived") or one.passed]
+    tried = [one for one in tried if getattr(one, name) != "untried"]
+    killed = sum(getattr(one, name) == "killed" for one in tried)
+    return f"{killed} of {len(tried)}, {killed / len(tried):.0%}" if tried else "–"
 
 
 def write_report(session: list[Fate], drawn: str, write: bool) -> None:
@@ -190,24 +190,32 @@ def write_report(session: list[Fate], drawn: str, write: bool) -> None:
     for room in [*sorted(faults.ROOMS), "all"]:
         part = [fate for fate in session if room in (fate.fault.room, "all")]
         count = Counter(fate.status for fate in part)
+        begun = sum(fate.status == "open" and bool(fate.passed) for fate in part)
         rows.append([room, len(part), score(part, "first"), score(part, "status"),
-                     count["equivalent"], count["open"], count["gone"]])  # fmt: skip
+                     count["survived"], begun, count["open"] - begun, count["equivalent"],
+                     count["gone"]])  # fmt: skip
     report.add(
-        f"{len(session)} faults, drawn from {drawn}, each judged by every test file that runs its "
-        "line, until one fails. *First*: before any test was written for them. "
+        f"{len(session)} faults, drawn from {drawn}. Each is judged by every test file that runs "
+        "its line, the likeliest first, until one fails. *Killed at first*: by a test that was "
+        "there when they were drawn; *now*: also by those written since; of those tried, so that a "
+        "fault that the likeliest files do not notice counts against the score. *Survived*: all "
+        "files that run the line pass. *Begun*: some did, and the others have not been run. "
         "*Equivalent*: cannot change what the package computes or says, for the reason below; "
-        "these do not count. *Open*: not yet judged by all. *Gone*: the line has changed since.",
-        table(("room", "faults", "killed at first", "killed now", "equivalent", "open", "gone"),
-              rows),
+        "these do not count. *Gone*: the line has changed since.",
+        table(("room", "faults", "killed at first", "killed now", "survived", "begun", "not tried",
+               "equivalent", "gone"), rows),
     )  # fmt: skip
-    for status in ("survived", "equivalent", "open"):
+    for status in ("survived", "begun", "equivalent"):
         lines = [
             [f"{one.fault.module} {one.fault.definition}".replace("|", "\\|"),
-             *(f"`{text}`".replace("|", "\\|") for text in (one.fault.line, one.after)), one.why]
-            for one in session if one.status == status
+             *(f"`{text}`".replace("|", "\\|") for text in (one.fault.line, one.after)),
+             one.why or ", ".join(one.passed)]
+            for one in session
+            if one.status == status or (status == "begun" and one.status == "open" and one.passed)
         ]  # fmt: skip
         if lines:
-            report.add(f"## {status.capitalize()}", table(("where", "line", "fault", "why"), lines))
+            last = "passed by" if status == "begun" else "why"
+            report.add(f"## {status.capitalize()}", table(("where", "line", "fault", last), lines))
     report.close("mutation_score", write)
 
 

@@ -208,6 +208,15 @@ def test_a_clock_is_known_by_its_name_without_unit_and_path(tmp_path, name):
     assert found.clock.backwards == (1, N // 2)
 
 
+def test_a_file_without_a_clock_has_none_in_json_either(tmp_path):
+    found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
+    clock = found.summary()["clock"]
+    assert clock.pop("why") == "no column increases from row to row"
+    none = {"column": None, "factor": 1.0, "gaps": [0, 0.0], "repeated": 0, "backwards": [0, None]}
+    absent = dict.fromkeys(("sample_period", "duration", "spacing", "jitter"))
+    assert json.loads(json.dumps(clock)) == {**none, **absent, "others": []}
+
+
 def test_a_wide_file_is_told_in_short(tmp_path):
     wide = {f"c{i:04}": np.cos(0.01 * (i + 1) * np.arange(50)) for i in range(100)}
     found = inspect(written(tmp_path / "run.csv", t=T[:50], **wide))
