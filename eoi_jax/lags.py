@@ -9,6 +9,10 @@ Source:
     C. H. Knapp, G. C. Carter, IEEE Trans. Acoust., Speech, Signal Process. 24 (1976) 320.
 """
 
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -22,18 +26,49 @@ _LONGEST = 0.25  # of a record
 _PEAKS = 2
 
 
+class Peak(NamedTuple):
+    """One maximum: where it is, how far it stands out, and how near another would be the same."""
+
+    place: float
+    strength: float
+    width: float
+
+
+def strongest(peaks: Sequence[Peak]) -> Iterator[float]:
+    """Places of peaks from several records, the strongest first, each once.
+
+    Args:
+        peaks: in any order, which does not count.
+    """
+    taken: list[Peak] = []
+    for one in sorted(peaks, key=lambda one: (-one.strength, one.place)):
+        if all(abs(one.place - other.place) > max(one.width, other.width) for other in taken):
+            taken.append(one)
+            yield one.place
+
+
 def lags(
-    plant: Plant, one: Stretch, residual: Rows, power: Rows, channel: int
+    plant: Plant, several: Sequence[Stretch], residual: Rows, power: Rows, channel: int
 ) -> Float[np.ndarray, " lags"]:
-    """Where the residual of a record follows an input most clearly [s]; none where it does not.
+    """Where the residual of some record follows an input most clearly [s]; none where none does.
 
     Args:
         plant: the model.
-        one: the record.
-        residual: of the model, modes of one output after the other, shape (ny modes,).
+        several: the records.
+        residual: of the model, modes of one output after the other, record after record.
         power: S of each of them.
         channel: of the input.
     """
+    peaks, first = [], 0
+    for one in several:
+        own = slice(first, first + len(plant.outputs) * len(one.omega))
+        peaks += _of_record(plant, one, residual[own], power[own], channel)
+        first = own.stop
+    return np.asarray(list(islice(strongest(peaks), _PEAKS)))
+
+
+def _of_record(plant: Plant, one: Stretch, residual: Rows, power: Rows, channel: int) -> list[Peak]:
+    """Lags [s] of one record."""
     spacing, length = len(one.kernel) * one.sample_period, len(one.highest[0])
     size = 2 ** int(np.ceil(np.log2(2 * length)))
     push = np.asarray(input_slopes(plant, one.time, one.y, one.u, channel))
@@ -48,10 +83,14 @@ def lags(
         product += np.fft.irfft(np.fft.rfft(late, size) * np.conj(np.fft.rfft(early, size)), size)
         scale += float(np.linalg.norm(late) * np.linalg.norm(early))
     if not scale > 0.0:
-        return np.zeros(0)
+        return []
     # Of either sign: what an input does is hardly known beside a delay that is not in the model.
     along = np.abs(product[: max(int(_LONGEST * length), 3)]) / scale
-    return spacing * _peaks(along, _CLEAR / np.sqrt(len(one.omega)))
+    deviation = 1.0 / np.sqrt(len(one.omega))
+    return [
+        Peak(spacing * lag, height / deviation, spacing)
+        for lag, height in _peaks(along, _CLEAR * deviation)
+    ]
 
 
 def _signal(one: Stretch, modes: Rows, length: int) -> Float[np.ndarray, " nodes"]:
@@ -64,10 +103,11 @@ def _signal(one: Stretch, modes: Rows, length: int) -> Float[np.ndarray, " nodes
     return np.asarray(idct(whole, norm="ortho"))
 
 
-def _peaks(along: Float[np.ndarray, " lags"], least: float) -> Float[np.ndarray, " peaks"]:
-    """The largest maxima in the unit of an index, between two of them by a parabola."""
+def _peaks(along: Float[np.ndarray, " lags"], least: float) -> list[tuple[float, float]]:
+    """The largest maxima: places in the unit of an index, between two by a parabola; heights."""
     inner = along[1:-1]
     top = 1 + np.flatnonzero((inner > along[:-2]) & (inner >= along[2:]) & (inner > least))
     top = top[np.argsort(along[top])[::-1][:_PEAKS]]
     before, at, after = along[top - 1], along[top], along[top + 1]
-    return top + 0.5 * (before - after) / (before - 2.0 * at + after)
+    places = top + 0.5 * (before - after) / (before - 2.0 * at + after)
+    return list(zip(places.tolist(), at.tolist(), strict=True))

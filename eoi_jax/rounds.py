@@ -22,7 +22,7 @@ from eoi_jax.effects.effect import AbstractActuator, AbstractEffect, AbstractTer
 from eoi_jax.effects.products import ModulatedSinusoid, Product
 from eoi_jax.fit import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.identify import Identification
-from eoi_jax.lags import lags
+from eoi_jax.lags import Peak, lags, strongest
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
 from eoi_jax.noise_model import fitted_power, known_power, local_power
 from eoi_jax.plants.plant import Plant
@@ -218,26 +218,20 @@ class Round:
 
     def _peaks(self) -> Float[np.ndarray, " peaks"]:
         """Frequencies at which the residual of the declared model stands out."""
-        base, (one, *_) = self.base, self.stretches
-        residual = fitted(base, [], np.ones_like(base.target)).residual[: len(one.omega)]
-        power = fitted_power(residual, base.noise[: len(residual)], base.local[: len(residual)],
-                             np.zeros(len(residual), int))  # fmt: skip
-        ratio = residual**2 / power
-        ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
-        inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
-        where = 1 + np.flatnonzero(inner)
-        strongest = where[np.argsort(ratio[where])[::-1]]
-        omega = 0.5 * (one.omega[strongest] + one.omega[strongest + 1])
-        free = (peak for peak in omega if not in_step(self.stretches, peak))
+        peaks, first = [], 0
+        for one in self.stretches:
+            for _ in self.model.outputs:
+                own = slice(first, first + len(one.omega))
+                peaks += _standing_out(one.omega, *(part[own] for part in self._left))
+                first = own.stop
+        free = (peak for peak in strongest(peaks) if not in_step(self.stretches, peak))
         return np.asarray(list(islice(free, _PEAKS)))
 
     def _lags(self, placed: Placed) -> Float[np.ndarray, " lags"]:
         """Lags at which the residual of the declared model follows an input."""
         if not isinstance(placed.effect, AbstractActuator):
             return np.zeros(0)
-        (one, *_), (residual, power) = self.stretches, self._left
-        own = slice(len(self.model.outputs) * len(one.omega))
-        return lags(self.model, one, residual[own], power[own], placed.channel)
+        return lags(self.model, self.stretches, *self._left, placed.channel)
 
     @cached_property
     def _left(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
@@ -350,6 +344,17 @@ class Round:
         ]
         target, columns = system(base, made)
         return target - columns @ fit.theta
+
+
+def _standing_out(omega: np.ndarray, residual: np.ndarray, power: np.ndarray) -> list[Peak]:
+    """Frequencies [rad/s] of the maxima of one output of one record."""
+    ratio = residual**2 / power
+    ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
+    inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
+    middle, width = 0.5 * (omega[:-1] + omega[1:]), np.diff(omega)
+    return [
+        Peak(float(middle[i]), float(ratio[i]), float(width[i])) for i in 1 + np.flatnonzero(inner)
+    ]
 
 
 def _named(several: Iterable[Placed]) -> str:

@@ -73,8 +73,8 @@ def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
     residual = model_rows(DECLARED.with_parameters(TRUTH), [one])[0][0]
     local = local_power(one.rows(one.highest[0]))
     power = fitted_power(residual, one.noise[:, 0], local, np.zeros(len(residual), int))
-    near = lags(DECLARED, one, residual, power, 0)
+    near = lags(DECLARED, [one], residual, power, 0)
     assert np.min(np.abs(near - 0.3)) < 0.5 / 60.0
     noise = np.random.default_rng(0).standard_normal(len(residual))
-    assert len(lags(DECLARED, one, noise, np.ones(len(residual)), 0)) == 0
-    assert len(lags(DECLARED, one, 0.0 * noise, power, 0)) == 0
+    assert len(lags(DECLARED, [one], noise, np.ones(len(residual)), 0)) == 0
+    assert len(lags(DECLARED, [one], 0.0 * noise, power, 0)) == 0
