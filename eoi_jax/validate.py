@@ -287,7 +287,8 @@ def initial_states(
     )
     starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
     own = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
-    fit = _Heads(run, heads, y, valid, period)
+    spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
+    fit = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0))
     cost, values = _descend(fit, starts, own)
     if len(z):
         # Internal states stay where the model starts them, unless the first samples tell (BIC):
@@ -350,6 +351,7 @@ class _Heads:
     y: Float[np.ndarray, "runs time ny"]
     valid: Bool[np.ndarray, "runs time"]
     period: float
+    spread: Float[np.ndarray, " ny"]
 
     def part(self, which: Int[np.ndarray, " some"]) -> "_Heads":
         """Of some runs alone."""
@@ -366,9 +368,12 @@ class _Heads:
         return Drive(time, step, inputs, heads.substeps)
 
     def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
-        """Squared error of each trial, infinite where it diverges, and the errors."""
+        """Squared error of each trial, infinite where it diverges, and the errors.
+
+        Each output counts by its own spread: metres and radians add up to nothing.
+        """
         out = self._simulated(values)
-        error = np.where(self.valid[:, None, :, None], self.y[:, None] - out, 0.0)
+        error = np.where(self.valid[:, None, :, None], self.y[:, None] - out, 0.0) / self.spread
         error = error.reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = np.sum(error**2, axis=-1)
