@@ -4,9 +4,10 @@
 a `ValueError` that names the field with its table, the rule and the value.
 """
 
+import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -339,6 +340,19 @@ class Config(msgspec.Struct, frozen=True):
 # -- from text to tables ----------------------------------------------------------------------
 
 
+def _check_finite(value: Any, place: tuple[str, ...]) -> None:
+    """TOML has infinity and nan: only a bound may be infinite, where there is none."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            if key != "bounds":
+                _check_finite(part, (*place, key))
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            _check_finite(part, (*place[:-1], f"{place[-1]}[{i}]"))
+    elif isinstance(value, float):
+        check(math.isfinite(value), ".".join(place), "must be a finite number", value)
+
+
 def load(path: Path) -> Config:
     """Read and check a TOML file.
 
@@ -351,6 +365,7 @@ def load(path: Path) -> Config:
         tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows mark it
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"`config` must be a TOML file, got {path}: {error}.") from None
+    _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):
         tables["validation"] = {**data, **validation}

@@ -391,3 +391,22 @@ def test_a_config_that_is_missing_or_no_toml_is_named(tmp_path: Path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="must be a TOML file"):
         config.load(tmp_path / "binary.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "place"),
+    [
+        ("[sweep]\ncutoffs = {low = 1.0, high = inf, count = 5}", "sweep.cutoffs.high"),
+        ("[sweep]\ncutoffs = [1.0, inf]", r"sweep.cutoffs\[1\]"),
+        (
+            "[[sweep.observers]]\nkind = 'first_order'\n[sweep.observers.gains]\ndelta.high = inf",
+            r"sweep.observers\[0\].gains.delta.high",
+        ),
+        ("[lowpass]\ncutoff = nan", "lowpass.cutoff"),
+    ],
+)
+def test_only_bounds_may_be_infinite(tmp_path, table, place):
+    path = tmp_path / "run.toml"
+    path.write_text(f'name = "x"\nplant = "pendulum"\n{table}\n')
+    with pytest.raises(ValueError, match=rf"`{place}` must be a finite number, got (inf|nan)"):
+        config.load(path)
