@@ -31,7 +31,7 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         float64: switch on double precision. Second differences of a finely sampled record lose
             most of single precision's digits.
         cache: keep compiled kernels on disk between processes, in `$EOI_CACHE` or
-            `~/.cache/eoi_jax`.
+            `~/.cache/eoi_jax`; not where neither can be written.
         devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
 
     Raises:
@@ -39,7 +39,7 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
 
     Warns:
         RuntimeWarning: the backend runs already, so that the loop option has no effect;
-            everything works, slower.
+            everything works, slower; or compiled kernels cannot be kept.
     """
     if _HAS_OPTIONS[0] <= jax.__version_info__ < _HAS_OPTIONS[1]:
         _set_options()
@@ -48,10 +48,56 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         _make_devices(devices)
     jax.config.update("jax_enable_x64", float64)
     if cache:
-        folder = os.environ.get("EOI_CACHE", str(Path.home() / ".cache" / "eoi_jax"))
-        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_compilation_cache_dir", _cache_folder())
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _cache_folder() -> str | None:
+    """Where compiled kernels are kept; None where no folder can be written."""
+    given = os.environ.get("EOI_CACHE")
+    try:
+        folder = Path(given) if given else Path.home() / ".cache" / "eoi_jax"
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(f"{folder} must not be written")
+    except (OSError, RuntimeError) as error:
+        warnings.warn(
+            f"compiled code is not kept from run to run, which then start slower ({error}). Set "
+            "EOI_CACHE to a folder of yours",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return None
+    return str(folder)
+
+
+def check_process() -> None:
+    """JAX must not have been used before this process was forked from another.
+
+    Raises:
+        ValueError: it was. Its threads, and ours, are gone: work would be waited for for ever.
+    """
+    check(
+        not _FORKED_LATE,
+        "process",
+        "must be started anew, not forked from one that has used JAX",
+        f"process {os.getpid()}, a fork of {os.getppid()}",
+        "Start processes with `multiprocessing.get_context('spawn')`, or fork before anything is "
+        "computed.",
+    )
+
+
+_FORKED_LATE: list[int] = []  # this process, if it is a fork of one in which JAX ran
+
+
+def _forked() -> None:
+    if backend_runs():
+        _FORKED_LATE[:] = [os.getpid()]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
 
 
 def _set_options() -> None:

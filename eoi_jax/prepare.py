@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax.backend import check_process
 from eoi_jax.checks import check, check_count, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -39,9 +40,10 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     """One or several records as a tuple, checked against the plant's channels and units.
 
     Raises:
-        ValueError: no plant, no record, another number of channels, channels in another order,
-            other units.
+        ValueError: a forked process, no plant, no record, another number of channels, channels in
+            another order, other units.
     """
+    check_process()
     check_kind("plant", plant, Plant, "a Plant")
     if isinstance(records, Record):
         records = (records,)

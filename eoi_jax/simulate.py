@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from eoi_jax.backend import check_process
 from eoi_jax.checks import check, check_choice, check_count, check_kind, check_shape
 from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
@@ -62,6 +63,7 @@ def simulate(
         ValueError: a wrong shape, a grid that is not uniform, dry friction with the adaptive
             solver, or a trajectory that is not finite (with the first time at which it is not).
     """
+    check_process()
     check_kind("plant", plant, Plant, "a Plant")
     time = _uniform(np.asarray(time, dtype=np.float64))
     u = np.asarray(inputs, dtype=np.float64)

@@ -160,3 +160,34 @@ except ValueError as error:
     print(error)
 """
     assert "`devices` must be an integer ≥ 1" in fresh(code)[0]
+
+
+HOMELESS = """
+import pathlib, warnings
+import jax, eoi_jax as eoi
+def homeless():
+    raise RuntimeError("Could not determine home directory.")
+if {forget}:
+    pathlib.Path.home = homeless
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    eoi.configure()
+print(jax.config.jax_compilation_cache_dir, *(one.message for one in caught))
+"""
+
+
+@pytest.mark.parametrize(
+    ("forget", "home", "why"),
+    [
+        (True, "/nowhere", "Could not determine home directory."),  # no HOME, no such user
+        (False, "/proc/1", "/proc/1/.cache"),  # where nobody can make a folder
+        (False, "/dev/null", "Not a directory"),
+    ],
+)
+def test_without_a_home_nothing_is_kept_and_that_is_said(forget, home, why):
+    if not os.path.exists("/proc/1") and home.startswith("/proc"):
+        pytest.skip("no such file system")
+    out, _ = fresh(HOMELESS.format(forget=forget), HOME=home, EOI_CACHE="")
+    assert out.startswith("None compiled code is not kept")
+    assert why in out
+    assert "Set EOI_CACHE to a folder of yours" in out
