@@ -183,8 +183,9 @@ def score(session: list[Fate], name: str) -> str:
 
 def write_report(session: list[Fate], drawn: str, write: bool) -> None:
     """Score by room, and the survivors with why."""
-    from common import Report, table
+    from common import Report, eoi, table
 
+    eoi.configure()
     report = Report("Small faults, and whether the tests notice them")
     rows = []
     for room in [*sorted(faults.ROOMS), "all"]:
