@@ -1,19 +1,18 @@
 """How a plant's highest derivative depends on its outputs and inputs, along measured signals."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.compilation import jit
 from eoi_jax.plants.plant import Plant, State
 
 # Arrays of the host go into kernels as they are: to hand each over first takes a kernel of its own.
 Values = Array | np.ndarray
 
 
-@jax.jit
+@jit(static=())
 def state_slopes(plant: Plant, time: Values, y: Values, u: Values) -> Float[Array, "S ny r ny"]:
     """∂f/∂y, ∂f/∂ẏ, … at every instant, with the internal states where they start.
 
@@ -33,7 +32,7 @@ def state_slopes(plant: Plant, time: Values, y: Values, u: Values) -> Float[Arra
     return jax.vmap(one)(time, jnp.asarray(y), plant.driven(time, u, theta))
 
 
-@partial(jax.jit, static_argnames="i")
+@jit(static=("i",))
 def input_slopes(plant: Plant, time: Values, y: Values, u: Values, i: int) -> Float[Array, "S ny"]:
     """∂f/∂u_i at every instant, of inputs as they come out of any actuator; else as above."""
     theta = jnp.asarray(plant.theta)

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 
 from eoi_jax.checks import check, check_count
+from eoi_jax.compilation import limit
 from eoi_jax.jax_private import backend_runs
 
 # XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
@@ -24,7 +25,12 @@ _OLD_FUSIONS = "--xla_cpu_use_fusion_emitters=false"
 _HAS_OPTIONS = ((0, 7), (0, 12))
 
 
-def configure(float64: bool = True, cache: bool = True, devices: int | None = None) -> None:
+def configure(
+    float64: bool = True,
+    cache: bool = True,
+    devices: int | None = None,
+    programs: int | None = None,
+) -> None:
     """Set up JAX for estimation; call it before anything else uses JAX.
 
     Args:
@@ -33,9 +39,11 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
         cache: keep compiled kernels on disk between processes, in `$EOI_CACHE` or
             `~/.cache/eoi_jax`; not where neither can be written.
         devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
+        programs: keep so many compiled programs in memory at most, 200 by default; the least
+            recently used go first. A new kind of plant needs up to a hundred, of about 2 MB each.
 
     Raises:
-        ValueError: fewer devices than one, or too late to make them.
+        ValueError: fewer devices or programs than one, or too late to make the devices.
 
     Warns:
         RuntimeWarning: the backend runs already, so that the loop option has no effect;
@@ -43,6 +51,8 @@ def configure(float64: bool = True, cache: bool = True, devices: int | None = No
     """
     if _HAS_OPTIONS[0] <= jax.__version_info__ < _HAS_OPTIONS[1]:
         _set_options()
+    if programs is not None:
+        limit(programs)
     if devices is not None:
         devices = check_count("devices", devices)
         _make_devices(devices)

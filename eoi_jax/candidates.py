@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from eoi_jax.along import Values, input_slopes
 from eoi_jax.augment import Placed, augmented, own_states, place
+from eoi_jax.compilation import jit
 from eoi_jax.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
@@ -254,7 +254,7 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
     return inputs
 
 
-@eqx.filter_jit
+@jit
 def _input_along(
     effect: AbstractInputEffect | AbstractActuator,
     signals: tuple,
@@ -276,7 +276,7 @@ def _input_along(
     return jax.vmap(one)(jnp.asarray(shapes))
 
 
-@eqx.filter_jit
+@jit
 def _term_along(
     effect: AbstractTerm,
     degree: int,

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eoi_jax.compilation import jit
 from eoi_jax.passes import Steps, Sums
 from eoi_jax.plants.plant import Plant
 from eoi_jax.regression.bounded import bounded, outside
@@ -312,8 +313,8 @@ def _chosen(mask: Bool[np.ndarray, " lanes"], yes: Pass, no: Pass) -> Pass:
     return jax.tree.map(leaf, yes, no)
 
 
-_least_squares = jax.jit(jax.vmap(least_squares, (0, 0, None, 0)))
-_each_its_own = jax.jit(jax.vmap(least_squares))  # free parameters of each lane
+_least_squares = jit(jax.vmap(least_squares, (0, 0, None, 0)), static=())
+_each_its_own = jit(jax.vmap(least_squares), static=())  # free parameters of each lane
 
 
 def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]) -> Pass:

@@ -20,6 +20,14 @@ try:
 except ImportError:  # experimental: without it arrays are copied on their way to the host
     buffer_callback = None
 
+try:
+    from jax._src.core import trace_state_clean as _trace_state_clean
+except ImportError:  # then the arguments alone tell
+
+    def _trace_state_clean() -> bool:
+        return True
+
+
 BUFFER_CALLBACK: Callable | None = buffer_callback
 
 
@@ -118,3 +126,8 @@ def scan_parts(params: dict[str, Any]) -> ScanParts:
 def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
     """The branches of an equation of `lax.cond` or `lax.switch`."""
     return [closed_jaxpr(branch) for branch in params["branches"]]
+
+
+def tracing() -> bool:
+    """Whether a function is being traced in this thread, also where no argument shows it."""
+    return not _trace_state_clean()

@@ -8,7 +8,6 @@ eliminated run by run, for QR of the rows of each run leaves a small triangle (Ã
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +17,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.compilation import jit
 from eoi_jax.engines import free_runs
 from eoi_jax.output_error import PROMISE, Outcome, Problem, Unknowns, direction, each, errors
 from eoi_jax.sensitivity import Host, added_up
@@ -197,12 +197,12 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 
-@jax.jit
+@jit(static=())
 def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Host, ""]) -> Outcome:
     return jax.vmap(lambda one: _search(problem, one, most, None))(unknowns)
 
 
-@partial(jax.jit, static_argnames="watch")
+@jit(static=("watch",))
 def _solve(
     problem: Problem, unknowns: Unknowns, most: Int[Host, ""], watch: Watch | None
 ) -> Outcome:

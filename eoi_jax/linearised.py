@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.augment import Placed
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.effects.effect import AbstractActuator, AbstractInputEffect, AbstractTerm, At, Seen
 from eoi_jax.output_error import Problem, Span, Unknowns, problem_of, signals, weighed
@@ -311,12 +311,12 @@ def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[
     return time, u, *(at(one) for one in states)
 
 
-@eqx.filter_jit
+@jit
 def _acted(effect: AbstractActuator, *args: Any) -> Any:
     return effect.along(*(jnp.asarray(one) for one in args))
 
 
-@eqx.filter_jit
+@jit
 def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
     def one(t: Any, y: Any, z: Any, u: Any) -> Any:
         return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
@@ -324,7 +324,7 @@ def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
     return jax.vmap(jax.vmap(jax.vmap(one)))(t, y, z, u)
 
 
-@eqx.filter_jit
+@jit
 def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
     """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
 

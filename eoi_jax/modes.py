@@ -21,13 +21,13 @@ from dataclasses import dataclass
 from math import comb
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.along import Values, state_slopes
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
 from eoi_jax.plants.plant import Plant, State
@@ -321,7 +321,7 @@ def _noise(
 # -- models along a stretch ---------------------------------------------------------------
 
 
-@eqx.filter_jit
+@jit
 def model_along(
     plant: Plant,
     theta: Float[Values, " np"],

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.engines import free_runs
 from eoi_jax.engines.host import on_host
@@ -413,7 +414,7 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     return free_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
 
 
-@eqx.filter_jit
+@jit
 def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs rows ny size"]:
     return _scanned(problem, theta, starts, "signals")[1]
 

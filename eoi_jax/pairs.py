@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.compilation import jit
 from eoi_jax.directed import turn
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver
@@ -62,7 +63,7 @@ class _Carry(eqx.Module):
     sums: PairSums
 
 
-@eqx.filter_jit
+@jit
 def run_pairs(
     plant: Plant,
     observer: AbstractObserver,

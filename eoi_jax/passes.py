@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.compilation import jit
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver, Observation
 from eoi_jax.plants.plant import Plant, State
@@ -120,7 +121,7 @@ Shift = Float[Array, " directions"]
 Shifted = Callable[[Shift], Any]  # something, such as the inputs, at a shift of θ
 
 
-@eqx.filter_jit
+@jit
 def run_pass(
     plant: Plant,
     observer: AbstractObserver,

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_count, check_positive
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
 from eoi_jax.multistart import best, points_of
@@ -433,7 +434,7 @@ def _starts(
     )
 
 
-@jax.jit
+@jit(static=())
 def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
     """The states of all windows in one call."""
     return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)

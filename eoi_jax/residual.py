@@ -11,13 +11,13 @@ makes neighbours alike. Two samples per half period of the cut-off (a step of π
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.along import state_slopes
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
 from eoi_jax.lowpass import DiscreteFilter
@@ -173,7 +173,7 @@ def variable_names(plant: Plant) -> list[str]:
     return [*states, *plant.inputs, "time"]
 
 
-@eqx.filter_jit
+@jit
 def _scan(lowpass: DiscreteFilter, columns: Float[Array, "steps c"]) -> Float[Array, "steps c"]:
     def step(state: Any, row: Any) -> tuple[Any, Any]:
         state = lowpass.step(state, row)
@@ -190,7 +190,7 @@ def _filtered(
     return np.asarray(_scan(lowpass, jnp.asarray(columns)))
 
 
-@eqx.filter_jit
+@jit
 def _change(plant: Plant, time: Any, states: Any, inputs: Any, others: Any) -> Any:
     """f with other inputs less f, at every step: others (variant, steps, nu)."""
     theta = jnp.asarray(plant.theta)

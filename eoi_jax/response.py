@@ -20,12 +20,12 @@ and that is all that goes one after the other, for many forces at once.
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.compilation import jit
 from eoi_jax.directed import OwnInputs
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.trajectory import advanced, frictional
@@ -120,7 +120,7 @@ def response_of(
     return Response(*_by_sample(free, forced, substeps))
 
 
-@eqx.filter_jit
+@jit
 def _slopes(
     plant: Plant, theta: Array, friction: tuple[int, ...], *rows: Any
 ) -> tuple[Array, Array]:
@@ -142,7 +142,7 @@ def _slopes(
     return jax.lax.map(one, tuple(jnp.asarray(part) for part in rows))
 
 
-@eqx.filter_jit
+@jit
 def _by_sample(free: Array, forced: Array, substeps: int) -> tuple[Array, Array]:
     """Equation (2)."""
     stages = (np.arange(substeps)[:, None] + np.array([0.0, 0.5, 1.0])) / substeps
@@ -159,7 +159,7 @@ def _by_sample(free: Array, forced: Array, substeps: int) -> tuple[Array, Array]
     return a, b
 
 
-@eqx.filter_jit
+@jit
 def _moved(free: Array, forced: Array, forces: Array) -> Array:
     """Equation (1), at every sample and after the last."""
 

@@ -5,7 +5,6 @@ Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent 
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from eoi_jax.backend import check_process
 from eoi_jax.checks import check, check_choice, check_count, check_kind, check_shape
+from eoi_jax.compilation import jit
 from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import HOLDS, inputs_within_steps
@@ -25,7 +25,7 @@ from eoi_jax.types import Scalar, Theta
 Pieces = Float[np.ndarray, "steps order nu"]
 
 # Compiled once for each plant and shape.
-free_run = eqx.filter_jit(trajectory)
+free_run = jit(trajectory)
 
 
 def simulate(
@@ -149,7 +149,7 @@ def acted(plant: Plant, driven_by: Drive) -> Drive:
     return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
 
 
-@eqx.filter_jit
+@jit
 def behind(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
     """Inputs behind the actuators of a plant, for use inside other JAX code.
 
@@ -222,7 +222,7 @@ def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
     return np.einsum("pf,kfu->kpu", np.linalg.inv(np.vander(places, increasing=True)), values)
 
 
-@eqx.filter_jit
+@jit
 def _adaptive(
     plant: Plant,
     theta: Theta,

@@ -35,6 +35,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from eoi_jax.checks import check
+from eoi_jax.compilation import jit
 from eoi_jax.complementarity import Matrix, balanced, leaving
 from eoi_jax.plants.plant import Plant, State, velocity_of, with_velocity
 from eoi_jax.types import Flags, Input, Output, Scalar, Theta
@@ -129,7 +130,7 @@ def trajectory(
     return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
 
 
-@eqx.filter_jit  # traced and differentiated once, however many loops contain it
+@jit  # traced and differentiated once, however many loops contain it
 def advanced(
     plant: Plant,
     theta: Theta,
@@ -187,7 +188,7 @@ def chained(
     return np.concatenate([first, y[:, drives.substeps - 1 :: drives.substeps]], axis=1)
 
 
-@eqx.filter_jit
+@jit
 def _chained(
     plant: Plant,
     theta: Theta,
@@ -391,7 +392,7 @@ def _kept(x: State, done: Scalar) -> tuple[State, Scalar]:
     return x, done
 
 
-@eqx.filter_jit  # as `advanced`
+@jit  # as `advanced`
 def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
     direction = _direction(problem, x, done)

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check
+from eoi_jax.compilation import jit
 from eoi_jax.data.ingest import SHORTEST
 from eoi_jax.data.record import Record
 from eoi_jax.lowpass import LowPass
@@ -492,7 +493,7 @@ def _model_along(
     return np.asarray(_evaluate(plant, record.time[:-1], states, inputs))
 
 
-@jax.jit
+@jit(static=())
 def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny"]:
     """f at every step, with the internal states where they start."""
     theta = jnp.asarray(plant.theta)

@@ -8,11 +8,10 @@ scored.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_count, check_positive
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.prepare import check_records
@@ -255,7 +255,7 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
     return Drive(whole.time[steps], period, whole.inputs[steps], n)
 
 
-@partial(jax.jit, static_argnames="friction")
+@jit(static=("friction",))
 def _runs(
     plant: Plant,
     drives: Drive,
@@ -450,7 +450,7 @@ def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
     return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
 
 
-@eqx.filter_jit
+@jit
 def _all_unpacked(plant: Plant, values: Float[Array | np.ndarray, "runs unknowns"]) -> State:
     return jax.vmap(lambda one: unpacked(plant, one))(jnp.asarray(values))
 

@@ -19,13 +19,13 @@ Technology 21 (2013) 428, for both filters on robots.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax.along import state_slopes
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import low_pass
 from eoi_jax.plants.plant import Plant, State
@@ -121,7 +121,7 @@ def usable(plant: Plant, record: Record, now: Motion, filters: Filters) -> Sampl
     return tapered(good.astype(float), TAPER / (filters.narrow * h))
 
 
-@eqx.filter_jit
+@jit
 def along(
     plant: Plant,
     time: Float[Array, " time"],

@@ -34,6 +34,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax.comparators.comparator import AbstractComparator, Estimate, named, not_applicable
 from eoi_jax.comparators.filtered import Equation, along, equation
+from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
 from eoi_jax.plants.mass_spring_damper import mass_spring_damper_dynamics
 from eoi_jax.plants.plant import Plant
@@ -171,7 +172,7 @@ def _intervals(
     return np.where(free, 0.5 * (low + high), theta), np.where(free, high - low, 0.0)
 
 
-@eqx.filter_jit
+@jit
 def _identifier(signals: Signals, gains: _Gains) -> Float[Array, "time np"]:
     """α̂ at every sample."""
     middle, width, rate, lag = gains.middle, gains.width, gains.rate, gains.lag

@@ -72,7 +72,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
     # Of lanes one by one (`free_runs.py`) like operations side by side become vectors.
@@ -87,6 +87,7 @@ def functions(text: str) -> tuple[Callable, Callable, Any]:
     )
 
 
+@functools.lru_cache(maxsize=64)
 def engine_of(text: str, slp: bool) -> Any:
     """Compiled code, from the disk if it is there, and its memory.
 

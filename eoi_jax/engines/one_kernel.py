@@ -24,6 +24,7 @@ from jax import lax
 from jax.experimental import pallas as pl
 
 from eoi_jax.checks import check
+from eoi_jax.compilation import jit
 from eoi_jax.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.engines.lane_program import BLOCK, CARRY, LaneProgram, Pass, lane_program, shapes_of
 from eoi_jax.engines.scalars import Node, ordered
@@ -253,7 +254,7 @@ def _inputs(nodes: Sequence[Node], group: str) -> dict[Node, int]:
 # -- both kernels -----------------------------------------------------------------------------
 
 
-@eqx.filter_jit
+@jit
 def _launch(
     what: Pass,
     plant: Plant,

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from eoi_jax.compilation import jit
 from eoi_jax.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import Steps, Sums
@@ -59,7 +60,7 @@ class Scan(AbstractEngine):
         )
 
 
-@eqx.filter_jit
+@jit
 def _tiles(
     plant: Plant,
     tiles: Lanes,

@@ -11,7 +11,7 @@ from typing import Any
 
 from eoi_jax.engines.scalars import Untranslatable
 
-_MOST = 256  # translations kept, the least recently used go
+_MOST = 64  # translations kept, the least recently used go with their code
 
 
 def kept_translation(function: Callable) -> Callable:

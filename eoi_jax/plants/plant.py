@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax.checks import check, check_choice, check_kind, is_whole, real
+from eoi_jax.compilation import jit
 from eoi_jax.jax_private import inputs_read
 from eoi_jax.types import Input, Output, Regressor, Scalar
 
@@ -558,7 +559,7 @@ def _affine(
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
-@jax.jit
+@jit(static=())
 def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
     """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
 
@@ -570,7 +571,7 @@ def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[A
     return jax.vmap(one)(t, y, u, theta)
 
 
-@jax.jit
+@jit(static=())
 def _across_rest(
     plant: Plant, t: Array, y: Array, u: Array, theta: Array
 ) -> tuple[Array, Array, Array]:

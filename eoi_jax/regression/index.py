@@ -6,12 +6,13 @@ The paper divides by N + 1 while it sums N samples; N makes P the mean square th
 to be. Only samples that are scored count: after the transient, not in a gap, not stuck.
 """
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from eoi_jax.compilation import jit
 
-@jax.jit
+
+@jit(static=())
 def index(
     square_sum: Float[Array, "*channel"], weight: Float[Array, "*channel"]
 ) -> Float[Array, "*channel"]:

@@ -9,11 +9,11 @@ alike. Directions without information keep their nominal value (the smallest Î”Î
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax.compilation import jit
 from eoi_jax.types import Scalar
 
 # An eigenvalue of the scaled information matrix below this many rounding errors is no information.
@@ -40,7 +40,7 @@ class Solution(eqx.Module):
     scale: Float[Array, " np"]
 
 
-@jax.jit
+@jit(static=())
 def least_squares(
     information: Float[Array, "np np"],
     rhs: Float[Array, " np"],
