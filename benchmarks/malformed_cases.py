@@ -674,7 +674,7 @@ def results(good: bytes, draw: random.Random, count: int) -> Iterator[tuple[str,
     def packed(text: object, kept: dict[str, np.ndarray]) -> bytes:
         stream = io.BytesIO()
         shown = text if isinstance(text, str) else json.dumps(text)
-        np.savez(stream, eoi_jax=np.asarray(shown), **kept)
+        np.savez(stream, allow_pickle=False, **{"eoi_jax": np.asarray(shown), **kept})
         return stream.getvalue()
 
     for i in range(count):
@@ -742,7 +742,7 @@ def bases(folder: Path) -> dict[str, bytes]:
         ".4.mat": written(lambda path: savemat(path, plain, format="4"), ".mat", folder),
         ".7.mat": written(hdf5(lambda _: None, True), ".mat", folder),
         ".h5": written(hdf5(lambda _: None, False), ".h5", folder),
-        ".npz": written(lambda path: np.savez_compressed(path, **plain), ".npz", folder),
+        ".npz": written(lambda path: np.savez_compressed(path, t=T, u=U, y=Y), ".npz", folder),
     }
 
 

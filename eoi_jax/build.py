@@ -258,8 +258,9 @@ def _found(file: str, name: str, folder: Path, data: Path | None) -> Path:
     variable = os.environ.get(DATA_VARIABLE)
     roots = [data] if data else [folder, *([Path(variable)] if variable else [])]
     for root in roots:
-        if (root / file).is_file():
-            return root / file
+        with contextlib.suppress(OSError, ValueError):  # no name of a file
+            if (root / file).is_file():
+                return root / file
     sought = " nor ".join(str(root / file) for root in roots)
     check(False, f"{name}.files", "must be files that exist", sought,
           f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip

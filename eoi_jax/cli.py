@@ -265,6 +265,8 @@ def init(
     Raises:
         ValueError: a file that cannot be read, or a config that is there already.
     """
+    is_text = path.name == path.name.encode("utf-8", "replace").decode()
+    check(is_text, "file", "must have a name that is text", path, "Rename it.")
     goal = target or Path(f"{_stem(path)}.toml")
     rule = "must be a new file"
     check(force or not goal.exists(), "--output", rule, goal, "Replace it with --force.")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, printable
 from eoi_jax.data.limits import MAX_GIGABYTES
 from eoi_jax.equations.model import ModelTable
 from eoi_jax.schema import struct
@@ -292,7 +292,7 @@ class DataTable(msgspec.Struct, frozen=True):
         slice: first and last (excluded) sample used.
         hold: what the input did between samples: zero, linear, smooth, or auto.
         burn_in: not scored at the start [s].
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; inf for no limit.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
     """
 
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -363,8 +363,11 @@ def load(path: Path) -> Config:
     check(path.is_file(), "config", "must be a file that exists", path)
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows mark it
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"`config` must be a TOML file, got {path}: {error}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        deep = isinstance(error, RecursionError)
+        said = "it is nested too deeply" if deep else printable(str(error))
+        check(False, "config", "must be a TOML file", path, f"The reader says: {said}.")
+        raise
     _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):

@@ -59,8 +59,9 @@ def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -
         fill: writes into the empty folder that it is given.
         keep: leave alone a folder with something in it that another process made meanwhile.
     """
+    above = [one for one in goal.parents if not one.exists()]
     goal.parent.mkdir(parents=True, exist_ok=True)
-    with _drafted(goal) as draft:
+    with tidied(lambda: _remove_empty(above)), _drafted(goal) as draft:
         new = draft / "new"
         new.mkdir()
         fill(new)
@@ -76,6 +77,12 @@ def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -
         elif not goal.exists():
             new.rename(goal)
         settle(goal.parent)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for one in folders:
+        with suppress(OSError):
+            one.rmdir()
 
 
 def write_file(goal: Path, fill: Callable[[Path], None]) -> None:

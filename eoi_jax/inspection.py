@@ -151,6 +151,7 @@ class Inspection:
         save(self, path)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of numbers that are no measurement
 def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection:
     """Look at a file before anything is configured.
 

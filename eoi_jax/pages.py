@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eoi_jax.checks import check
 from eoi_jax.discovery import Discovery
 from eoi_jax.drafts import sweep_up, write_file
@@ -55,15 +57,21 @@ def write_report(folder: Path) -> Path:
     other = f"{folder}, whose one is of something else"
     check(good, "RUN", f"must hold the {RESULT} of {summary['kind']}", other, _AGAIN)
     first, _, rest = config.partition("\n")
-    contents = maker(result, beside)
-    text = page(summary, contents, first.removeprefix("# "), rest, summary["kind"])
+    command = first.removeprefix("# ")
+    try:
+        with np.errstate(all="ignore"):  # of a damaged run
+            text = page(summary, maker(result, beside), command, rest, summary["kind"])
+    except Exception as error:  # parts that are each as declared, and of different results
+        cause = f"{folder}, whose parts do not fit together ({type(error).__name__}: {error})"
+        check(False, "RUN", f"must hold the {RESULT} that it was written with", cause, _AGAIN)
+        raise
     path = folder / REPORT
     write_file(path, lambda draft: _write_text(draft, text))
     return path
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], str]:
@@ -108,4 +116,4 @@ def _read(folder: Path) -> tuple[dict[str, Any], str]:
     for name in (RESULT, BESIDE, "config.toml"):
         missing = f"{folder}, which has none"
         check((folder / name).is_file(), "RUN", f"must hold {name}", missing, _AGAIN)
-    return summary, (folder / "config.toml").read_text(encoding="utf-8")
+    return summary, (folder / "config.toml").read_text(encoding="utf-8", errors="replace")

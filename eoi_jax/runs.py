@@ -142,7 +142,7 @@ def write_identification(
     save_drawn(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
     save({"diagnosis": diagnose(result), "validation": validation}, folder / BESIDE)
-    (folder / "config.toml").write_text(config, encoding="utf-8")
+    _write(folder / "config.toml", config)
 
 
 def write_refinement(
@@ -165,11 +165,11 @@ def write_refinement(
         config: text of the config, with the command that was given above it.
     """
     _write_json(folder / "result.json", summary)
-    (folder / "report.txt").write_text(text + "\n", encoding="utf-8")
+    _write(folder / "report.txt", text + "\n")
     save_drawn(folder / "figure.png", result.plot)
     result.save(folder / RESULT)
     save({**beside, "diagnosis": diagnose(beside["start"])}, folder / BESIDE)
-    (folder / "config.toml").write_text(config, encoding="utf-8")
+    _write(folder / "config.toml", config)
 
 
 def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], config: str) -> None:
@@ -184,17 +184,17 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     from eoi_jax.report import discovery_figures
 
     _write_json(folder / "discovery.json", summary)
-    (folder / "report.txt").write_text(discovery_text(result) + "\n", encoding="utf-8")
+    _write(folder / "report.txt", discovery_text(result) + "\n")
     model = result.declared_part
     forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
-    (folder / "equation.tex").write_text(tex + "\n", encoding="utf-8")
+    _write(folder / "equation.tex", tex + "\n")
     for name, draw in discovery_figures.PARTS.items():
         save_drawn(folder / f"{name}.png", partial(draw, result))
     result.save(folder / RESULT)
     last = result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
     save({"diagnosis": last}, folder / BESIDE)
-    (folder / "config.toml").write_text(config, encoding="utf-8")
+    _write(folder / "config.toml", config)
 
 
 def write_sweep(
@@ -213,9 +213,9 @@ def write_sweep(
 
     def fill(draft: Path) -> None:
         _write_json(draft / SWEEP, summary)
-        (draft / "report.txt").write_text(text + "\n", encoding="utf-8")
+        _write(draft / "report.txt", text + "\n")
         save_drawn(draft / "figure.png", lambda: sweep_figure(result, best))
-        (draft / "config.toml").write_text(config, encoding="utf-8")
+        _write(draft / "config.toml", config)
 
     write_files(folder, SWEEP, fill)
 
@@ -230,10 +230,15 @@ def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], t
         text: for a reader.
     """
     _write_json(folder / "inspect.json", summary)
-    (folder / "inspect.txt").write_text(text + "\n", encoding="utf-8")
+    _write(folder / "inspect.txt", text + "\n")
     save_drawn(folder / "inspect.png", found.plot)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    _write(path, text + "\n")
+
+
+def _write(path: Path, text: str) -> None:
+    """In UTF-8; of a file's name that is none, its codes."""
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")

@@ -225,3 +225,30 @@ def test_a_plant_file_that_ends_the_program_is_an_error(tmp_path: Path, ending: 
     assert (done.exit_code, done.stdout) == (2, "")
     assert '`plant` must be "file.py:object" that runs, got own.py:rig' in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_brackets_without_end_and_names_that_are_none_are_refused(tmp_path: Path):
+    path = prepared(tmp_path, ('["record.csv"]', f'["{"x" * 5000}"]'))
+    refused(path, 2, "`data.files`")
+    path.write_text(f"x = {'[' * 5000}{']' * 5000}")
+    refused(path, 2, "`config` must be a TOML file", "it is nested too deeply")
+    path = prepared(tmp_path, ('name = "run"', r'name = "run\n"'))
+    refused(path, 2, "`name`", r"'run\n'")
+
+
+@pytest.mark.parametrize("name", [b"r\xff\xfen.csv", b"a\x1b[31m\nb.csv"])
+def test_a_file_whose_name_is_no_text_is_inspected(tmp_path: Path, name: bytes):
+    rows = zip(*columns(200).values(), strict=True)
+    path = tmp_path / os.fsdecode(name)
+    path.write_text("\n".join(["t,u,y", *(",".join(map(str, row)) for row in rows)]))
+    words = ["inspect", str(path), "--output", str(tmp_path / "runs"), "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["samples"] == 200
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert json.loads((folder / "inspect.json").read_text())["path"] == str(path)
+    done = CliRunner().invoke(app, ["init", str(path), "--output", str(tmp_path / "a.toml")])
+    if b"\xff" in name:
+        assert done.exit_code == 2
+        assert "`file` must have a name that is text" in done.stderr
+        assert not (tmp_path / "a.toml").exists()

@@ -173,3 +173,14 @@ def test_nothing_waits_where_locks_are_unknown(tmp_path: Path, monkeypatch):
     (tmp_path / ".run-abcdefgh.draft" / "lock").write_text("")
     sweep_up(tmp_path)
     assert names(tmp_path) == [".run-abcdefgh.draft", "file"]
+
+
+def test_a_folder_that_is_not_filled_leaves_none_above_it(tmp_path: Path):
+    def fail(_: Path) -> None:
+        raise ValueError("no figure")
+
+    with pytest.raises(ValueError, match="no figure"):
+        write_folder(tmp_path / "a" / "b" / "run", fail)
+    assert names(tmp_path) == []
+    write_folder(tmp_path / "a" / "b" / "run", put("x"))
+    assert names(tmp_path / "a" / "b") == ["run"]

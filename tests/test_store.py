@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import pickle
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -244,3 +246,114 @@ def test_jax_arrays_are_stored_as_arrays(tmp_path):
     back = eoi.load(tmp_path / "x.npz")
     np.testing.assert_array_equal(back["a"], [0.0, 1.0, 2.0])
     assert back["b"] == (1, [2.5, None])
+
+
+# -- results of others ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def parts(result, tmp_path_factory):
+    """The tree and the arrays of a stored identification."""
+    path = tmp_path_factory.mktemp("whole") / "run.npz"
+    result.save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    return json.loads(str(arrays.pop("eoi_jax"))), arrays
+
+
+def forged(folder, tree, arrays):
+    path = folder / "forged.npz"
+    np.savez(
+        path, eoi_jax=np.asarray(tree if isinstance(tree, str) else json.dumps(tree)), **arrays
+    )
+    return path
+
+
+def whole(result):
+    return {"format": 3, "version": "0", "result": result}
+
+
+STATUS = {"code": "converged", "message": "all is well"}
+DEEP = '{"list": [' * 4000 + "1" + "]}" * 4000
+
+
+@pytest.mark.parametrize(
+    ("tree", "said"),
+    [
+        (whole({"list": 3}), "its structure is not that of a result: Expected `array`, got `int`"),
+        (whole({"list": [], "dict": {}}), "its structure is not that of a result: an object of"),
+        (whole({}), "its structure is not that of a result: an object of no key"),
+        (whole({"more": 1}), "Object contains unknown field `more`"),
+        (whole({"class": "eoi_jax.results:Status"}), "an object of class"),
+        (whole({"array": "a0"}), "it has no array a0"),
+        (whole({"list": [{"array": "a0"}]}), "it has no array a0"),
+        (f'{{"format": 3, "version": "0", "result": {DEEP}}}', "nested too deeply"),
+        ("{", "must be a result that `save` wrote"),
+        ("[]", "must be a result that `save` wrote"),
+        ({"format": "3", "version": "0", "result": 1}, "must be a result that `save` wrote"),
+        ({"format": True, "version": "0", "result": 1}, "must be a result that `save` wrote"),
+        ({"format": 3, "version": 0, "result": 1}, "must be a result that `save` wrote"),
+        (
+            whole({"class": "eoi_jax.results:Status", "fields": {**STATUS, "more": 1}}),
+            r"must hold a Status of this version, got a field ['more']",
+        ),
+        (
+            whole({"class": "eoi_jax.results:Status", "fields": {"code": "converged"}}),
+            "must hold Status.message, got nothing",
+        ),
+        (
+            whole({"class": "eoi_jax.results:Status", "fields": {**STATUS, "code": 1}}),
+            "must hold Status.code as it is declared, got int",
+        ),
+    ],
+)
+def test_a_structure_that_is_none_of_a_result_is_refused(tree, said, tmp_path):
+    with pytest.raises(ValueError, match="`path` must") as caught:
+        eoi.load(forged(tmp_path, tree, {}))
+    assert said in str(caught.value)
+
+
+def test_a_whole_status_is_one(tmp_path):
+    tree = whole({"class": "eoi_jax.results:Status", "fields": STATUS})
+    assert eoi.load(forged(tmp_path, tree, {})) == eoi.Status(**STATUS)
+
+
+def test_an_array_of_another_kind_or_size_is_refused(parts, tmp_path):
+    tree, arrays = parts
+    record = tree["result"]["fields"]["records"]["tuple"][0]["fields"]
+    key = record["outputs"]["array"]
+    assert eoi.load(forged(tmp_path, tree, arrays)).index.ndim == 2
+    for wrong in (arrays[key][..., None], arrays[key] + 1j, arrays[key][:-1], np.asarray("text")):
+        with pytest.raises(
+            ValueError, match=r"must hold Record\.\w+ as it is declared, got an array"
+        ):
+            eoi.load(forged(tmp_path, tree, {**arrays, key: wrong}))
+
+
+def test_a_damaged_archive_is_refused_wherever_it_is_cut(result, tmp_path):
+    result.save(tmp_path / "run.npz")
+    data = (tmp_path / "run.npz").read_bytes()
+    for size in np.linspace(0, len(data) - 1, 12).astype(int):
+        (tmp_path / "cut.npz").write_bytes(data[:size])
+        with pytest.raises(ValueError, match="`path` must be a result that `save` wrote"):
+            eoi.load(tmp_path / "cut.npz")
+
+
+def test_no_module_is_imported_because_a_file_says_so(tmp_path):
+    code = (
+        "import sys, eoi_jax; before = set(sys.modules)\n"
+        "from eoi_jax.stored import class_named, function_named\n"
+        "assert class_named('eoi_jax.cli:Ending') is None\n"
+        "assert class_named('eoi_jax.results:EngineUsed') is not None\n"
+        "assert function_named('eoi_jax.plants.pendulum:jnp') is None\n"
+        "assert 'eoi_jax.cli' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_result_that_unpacks_to_more_than_is_allowed_is_refused(result, tmp_path):
+    result.save(tmp_path / "run.npz")
+    with pytest.raises(ValueError, match=r"unpacks to more than 1e-05 GB.*`max_gigabytes`"):
+        eoi.load(tmp_path / "run.npz", max_gigabytes=1e-5)
+    assert eoi.load(tmp_path / "run.npz", max_gigabytes=np.inf).parameters == result.parameters

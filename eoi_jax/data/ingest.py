@@ -26,6 +26,7 @@ from eoi_jax.data.resample import (
 from eoi_jax.types import Mask, Signals, TimeAxis
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
+_LARGEST = 1e150
 _STAIRCASE = 0.2  # share of steps that may change a held input's value
 _DEGREE = 3  # of the spline through outputs that lie between grid points
 
@@ -45,6 +46,10 @@ def _numbers(name: str, values: Any) -> np.ndarray:
         array = np.ma.filled(array.astype(np.float64), np.nan)
     except (TypeError, ValueError) as failure:
         check(False, name, "must hold numbers only", failure)
+    finite = array[np.isfinite(array)]
+    largest = float(np.max(np.abs(finite), initial=0.0))
+    advice = "Its square must be a number, too: give a `scale`, or drop such samples."
+    check(largest < _LARGEST, name, f"must be below {_LARGEST:g} in size", largest, advice)
     return np.array(array)
 
 

@@ -44,7 +44,7 @@ class Allowance:
         if self._left < 0:
             raise ValueError(
                 f"it unpacks to more than {self._limit:g} GB; if that is right, "
-                "give a larger `max_gigabytes` (inf for no limit)"
+                "give a larger `max_gigabytes`"
             )
 
     def take_archive(self, path: Path) -> None:

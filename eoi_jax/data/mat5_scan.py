@@ -19,6 +19,7 @@ import numpy as np
 from eoi_jax.data.limits import Allowance
 
 _INT32, _MATRIX, _COMPRESSED = 5, 14, 15
+_KINDS = {*range(1, 8), 9, *range(12, 19)}  # a reader may look others up beyond its own table
 _DEEPEST = 100  # matrices within matrices
 _PIECE = 1 << 20  # bytes
 _MOST_AXES = 64
@@ -79,6 +80,8 @@ def _matrix(read: Read, order: str, size: int, allowance: Allowance) -> None:
             if len(ends) > _DEEPEST:
                 raise ValueError("its structures or cells are nested too deeply")
             continue
+        if kind not in _KINDS:
+            raise ValueError("it holds an element of an unknown type")
         number += 1
         padded = length + -length % 8
         if kind == _INT32 and number == 2 and length <= 4 * _MOST_AXES:

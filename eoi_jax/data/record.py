@@ -104,6 +104,7 @@ class Record:
     _quantum: Float[np.ndarray, " ny"] | None
     _middle: Inputs | None  # halfway between the samples, if it is known from a coarser record
 
+    @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
         self,
         time: Any,

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.checks import printable
 from eoi_jax.inspection import Channel, Inspection
 from eoi_jax.report.figures import decimate
 from eoi_jax.report.tables import columns
@@ -25,7 +26,7 @@ def inspection_text(found: Inspection) -> str:
     Returns:
         Several lines of at most about 100 characters.
     """
-    blocks = [f"{found.path}: {found.samples} rows, {len(found.channels)} columns"]
+    blocks = [f"{printable(str(found.path))}: {found.samples} rows, {len(found.channels)} columns"]
     blocks.append(_clock_text(found))
     rows = [("column", "looks like", "unit", "min", "max", "missing", "noise", "step", "band")]
     ranks = ("time", "input", "output", "other", "constant", "text")
@@ -118,7 +119,7 @@ def inspection_figure(found: Inspection) -> Any:
     if stamped:
         _draw_steps(grid[-1], time, clock.sample_period or 1.0)
     more = sum(one.role in ("input", "output", "other") for one in found.channels) - count
-    title = found.path.name + (f" ({more} more columns)" if more > 0 else "")
+    title = printable(found.path.name) + (f" ({more} more columns)" if more > 0 else "")
     figure.suptitle(title, fontsize=12, parse_math=False)
     return figure
 

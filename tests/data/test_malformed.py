@@ -3,6 +3,7 @@
 import gzip
 import io
 import struct
+import warnings
 import zipfile
 
 import h5py
@@ -265,7 +266,7 @@ def test_columns_of_a_matrix_have_one_name_to_inspect_to_init_and_to_read(suffix
     values = {"t": T, "m": np.stack([drive, Y, 0.0 * T], axis=1)}
     path = tmp_path / f"run{suffix}"
     if suffix == ".npz":
-        np.savez(path, **values)
+        np.savez(path, t=values["t"], m=values["m"])
     elif suffix == ".mat":
         savemat(path, values)
     else:
@@ -298,7 +299,10 @@ def test_the_imaginary_part_is_never_dropped(tmp_path):
 
 def test_names_hold_nothing_that_a_terminal_obeys(tmp_path):
     name = "\x1b[31mred\n\u202e"
-    np.savez(tmp_path / "run.npz", **{"t": T, name: Y})
+    with zipfile.ZipFile(tmp_path / "run.npz", "w") as archive:
+        for key, values in (("t", T), (name, Y)):
+            with archive.open(f"{key}.npy", "w") as stream:
+                np.save(stream, values)
     found = read_table(tmp_path / "run.npz")
     shown = r"\x1b[31mred\n\u202e"
     assert list(found.columns) == ["t", shown]
@@ -311,3 +315,20 @@ def test_an_error_shows_what_it_got_and_no_control_character():
     with pytest.raises(ValueError, match=r"got \\x1b\[31m\\n\.") as caught:
         read_table("\x1b[31m\n")
     assert str(caught.value).isprintable()
+
+
+def test_an_element_of_an_unknown_type_is_refused(tmp_path):
+    """The reader would look its size up beyond the end of a table."""
+    write_mat5(tmp_path / "run.mat", matrix(6, (1, 1), b"y", element(77, bytes(8))))
+    refused(tmp_path / "run.mat", "it holds an element of an unknown type")
+
+
+def test_numbers_whose_squares_are_none_are_refused_and_inspected_without_a_warning(tmp_path):
+    values = Y.copy()
+    values[7] = 1e200
+    np.savez(tmp_path / "run.npz", t=T, y=values)
+    with pytest.raises(ValueError, match=r"`outputs` must be below 1e\+150 in size, got 1e\+200"):
+        read_record(tmp_path / "run.npz", "t", (), "y")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert eoi.inspect(tmp_path / "run.npz").samples == N
