@@ -38,7 +38,7 @@ def killed(folder: Path, patch: str, act: str) -> None:
 REPLACE = "drafts.write_folder(folder / 'run', lambda new: (new / 'content').write_text('new'))"
 # Where a process dies, and what stands then: at no moment nothing.
 MOMENTS = {
-    "while it fills": ("drafts._settle = kill", "old"),
+    "while it fills": ("drafts.settle = kill", "old"),
     "before the exchange": ("drafts._exchanged = kill", "old"),
     "after the exchange": (
         "true = drafts._exchanged; drafts._exchanged = lambda *x: (true(*x), kill())", "new",
@@ -88,7 +88,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path: Path):
     goal = tmp_path / "model.c"
     goal.write_text("old")
     act = "drafts.write_file(folder / 'model.c', lambda new: new.write_text('new'))"
-    killed(tmp_path, "drafts._settle = kill", act)
+    killed(tmp_path, "drafts.settle = kill", act)
     assert goal.read_text() == "old"
     write_file(goal, write("newer"))
     assert goal.read_text() == "newer"
