@@ -107,7 +107,7 @@ class _Split:
         """Without the arrays."""
         # 1, 1.0 and True are equal, but not the same to a program.
         kinds = tuple(map(type, (*self.fixed, *(value for _, value in self.given))))
-        return self.structure, self.fixed, kinds, self.given, jax.config.jax_enable_x64
+        return self.structure, self.fixed, kinds, self.given, jax.dtypes.canonicalize_dtype(float)
 
     def arguments(self, arrays: list[Any]) -> tuple[tuple, dict[str, Any]]:
         """Of the function, with these arrays."""

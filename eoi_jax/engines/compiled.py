@@ -5,7 +5,6 @@ import ctypes.util
 import functools
 import hashlib
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
 
+from eoi_jax.engines import code_cache
 from eoi_jax.engines.lane_program import AbstractLoop, LaneProgram, lane_program
 from eoi_jax.engines.machine_code import Layout, layout, source
 from eoi_jax.engines.scalars import Untranslatable
@@ -128,14 +128,12 @@ def _object_code(text: str, machine: Any, slp: bool) -> bytes:
     name = hashlib.sha256(repr(key).encode()).hexdigest()
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     path = Path(folder) / "native" / f"{name}.o" if folder else None
-    try:
-        if path is not None and path.is_file():
-            return path.read_bytes()
-    except OSError:
-        pass
-    code = _translate(text, machine, slp)
-    if path is not None:
-        _keep(path, code)
+    if path is None or not code_cache.usable(path.parent):
+        return _translate(text, machine, slp)
+    code = code_cache.read(path)
+    if code is None:
+        code = _translate(text, machine, slp)
+        code_cache.keep(path, code)
     return code
 
 
@@ -147,17 +145,6 @@ def _translate(text: str, machine: Any, slp: bool) -> bytes:
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
     return machine.emit_object(module)
-
-
-def _keep(path: Path, code: bytes) -> None:
-    """Write at once or not at all; a folder that cannot be written is no error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(code)
-        os.replace(file.name, path)
-    except OSError:
-        pass
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
