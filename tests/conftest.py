@@ -10,10 +10,6 @@ import pytest
 from jaxtyping import install_import_hook
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
-# Areas of memory that a process has mapped, from which on it forgets what it has compiled: Linux
-# allows 65 530, each kernel takes several, and the next one ends in a segmentation fault.
-_MAPS, _MOST_MAPS = Path("/proc/self/maps"), 20_000
-
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
 # would take longer than all else.
 _SCALAR = {"scalars", "jaxprs", "lane_program", "llvm_text", "machine_code", "one_vector"}
@@ -44,14 +40,6 @@ def compilation_cache() -> Iterator[None]:
     folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     yield
     jax.config.update("jax_compilation_cache_dir", folder)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def room_for_code() -> Iterator[None]:
-    """The kernels of a thousand tests do not pile up in one worker."""
-    yield
-    if _MAPS.is_file() and _MAPS.read_bytes().count(b"\n") > _MOST_MAPS:
-        jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
