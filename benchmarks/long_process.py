@@ -27,7 +27,7 @@ Rig = tuple[eoi.Plant, eoi.Plant]  # the declared one, and the one that makes th
 
 def _pair(declared: Callable, hidden: Callable, parameters: dict[str, float], order: int) -> Rig:
     def true(_: Any, x: Any, u: Any, p: Any) -> Any:
-        return declared(t, x, u, p) + hidden(x)
+        return declared(_, x, u, p) + hidden(x)
 
     return tuple(eoi.Plant(one, parameters, relative_degree=order) for one in (declared, true))
 
@@ -72,7 +72,7 @@ def _two_masses(constant: float) -> Rig:
     parameters = {"k": 9.0, "d": 0.8}
     return tuple(
         eoi.Plant(one, parameters, relative_degree=2, outputs=("first", "second"))
-        for one in (forces, lambda t, x, u, p: forces(t, x, u, p) + hidden(x))
+        for one in (forces, lambda _, x, u, p: forces(_, x, u, p) + hidden(x))
     )
 
 
