@@ -9,7 +9,9 @@ from eoi_jax.backend import configure as configure
 from eoi_jax.batch.best import best as best
 from eoi_jax.batch.store import open_sweep as open_sweep
 from eoi_jax.bootstrap import bootstrap as bootstrap
+from eoi_jax.checks import FigureWarning as FigureWarning
 from eoi_jax.checks import RecordWarning as RecordWarning
+from eoi_jax.checks import StoreWarning as StoreWarning
 from eoi_jax.compare import Comparison as Comparison
 from eoi_jax.compare import compare as compare
 from eoi_jax.data import excitation as excitation
