@@ -29,7 +29,8 @@ def _pair(declared: Callable, hidden: Callable, parameters: dict[str, float], or
     def true(_: Any, x: Any, u: Any, p: Any) -> Any:
         return declared(_, x, u, p) + hidden(x)
 
-    return tuple(eoi.Plant(one, parameters, relative_degree=order) for one in (declared, true))
+    first, second = (eoi.Plant(one, parameters, relative_degree=order) for one in (declared, true))
+    return first, second
 
 
 def _oscillator(constant: float) -> Rig:
@@ -70,10 +71,11 @@ def _two_masses(constant: float) -> Rig:
         return jnp.stack([-0.5 * jnp.sign(x.y[1, 0]), 0.0 * x.y[1, 1]])
 
     parameters = {"k": 9.0, "d": 0.8}
-    return tuple(
+    first, second = (
         eoi.Plant(one, parameters, relative_degree=2, outputs=("first", "second"))
         for one in (forces, lambda _, x, u, p: forces(_, x, u, p) + hidden(x))
     )
+    return first, second
 
 
 KINDS = (_oscillator, _pendulum, _heater, _drag, _two_masses)

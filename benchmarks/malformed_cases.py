@@ -210,7 +210,7 @@ def archives() -> Iterator[tuple[str, bytes]]:
     yield "three axes", beside("y.npy", npy(np.zeros((3, 4, 5))))
     yield "structures", beside("y.npy", npy(np.zeros(N, [("a", float), ("b", int, (2,))])))
     yield "complex", zipped({"t.npy": npy(T), "u.npy": npy(U + 1j), "y.npy": npy(Y)})
-    yield "scalars alone", zipped({"a.npy": npy(np.float64(3.0))})
+    yield "scalars alone", zipped({"a.npy": npy(np.asarray(3.0))})
     yield "empty arrays", zipped({"a.npy": npy(np.zeros(0)), "b.npy": npy(np.zeros((0, 5)))})
     yield "NaN throughout", zipped({"t.npy": npy(T), "y.npy": npy(np.full(N, np.nan))})
     yield "no members", zipped({})
@@ -514,7 +514,7 @@ def frames() -> Iterator[tuple[str, pd.DataFrame]]:
     yield "whole numbers with missing", good.assign(y=pd.array([1, None] * 30, "Int64"))
     yield "truth values with missing", good.assign(y=pd.array([True, None] * 30, "boolean"))
     yield "no rows", good.iloc[:0]
-    yield "no columns", good[[]]
+    yield "no columns", pd.DataFrame(index=good.index)
     yield "names with escapes", good.rename(columns={"u": ESCAPE})
     yield "numbers for names", good.rename(columns={"u": 3})
     yield "an index of dates", good.set_index(pd.date_range("2024", periods=N))

@@ -14,7 +14,7 @@ from eoi_jax.batch.marks import digest
 from eoi_jax.checks import StoreWarning
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-import damaged_stores as campaign
+import damaged_stores as campaign  # pyright: ignore[reportMissingImports]
 
 KINDS = dict(campaign.damages())
 
@@ -89,7 +89,7 @@ campaign.swept(Path(sys.argv[1]))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
 def test_a_chunk_is_marked_after_its_arrays_are_written(tmp_path):
-    paths = [str(Path(campaign.__file__).parent), str(Path(eoi.__file__).parents[1])]
+    paths = [str(Path(campaign.__file__ or "").parent), str(Path(eoi.__file__).parents[1])]
     code = f"import sys; sys.path[:0] = {paths!r}\n{KILLED}"
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True)
     assert done.returncode == -9, done.stderr
