@@ -72,7 +72,6 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-@functools.lru_cache(maxsize=64)
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
     # Of lanes one by one (`free_runs.py`) like operations side by side become vectors.

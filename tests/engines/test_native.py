@@ -237,11 +237,11 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
     before = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     compiled_code.translated.cache_clear()
-    compiled_code.functions.cache_clear()
+    compiled_code.engine_of.cache_clear()
     Native().run(PENDULUM, lanes, LOWPASS, swinging)
     assert len(list((tmp_path / "native").iterdir())) == 1
     compiled_code.translated.cache_clear()
-    compiled_code.functions.cache_clear()
+    compiled_code.engine_of.cache_clear()
     monkeypatch.setattr(compiled_code, "_translate", lambda *a: pytest.fail("compiled again"))
     again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     close(again, before, rtol=0)
@@ -251,8 +251,9 @@ def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, swinging):
     (tmp_path / "native").write_text("a file where the folder should be")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     compiled_code.translated.cache_clear()
-    compiled_code.functions.cache_clear()
-    Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
+    compiled_code.engine_of.cache_clear()
+    with pytest.warns(RuntimeWarning, match="cannot be made"):
+        Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
 
 
 # -- what it cannot do ------------------------------------------------------------------------

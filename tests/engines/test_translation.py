@@ -64,7 +64,7 @@ def test_any_failure_of_the_translation_falls_back_to_the_scan(
     assert {one.engine for one in wanted} == {NATIVE}
     for one in (compiled.translated, compiled.program_of, few_lanes.few_lanes):
         one.cache_clear()
-    compiled.functions.cache_clear()
+    compiled.engine_of.cache_clear()
     monkeypatch.setattr(*FAULTS[fault])
     found = eoi.identify(plant, record), eoi.refine(plant, record)
     for one, other in zip(found, wanted, strict=True):
