@@ -217,6 +217,7 @@ def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
     """`nohup` asks for that."""
     code = (
         "import signal; from eoi_command.signals import handled, ENDING; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "  # a shell's `&` ignores it
         "signal.signal(signal.SIGHUP, signal.SIG_IGN); "
         "heard = []; "
         "manager = handled(lambda number, _: heard.append(number)); manager.__enter__(); "

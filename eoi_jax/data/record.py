@@ -102,7 +102,9 @@ class Record:
     smoothed: tuple[float, ...]
     _noise: Float[np.ndarray, " ny"] | None  # known from the samples this one was made from
     _quantum: Float[np.ndarray, " ny"] | None
-    _middle: Inputs | None  # halfway between the samples, if it is known from a coarser record
+    _middle: (
+        Float[np.ndarray, "between nu"] | None
+    )  # halfway between the samples, if it is known from a coarser record
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
