@@ -20,8 +20,9 @@ from eoi_jax.jax_private import backend_runs
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
 # XLA's newer way to compile fusions takes half as long again; what comes of it is no faster here.
 _OLD_FUSIONS = "--xla_cpu_use_fusion_emitters=false"
-# A flag that XLA does not know ends the process, so these are set only where all releases have
-# been tried. From JAX 0.12 on XLA compiles whole loops, and fusions in one way, by itself.
+# A flag that XLA does not know ends the process, so these are set only between releases that were
+# tried: 0.7.2, 0.8.0, 0.9.0, 0.10.2, 0.11.0. From JAX 0.12 on XLA compiles whole loops, and fusions
+# in one way, by itself.
 _HAS_OPTIONS = ((0, 7), (0, 12))
 
 
