@@ -27,6 +27,7 @@ from eoi_jax.jax_private import Literal, Tracer, tracing
 
 PROGRAMS = 200  # a discovery needs up to a hundred; a program takes two megabytes and ten mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
+_NESTED = 4  # so many functions inside others: their traces take ten megabytes each
 _CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -208,8 +209,6 @@ def _trim() -> None:
         _, program = _programs.popitem(last=False)
         for key in program.calls:
             _calls.pop(key, None)
-    while len(_inner) > _limit:
-        _inner.popitem(last=False)
 
 
 def _nested(function: Callable, split: _Split) -> Callable:
@@ -218,7 +217,8 @@ def _nested(function: Callable, split: _Split) -> Callable:
     with _lock:
         if key not in _inner:
             _inner[key] = _jitted(function, split)
-            _trim()
+            if len(_inner) > _NESTED:
+                _inner.popitem(last=False)
         _inner.move_to_end(key)
         return _inner[key]
 

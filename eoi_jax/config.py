@@ -339,6 +339,18 @@ class Config(msgspec.Struct, frozen=True):
 
 # -- from text to tables ----------------------------------------------------------------------
 
+_DEEPEST = 20  # tables and lists inside each other; a config has five
+
+
+def _check_depth(tables: dict[str, Any], path: Path) -> None:
+    """Before anything walks through the tables, each level of which is a call in Python."""
+    level: list[Any] = [tables]
+    for _ in range(_DEEPEST):
+        parts = (part for one in level for part in (one.values() if isinstance(one, dict) else one))
+        level = [part for part in parts if isinstance(part, dict | list)]
+    rule = f"must have at most {_DEEPEST} tables and lists inside each other"
+    check(not level, "config", rule, path)
+
 
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
     """TOML has infinity and nan: only a bound may be infinite, where there is none."""
@@ -368,6 +380,7 @@ def load(path: Path) -> Config:
         said = "it is nested too deeply" if deep else printable(str(error))
         check(False, "config", "must be a TOML file", path, f"The reader says: {said}.")
         raise
+    _check_depth(tables, path)
     _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):

@@ -75,7 +75,7 @@ def _of_record(plant: Plant, one: Stretch, residual: Rows, power: Rows, channel:
     product, scale = np.zeros(size), 0.0
     for j, degree in enumerate(plant.degrees):
         driven = averaged(degree, push[:, j] * one.u[:, channel])
-        driven = one.rows(np.asarray(thinned(driven, one.weight[j], one.kernel)))
+        driven = one.rows(thinned(driven, one.weight[j], one.kernel))
         own = slice(j * len(one.omega), (j + 1) * len(one.omega))
         late, early = (
             _signal(one, part / np.sqrt(power[own]), length) for part in (residual[own], driven)

@@ -123,7 +123,7 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
     weight = _weights(plant, record, smooth, good, h, band)
     kernel = thinning(band * h)
     highest = tuple(
-        np.asarray(thinned(np.diff(raw.outputs[:, j], degree)[1:-1] / h**degree, weight[j], kernel))
+        thinned(np.diff(raw.outputs[:, j], degree)[1:-1] / h**degree, weight[j], kernel)
         for j, degree in enumerate(plant.degrees)
     )
     kept, omega = _modes(min(len(one) for one in highest), len(kernel) * h, band)

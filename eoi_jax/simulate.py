@@ -87,7 +87,7 @@ def simulate(
     else:
         driven_by = acted(plant, drive(time, u, used, substeps))
         y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
-    outputs = np.asarray(y[:, 0, :], dtype=np.float64)
+    outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     bad = ~np.all(np.isfinite(outputs), axis=1)
     when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."

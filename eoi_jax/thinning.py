@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,19 +19,20 @@ def thinning(step: float) -> Float[np.ndarray, "factor 4"]:
     return np.stack(parts, axis=1) / 6.0
 
 
-def thinned(values: Any, weight: Any, kernel: Any) -> Array:
+def thinned(values: Any, weight: Any, kernel: Any) -> Any:
     """Weighted signals (last axis: samples) on coarse nodes, by cubic B-splines.
 
     Measurement noise above the band, which differences raise as ω^2r, is damped as ω^-8.
+
+    NumPy's arrays stay with NumPy: XLA would compile every operation for every length of record.
     """
+    xp = jnp if isinstance(values, jax.Array) else np
     factor = kernel.shape[0]
-    weighted = jnp.asarray(values) * weight
-    short = -weighted.shape[-1] % factor
-    padded = jnp.pad(weighted, [(0, 0)] * (weighted.ndim - 1) + [(0, short)])
-    blocks = padded.reshape(*padded.shape[:-1], -1, factor) @ jnp.asarray(kernel)
-    shifted = [
-        jnp.pad(blocks[..., i], [(0, 0)] * (weighted.ndim - 1) + [(i, 3 - i)]) for i in range(4)
-    ]
+    weighted = values * weight
+    before = [(0, 0)] * (weighted.ndim - 1)
+    padded = xp.pad(weighted, [*before, (0, -weighted.shape[-1] % factor)])
+    blocks = padded.reshape(*padded.shape[:-1], -1, factor) @ kernel
+    shifted = [xp.pad(blocks[..., i], [*before, (i, 3 - i)]) for i in range(4)]
     return shifted[0] + shifted[1] + shifted[2] + shifted[3]
 
 

@@ -27,6 +27,8 @@ KINDS = dict(campaign.damages())
         ("chunk of `parameters` exchanged", "computed again"),
         ("chunk of `done` garbled", "computed again"),
         ("chunk of `blocks` folder_instead", "computed again"),
+        ("chunk of `done` folder_instead", "computed again"),
+        ("whole other sweep", "refused"),
         ("two chunks exchanged", "computed again"),
         ("metadata of `done` missing", "written anew"),
         ("metadata of `parameters` empty", "written anew"),

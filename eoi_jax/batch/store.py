@@ -88,7 +88,7 @@ class Store:
         if self._path is None:
             return places
         sweep_up(self._path.parent)
-        conditions = {place: self._chunks.condition(place) for place in places}
+        conditions = {place: self._condition(place) for place in places}
         left = [place for place, found in conditions.items() if found is not Condition.WHOLE]
         damaged = [place for place in left if conditions[place] is Condition.DAMAGED]
         for place in left:
@@ -98,6 +98,12 @@ class Store:
             said = f"{number} of the store {self._path} were damaged, and are computed again"
             warnings.warn(said, StoreWarning, stacklevel=3)
         return left
+
+    def _condition(self, place: Place) -> Condition:
+        """As the marks say; to Zarr a folder in the place of a file is no chunk, so absent."""
+        if any(self._file(name, place).is_dir() for name in ("done", *_ARRAYS)):
+            return Condition.DAMAGED
+        return self._chunks.condition(place)
 
     def write(self, place: Place, arrays: Arrays) -> None:
         """One chunk, then its mark."""

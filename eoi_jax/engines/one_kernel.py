@@ -171,7 +171,7 @@ def _columns(tree: Any, leading: int, dtype: np.dtype) -> jax.Array:
     return jnp.concatenate(flat, axis=-1)
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def _program(what: Pass) -> LaneProgram:
     return lane_program(what)
 

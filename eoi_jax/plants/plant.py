@@ -545,7 +545,7 @@ def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
     return points, draw.uniform(0.8, 1.2, (len(points), parameters))
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def _affine(
     dynamics: Dynamics, names: tuple[str, ...], shape: tuple[int, int], inputs: int
 ) -> bool:
