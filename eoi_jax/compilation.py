@@ -50,13 +50,13 @@ def jit(function: Callable | None = None, *, static: tuple[str, ...] | None = No
     if function is None:
         return lambda one: jit(one, static=static)
     names, kinds = static or (), _ARRAYS if static is None else _NUMBERS
-    signature = inspect.signature(function)
+    order = tuple(inspect.signature(function).parameters) if names else ()
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         given: tuple[tuple[str, Any], ...] = ()
         if names:
-            kwargs = dict(signature.bind(*args, **kwargs).arguments)
+            kwargs = {**dict(zip(order[: len(args)], args, strict=True)), **kwargs}
             args, given = (), tuple((name, kwargs.pop(name)) for name in names if name in kwargs)
         leaves, structure = jax.tree.flatten((args, kwargs))
         split = _Split.of(leaves, structure, given, kinds)
@@ -98,10 +98,7 @@ class _Split:
 
     @classmethod
     def of(cls, leaves: list[Any], structure: Any, given: Any, kinds: tuple) -> "_Split":
-        dynamic = [isinstance(leaf, (*kinds, Tracer)) for leaf in leaves]
-        arrays = [leaf for leaf, one in zip(leaves, dynamic, strict=True) if one]
-        fixed = tuple(_ARRAY if one else leaf for leaf, one in zip(leaves, dynamic, strict=True))
-        return cls(arrays, fixed, structure, given)
+        return cls(*_parted(leaves, kinds), structure, given)
 
     @property
     def key(self) -> tuple[Hashable, ...]:
@@ -112,9 +109,7 @@ class _Split:
 
     def arguments(self, arrays: list[Any]) -> tuple[tuple, dict[str, Any]]:
         """Of the function, with these arrays."""
-        rest = iter(arrays)
-        leaves = [next(rest) if one is _ARRAY else one for one in self.fixed]
-        args, kwargs = jax.tree.unflatten(self.structure, leaves)
+        args, kwargs = _joined(self.structure, self.fixed, arrays)
         return args, {**kwargs, **dict(self.given)}
 
 
@@ -123,6 +118,19 @@ class _Marker:
 
 
 _ARRAY = _Marker()
+
+
+def _parted(leaves: list[Any], kinds: tuple) -> tuple[list[Any], tuple[Hashable, ...]]:
+    """The arrays among the leaves of a tree, and all others with a mark where an array was."""
+    dynamic = [isinstance(leaf, (kinds, Tracer)) for leaf in leaves]
+    arrays = [leaf for leaf, one in zip(leaves, dynamic, strict=True) if one]
+    return arrays, tuple(_ARRAY if one else leaf for leaf, one in zip(leaves, dynamic, strict=True))
+
+
+def _joined(structure: Any, fixed: tuple, arrays: list[Any]) -> Any:
+    """The tree of both."""
+    rest = iter(arrays)
+    return jax.tree.unflatten(structure, [next(rest) if one is _ARRAY else one for one in fixed])
 
 
 @jax.tree_util.register_pytree_node_class
@@ -230,10 +238,8 @@ def _jitted(function: Callable, split: _Split) -> Callable:
     def of_arrays(arrays: list[Any]) -> Any:
         args, kwargs = frame.arguments(arrays)
         leaves, structure = jax.tree.flatten(function(*args, **kwargs))
-        dynamic = [isinstance(leaf, (*_NUMBERS, Tracer)) for leaf in leaves]
-        fixed = tuple(_ARRAY if one else leaf for leaf, one in zip(leaves, dynamic, strict=True))
-        arrays = [leaf for leaf, one in zip(leaves, dynamic, strict=True) if one]
-        return arrays, _Static((structure, fixed))
+        returned, fixed = _parted(leaves, _NUMBERS)
+        return returned, _Static((structure, fixed))
 
     of_arrays.__name__ = getattr(function, "__name__", "function")
     return jax.jit(of_arrays)
@@ -242,8 +248,7 @@ def _jitted(function: Callable, split: _Split) -> Callable:
 def _combined(result: Any) -> Any:
     arrays, other = result
     structure, fixed = other.value
-    rest = iter(arrays)
-    return jax.tree.unflatten(structure, [next(rest) if x is _ARRAY else x for x in fixed])
+    return _joined(structure, fixed, arrays)
 
 
 def _kind(array: Any) -> Hashable:

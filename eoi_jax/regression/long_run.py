@@ -39,11 +39,13 @@ its matrix K_ik, it has (Σκ)²/Σκ² degrees of freedom. Regressors that neve
 (both corrections, there for clusters in place of cosines).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 _FEWEST = 2  # cosines: with fewer there are no errors to speak of
 _PEAKS = 8.0 / 3.0  # ((1/2)² + (1/4)² + (1/4)²)⁻¹: of the width of all peaks over that of one
@@ -95,11 +97,11 @@ def long_run(
     return moved @ spread @ moved.T, _freedom(groups, moved)
 
 
-def _of_one_length(lengths: Sequence[int]) -> list[np.ndarray]:
-    """Places of the samples of all records of each length, shape (records, time)."""
+def _of_one_length(lengths: Sequence[int]) -> list[Any]:
+    """Indices that give the samples of all records of each length, shape (records, time)."""
+    if len(lengths) == 1:
+        return [None]  # a new axis, without a copy
     ends = np.cumsum(lengths)
-    if ends[-1] == lengths[0]:
-        return [np.arange(ends[-1])[None]]
     return [
         (ends[np.asarray(lengths) == one] - one)[:, None] + np.arange(one)
         for one in np.unique(lengths)
@@ -137,14 +139,21 @@ class _Sums:
 
     def forms(
         self, m: Float[np.ndarray, " k"]
-    ) -> tuple[Float[np.ndarray, "records j j"], Float[np.ndarray, "records j k"]]:
-        """m'ΦᵀD_jD_kΦm within each record, and O_j m, both times the root of 1/(B + 1)."""
-        j, a = np.arange(self.functions), _factors(self.functions)
-        along = self.squares @ m
-        own = along @ m
-        both = own[:, j[:, None] + j] + own[:, np.abs(j[:, None] - j)]
-        taken = a[:, None] * along[:, : self.functions]
-        return 0.5 * np.outer(a, a) * both / len(j), taken / np.sqrt(len(j))
+    ) -> Iterator[tuple[Float[np.ndarray, "j j"], Float[np.ndarray, "j k"]]]:
+        """Of each record m'ΦᵀD_jD_kΦm, and O_j m, both times the root of 1/(B + 1)."""
+        a = _factors(self.functions) / np.sqrt(self.functions)
+        for along in self.squares @ m:
+            own = along @ m
+            mirrored = np.concatenate([own[self.functions - 1 : 0 : -1], own[: self.functions]])
+            both = (
+                sliding_window_view(own, self.functions)
+                + (
+                    sliding_window_view(mirrored, self.functions)[::-1]  # of j + k, and of |j - k|
+                )
+            )
+            both *= 0.5 * a
+            both *= a[:, None]
+            yield both, a[:, None] * along[: self.functions]
 
 
 def _sums(
@@ -165,9 +174,9 @@ def _sums(
         of_each = np.moveaxis(_cosine_sums(products, 2 * functions - 1), 1, 2)
         squares[:, :, i, i:] = squares[:, :, i:, i] = of_each
     even, first = squares[:, 0 : 2 * functions - 1 : 2], squares[:, :functions]
-    whole = 0.5 * np.einsum("j,rjab->ab", a**2, even + squares[:, :1])
-    taken = np.einsum("j,rjab,rjbc->ac", a**2, first, first)
-    spread = np.einsum("raj,rbj->ab", sums, sums)
+    whole = 0.5 * np.sum(a[:, None, None] ** 2 * (even + squares[:, :1]), axis=(0, 1))
+    taken = np.sum(a[:, None, None] ** 2 * (first @ first), axis=(0, 1))
+    spread = np.sum(sums @ np.moveaxis(sums, 1, 2), axis=0)
     return _Sums(spread / functions, (whole - taken) / functions, squares)
 
 
@@ -185,8 +194,8 @@ def _cosine_sums(
     if functions == 1:
         return np.sum(signals, axis=-1, keepdims=True)
     sums = 0.5 * np.asarray(dct(signals, type=2, n=_rounded_up(signals.shape[-1]), axis=-1))
-    sums = sums[..., :functions]
-    return np.pad(sums, [(0, 0)] * (sums.ndim - 1) + [(0, functions - sums.shape[-1])])
+    missing = [(0, 0)] * (sums.ndim - 1) + [(0, max(functions - sums.shape[-1], 0))]
+    return np.pad(sums, missing) if missing[-1][1] else sums[..., :functions]
 
 
 def _rounded_up(count: int) -> int:
@@ -204,15 +213,13 @@ def _freedom(groups: Sequence[_Sums], moved: Float[np.ndarray, "np k"]) -> Float
         return np.where(varies, float(count - 1), np.inf)
     freedom = np.full(len(moved), np.inf)
     for i in np.flatnonzero(varies):
-        kernel, taken, place = np.zeros((count, count)), [], 0
-        for one in groups:
-            for within, out in zip(*one.forms(moved[i]), strict=True):
-                part = slice(place, place + one.functions)
-                kernel[part, part], place = within, part.stop
-                taken.append(out)
-        outside = np.concatenate(taken)
-        kernel -= outside @ outside.T
-        freedom[i] = np.trace(kernel) ** 2 / np.sum(kernel**2)
+        # K = W - TTᵀ, W within records alone, so that tr K² = tr W² - 2 tr TᵀWT + tr (TᵀT)².
+        trace, square, taken = 0.0, 0.0, 0.0
+        for within, out in (form for one in groups for form in one.forms(moved[i])):
+            trace += np.trace(within)
+            square += np.vdot(within, within) - 2.0 * np.vdot(out, within @ out)
+            taken = taken + out.T @ out
+        freedom[i] = (trace - np.trace(taken)) ** 2 / (square + np.vdot(taken, taken))
     return freedom
 
 
@@ -233,12 +240,14 @@ def correlation_time(
     used = scores[:, np.any(scores != 0, axis=0)]
     # Periodograms add up on a common grid: of records that differ, all have that of the longest.
     count = _rounded_up(max(lengths))
-    total, squares = np.zeros((2, (count + 1) // 2 - 1, used.shape[1]))
+    total, squares = np.zeros(((count + 1) // 2 - 1, used.shape[1])), np.zeros(used.shape[1])
     for places in _of_one_length(lengths):
-        for one in places:
+        for one in used[places]:
             # The constant and the highest frequency, which have no pair, are left out.
-            power = np.abs(np.fft.rfft(used[one], count, axis=0)[1 : (count + 1) // 2]) ** 2
+            waves = np.fft.rfft(one, count, axis=0)[1 : (count + 1) // 2]
+            power = waves.real**2 + waves.imag**2
             total += power
-            squares += power**2
-    ratio = np.mean(total**2 - 0.5 * squares, axis=0) / np.mean(total, axis=0) ** 2
+            squares += np.einsum("tk,tk->k", power, power)
+    mean_square = (np.einsum("tk,tk->k", total, total) - 0.5 * squares) / len(total)
+    ratio = mean_square / np.mean(total, axis=0) ** 2
     return float(max(np.max(ratio), 1.0))
