@@ -10,8 +10,10 @@ types of its arguments and the constants in it. Two plants of the same equations
 recently used program goes beyond a limit (`configure(programs=…)`), with its memory.
 """
 
+import ctypes
 import hashlib
 import inspect
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -25,9 +27,10 @@ import numpy as np
 from eoi_jax.checks import check_count
 from eoi_jax.jax_private import Literal, Tracer, tracing
 
-PROGRAMS = 200  # a discovery needs up to a hundred; a program takes two megabytes and ten mappings
+PROGRAMS = 128  # a discovery needs up to a hundred; a program takes two megabytes and ten mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
 _NESTED = 4  # so many functions inside others: their traces take ten megabytes each
+_GONE = 50  # programs let go, after which their memory goes back to the system
 _CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -173,6 +176,7 @@ class _Call:
 
 
 _limit = PROGRAMS
+_gone = 0  # programs since memory was given back
 _lock = threading.RLock()
 _programs: OrderedDict[str, _Program] = OrderedDict()
 _calls: dict[Hashable, _Call] = {}
@@ -213,10 +217,23 @@ def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Ca
 
 
 def _trim() -> None:
+    global _gone
     while len(_programs) > _limit:
         _, program = _programs.popitem(last=False)
         for key in program.calls:
             _calls.pop(key, None)
+        _gone += 1
+    if _gone >= _GONE:
+        _gone = 0
+        _give_back()
+
+
+def _give_back() -> None:
+    """What is freed between blocks in use glibc keeps, hundreds of megabytes, until it is asked."""
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
+        if trim is not None:
+            trim(0)
 
 
 def _nested(function: Callable, split: _Split) -> Callable:

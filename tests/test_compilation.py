@@ -64,6 +64,40 @@ def test_a_program_that_was_let_go_is_compiled_again_and_gives_the_same():
     np.testing.assert_array_equal(again, first)
 
 
+def test_memory_of_programs_that_went_is_given_back_every_so_often(monkeypatch):
+    compilation.limit(1)
+    applied(polynomial(0.0, 1.0), np.ones(3), "")
+    given_back = []
+    monkeypatch.setattr(compilation, "_give_back", lambda: given_back.append(compilation.count()))
+    monkeypatch.setattr(compilation, "_GONE", 3)
+    monkeypatch.setattr(compilation, "_gone", 0)
+    for i in range(7):  # each takes the place of the one before
+        applied(polynomial(float(i), 2.0), np.ones(3), "")
+    assert given_back == [1, 1]
+
+
+FREED = """
+from pathlib import Path
+from eoi_jax import compilation
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1])
+blocks = [bytes(3000) + bytes([i % 256]) for i in range(50_000)]
+kept = blocks[::100]  # between what is freed, so that the heap does not shrink by itself
+del blocks
+before = resident()
+compilation._give_back()
+print(before - resident())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only glibc is asked")
+def test_freed_memory_goes_back_to_the_system():
+    done = subprocess.run(
+        [sys.executable, "-c", FREED], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert int(done.stdout) * 4096 > 50e6  # of 150 MB
+
+
 @pytest.mark.parametrize("programs", [0, -3])
 def test_a_limit_below_one_is_refused(programs):
     with pytest.raises(ValueError, match="`programs` must be an integer ≥ 1"):
