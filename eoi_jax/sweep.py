@@ -88,8 +88,9 @@ def sweep(
         ``standard_error`` (from ``blocks`` of scores, rougher than that of `identify`; NaN on a
         bound), ``index``
         of each pass, ``common_index``, ``sliding_fraction``, ``status`` (`flag_meanings` says
-        which), ``ok``. A lane that goes wrong ends with its status, the others do not notice.
-        After Ctrl-C: what is done, the rest ``not_run``.
+        which), ``ok``; attributes ``engine`` and ``engine_reason`` say which engine ran in this
+        call, and why where it is not the fast one. A lane that goes wrong ends with its status, the
+        others do not notice. After Ctrl-C: what is done, the rest ``not_run``.
 
     Raises:
         ValueError: what does not fit, before any work; the message says what to do.
@@ -126,19 +127,26 @@ def sweep(
                 done(place)
         except KeyboardInterrupt:
             finished = False
-    outcome = {"finished": int(finished), **(_engines(whole.only(own[0]), engine) if own else {})}
+    outcome = {"finished": int(finished), **_engines(whole, own, left, engine)}
     if precision == "float32" and double and finished and own:
         errors = precision_error(whole.only(own[0]), engine, _CALIBRATED)
         outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
     return target.dataset(outcome)
 
 
-def _engines(part: Part, engine: AbstractEngine) -> dict[str, str]:
-    """Names of the engines that lanes run on, and why where that is not the fast one."""
-    used = engines_used(part, engine)
-    reasons = dict.fromkeys(one.reason for one in used if one.reason)
+def _engines(
+    whole: Plan, own: list[Place], left: list[Place], engine: AbstractEngine
+) -> dict[str, str]:
+    """Names of the engines that lanes ran on, and why where that is not the fast one."""
+    used = engines_used(whole.only(left[0]), engine) if left else []
     names = dict.fromkeys(one.name for one in used)
-    return {"engine": ", ".join(names), "engine_reason": "; ".join(reasons)}
+    reasons = dict.fromkeys(one.reason for one in used if one.reason)
+    found = len(own) - len(left)
+    if found:
+        reasons[f"{found} of {len(own)} chunks were in the store, their engine is not recorded"] = (
+            None
+        )
+    return {"engine": ", ".join(names) or "none", "engine_reason": "; ".join(reasons)}
 
 
 def _double() -> bool:

@@ -313,6 +313,10 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on_from_there(tmp_path
     whole = many()
     same(rest.drop_attrs(), whole.drop_attrs())
     same(eoi.open_sweep(path), whole)
+    assert "of 3 chunks were in the store" in rest.attrs["engine_reason"]
+    again = many(store=path)
+    assert again.attrs["engine"] == "none"
+    assert again.attrs["engine_reason"].startswith("3 of 3 chunks were in the store")
 
 
 def test_without_a_store_an_interrupt_keeps_what_is_done_too():
@@ -322,7 +326,8 @@ def test_without_a_store_an_interrupt_keeps_what_is_done_too():
 
 def test_parts_of_one_store_make_the_whole(tmp_path):
     for i in range(3):
-        many(store=tmp_path / "s", part=(i, 3))
+        assert many(store=tmp_path / "s", part=(i, 3)).attrs["engine"] == "native"
+    assert many(store=tmp_path / "s", part=(7, 8)).attrs["engine"] == "none"  # has no chunk
     same(eoi.open_sweep(tmp_path / "s"), many())
 
 

@@ -30,6 +30,8 @@ def kept_translation(function: Callable) -> Callable:
             return function(*arguments)
         except Untranslatable as reason:
             return _Failure(str(reason))
+        except Warning:  # of a caller whose warnings are errors
+            raise
         except Exception as error:
             text = str(error).strip().split("\n")[0]
             return _Failure(f"translation failed, {type(error).__name__}: {text}")

@@ -1,5 +1,7 @@
 """Whatever goes wrong on the way to machine code, the scan runs, and the result says why."""
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -125,6 +127,20 @@ def test_a_failure_is_kept_like_a_result():
         with pytest.raises(Untranslatable, match=r"^odd$"):
             half(3)
     assert calls == [4, 3]
+
+
+def test_a_warning_that_is_an_error_is_no_failure_of_the_translation():
+    @kept_translation
+    def translate(number):
+        warnings.warn(f"folder {number}", UserWarning, stacklevel=2)
+        return number
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="folder 3"):
+            translate(3)
+    with pytest.warns(UserWarning, match="folder 3"):
+        assert translate(3) == 3  # nothing was kept
 
 
 def test_an_engine_is_told_only_where_it_is_slow():
