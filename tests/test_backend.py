@@ -20,7 +20,7 @@ def fresh(code, **environment):
         capture_output=True,
         text=True,
         env=clean | {"JAX_PLATFORMS": "cpu"} | environment,
-        timeout=120,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr

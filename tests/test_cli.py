@@ -88,6 +88,23 @@ def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_pa
     assert result["validation"] is None
 
 
+@pytest.mark.parametrize("command", [cli.identify, cli.discover, cli.refine])
+def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Path, command):
+    seen: dict[str, list[tuple[int, int | None]]] = {}
+
+    def shown(kind: str, done: int, total: int | None, text: str) -> None:
+        assert isinstance(text, str)
+        seen.setdefault(kind, []).append((done, total))
+
+    passes = (2,) if command is cli.identify else ()
+    command(config, None, tmp_path / "runs", *passes, shown)
+    assert next(iter(seen)) == "reading"
+    for steps in seen.values():
+        done = [one for one, _ in steps]
+        assert done[0] == 0
+        assert all(total is None or one <= total for one, total in steps)
+
+
 def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
     done = eoi("identify", config, "--output", tmp_path / "runs", "--quiet")
     assert done.exit_code == 0

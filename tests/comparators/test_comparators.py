@@ -7,9 +7,10 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import comparators
 from eoi_jax.comparators import vss_direct
-from eoi_jax.comparators.filtered import default_filters, equation, linearised, motion
+from eoi_jax.comparators.filtered import Rows, default_filters, equation, linearised, motion
 from eoi_jax.comparators.plain import explicit_form
 from eoi_jax.comparators.svf import least_squares_on
+from eoi_jax.comparators.weighed import covariance, solve
 
 
 def mass(**options) -> eoi.Plant:
@@ -373,3 +374,21 @@ def test_vss_uses_the_papers_intervals_for_the_papers_plant(clean: eoi.Record):
     # The nominal values play no part: all comes from the intervals of section 6.
     first, second = (comparators.VSSDirect().estimate(one, [clean]) for one in (plant, far))
     assert first.parameters == pytest.approx(second.parameters, rel=1e-9)
+
+
+@pytest.mark.parametrize("memory", [0, 150])  # samples; fifty blocks of scores, or ten
+def test_the_sandwich_of_white_residuals_is_their_covariance(memory):
+    """σ² (ΦᵀΦ)⁻¹ on average, of two outputs with noise of their own and weights to match."""
+    draw = np.random.default_rng(5)
+    sigma, free, total = np.array([0.2, 3.0]), np.ones(2), np.zeros((2, 2))
+    for _ in range(200):
+        phi = [draw.standard_normal((length, 2, 2)) for length in (1000, 500)]
+        error = [sigma * draw.standard_normal(one.shape[:2]) for one in phi]
+        rows = Rows(phi, error, np.ones(2))
+        solved = solve(rows, rows, free)
+        flat = np.concatenate(phi) / sigma[:, None]
+        exact = np.linalg.inv(np.einsum("kja,kjb->ab", flat, flat))
+        size = np.sqrt(np.diagonal(exact))
+        total += covariance(solved, rows, rows, memory) / np.outer(size, size)
+    # Each has 50 or 10 blocks, so that the mean of 200 is uncertain by 1.4 or 3.2 %.
+    np.testing.assert_allclose(total / 200, np.eye(2), atol=0.07)
