@@ -40,7 +40,7 @@ def configure(
         cache: keep compiled kernels on disk between processes, in `$EOI_CACHE` or
             `~/.cache/eoi_jax`; not where neither can be written.
         devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
-        programs: keep so many compiled programs in memory at most, 200 by default; the least
+        programs: keep so many compiled programs in memory at most, 128 by default; the least
             recently used go first. A new kind of plant needs up to a hundred, of about 2 MB each.
 
     Raises:

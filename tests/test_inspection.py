@@ -193,6 +193,10 @@ def test_an_inspection_prints_plots_and_is_json(tmp_path):
     assert told["clock"]["column"] == "t"
     figure = found.plot()
     assert len(figure.axes) == 2 * 4  # three signals and the stamps, each with a second panel
+    left = [axes.get_ylabel() for axes in figure.axes[::2]]
+    assert left == ["y", "more", "u", "step / median"]
+    assert all(len(axes.lines) >= 1 for axes in figure.axes[::2])
+    assert figure.axes[-1].get_ylabel() == "count"
     assert eoi.inspect is inspect
 
 
