@@ -317,6 +317,8 @@ def _tree(node: Node, kind: str, args: list[Expression]) -> Expression:
             return Operation("or", Operation("and", which, a), Operation("and", _not(which), b))
         case "select":
             return Call("where", tuple(args))
+        case "eq" | "ne" if node.args[1].is_bool and node.args[1].op == "constant":
+            return args[0] if node.args[1].value == (kind == "eq") else _not(args[0])
     if kind.startswith("power "):
         return Operation("^", args[0], Number(float(kind.split()[1])))
     if kind in _SIGNS:

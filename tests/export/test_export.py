@@ -45,6 +45,7 @@ def mixed_dynamics(t, x, u, p):
     rounded = jnp.round(3.0 * y1) + jnp.floor(y2) - jnp.ceil(v1) + jnp.trunc(4.0 * u[0])
     ways = jnp.where((y1 > 0) ^ (v1 > 0), 1.0, -2.0)
     other = jnp.arctan2(y2, 1.0 + u[1] ** 2) + jnp.fmod(y1, 0.7) + jnp.cbrt(v1) * jnp.exp2(y2)
+    other += jnp.mod(y1, 0.7) - jnp.mod(y2, -0.9)
     smooth = jnp.tanh(y1) + jnp.arcsinh(y2) + jnp.log1p(y1**2) - jnp.expm1(-(v1**4))
     return jnp.stack(
         [p.k * bent + rounded - ways, other + smooth * p.m - (y1 - (v1 - y2)) / (p.k / (p.m * y1))]
