@@ -11,7 +11,6 @@ rounds are again those of the best one of all. Stochastic local search: H. Hoos,
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -219,11 +218,11 @@ def _tournament(
     # Imported here: optimistix is heavy, and only a fit needs it.
     from eoi_jax.levenberg_marquardt import solve_many
 
-    starts = jnp.broadcast_to(own, (len(theta), *own.shape))
-    several, cost = Unknowns(jnp.asarray(theta), starts), np.full(len(theta), np.inf)
+    starts = np.broadcast_to(np.asarray(own), (len(theta), *own.shape))
+    several, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
     for stage, steps in enumerate(stages):
         found = solve_many(problem if stage else rough, several, steps)
         cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
         kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
-        several = jax.tree.map(lambda leaf, kept=kept: leaf[kept], found.unknowns)
+        several = jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[kept], found.unknowns)
     return _Found(jax.tree.map(lambda leaf: leaf[0], several), float(np.min(cost)))
