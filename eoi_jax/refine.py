@@ -221,6 +221,8 @@ def _fitted(
             break
         other = weighed(problem, sigma, np.inf if huber is None else huber)
         problem, shown = other, shown * np.asarray(other.scale / problem.scale)[:, None]
+    else:
+        fit = replace(fit, unsettled=float(max(apart) / min(apart) - 1.0))
     return fit
 
 
@@ -312,6 +314,7 @@ class _Fit:
         before: errors at the very start.
         outcome: of the solver.
         steps: of all fits.
+        unsettled: relative change of the weights of the outputs that was left.
     """
 
     problem: Problem
@@ -319,6 +322,7 @@ class _Fit:
     before: Float[np.ndarray, "runs time ny"]
     outcome: Outcome
     steps: int
+    unsettled: float = 0.0
 
     @property
     def use(self) -> Bool[np.ndarray, "runs time ny"]:
@@ -397,7 +401,10 @@ def _refinement(
         fit.steps,
         window,
         _status(fit, certainty.lost),
-        tuple(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
+        (
+            *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
+            *_unsettled(fit),
+        ),
         certainty.information,
         certainty.freedom,
         tuple(_per_sample(fit.before, fit.use, records, spans)),
@@ -405,6 +412,13 @@ def _refinement(
         problem.substeps,
         problem.engine,
     )
+
+
+def _unsettled(fit: _Fit) -> tuple[str, ...]:
+    if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
+        return ()
+    change = f"{100 * fit.unsettled:.2g} % after {1 + _ROUNDS} fits"
+    return (f"the weights of the outputs still changed by {change}; refine again from here",)
 
 
 def _per_sample(

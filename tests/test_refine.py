@@ -289,6 +289,19 @@ def test_outliers_do_not_rule_huber_s_loss():
     assert np.max(np.abs(off[0])) > 20.0 * np.max(np.abs(off[1]))
 
 
+def test_weights_that_did_not_settle_are_said(monkeypatch):
+    record = run(OSCILLATOR, [0.02, -0.1], 1e-4)
+    struck = np.random.default_rng(1).random(len(record)) < 0.05
+    outputs = record.outputs + 1e-2 * struck[:, None]
+    spoilt = eoi.Record(record.time, record.inputs, outputs, hold="linear")
+    monkeypatch.setattr(importlib.import_module("eoi_jax.refine"), "_ROUNDS", 0)
+    (note,) = refine(OSCILLATOR, spoilt, huber=1.345).notes
+    # From the spread of the struck samples to that of the others, which is a hundredth.
+    assert "the weights of the outputs still changed by" in note
+    assert "after 1 fits" in note
+    assert refine(OSCILLATOR, spoilt).notes == ()  # one output: squares have no weights
+
+
 def test_without_outliers_huber_s_loss_costs_little():
     record = run(OSCILLATOR, [0.02, -0.1], 1e-4, seed=3)
     squares, robust = refine(OSCILLATOR, record), refine(OSCILLATOR, record, huber=1.345)
