@@ -14,10 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.plants.plant import Actuator, Dynamics, Plant, State, velocity_of, with_velocity
+from eoi_jax.plants.plant import (
+    REST,
+    Actuator,
+    Dynamics,
+    Plant,
+    State,
+    velocity_of,
+    with_velocity,
+)
 from eoi_jax.types import Input, Output, Scalar, Theta
-
-_REST = 1e-9  # velocity on the side of rest where f is evaluated
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class _Directed:
         ny, flags = len(self.friction), np.asarray(self.friction) > 0
         own, way, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
         rate = velocity_of(x.y, self.degrees)
-        held = jnp.where(flags, way * jnp.maximum(way * rate, _REST), rate)
+        held = jnp.where(flags, way * jnp.maximum(way * rate, REST), rate)
 
         def f(rate: Any) -> Any:
             moved = State(with_velocity(x.y, rate, self.degrees), x.z)

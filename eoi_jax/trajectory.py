@@ -37,12 +37,10 @@ from jaxtyping import Array, Float
 from eoi_jax.checks import check
 from eoi_jax.compilation import jit
 from eoi_jax.complementarity import Matrix, balanced, leaving
-from eoi_jax.plants.plant import Plant, State, velocity_of, with_velocity
+from eoi_jax.plants.plant import REST, Plant, State, velocity_of, with_velocity
 from eoi_jax.types import Flags, Input, Output, Scalar, Theta
 
 _GRAIN = 3  # a length is rounded up by an eighth at most
-# The velocity that a moving output shows to f at least, as in `Plant.at_rest`.
-_REST = 1e-9
 _PAIR = 2  # outputs whose frictions may act on each other
 REACHES = 2  # of `frictional`: what sticks acts on other outputs too
 
@@ -290,7 +288,7 @@ class _Problem(eqx.Module):
         def rates(above: int | None) -> State:
             moved = velocity
             for j in self.reaching:
-                side = _REST if j == above else -_REST
+                side = REST if j == above else -REST
                 moved = moved.at[j].set(jnp.where(free[j], side, velocity[j]))
             there = State(self.moved(x.y, moved), x.z)
             return rate_of(self.plant, self.theta, t, there, u)
@@ -309,7 +307,7 @@ class _Problem(eqx.Module):
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
         velocity = self.velocity(x.y)
-        held = direction * jnp.maximum(direction * velocity, _REST)
+        held = direction * jnp.maximum(direction * velocity, REST)
         return State(self.moved(x.y, jnp.where(self.sticks, held, velocity)), x.z)
 
     def velocity(self, y: Any) -> Output:

@@ -23,8 +23,9 @@ from eoi_jax.compilation import jit
 from eoi_jax.jax_private import inputs_read
 from eoi_jax.types import Input, Output, Regressor, Scalar
 
-# f just above and just below rest; small enough that only a jump shows between the two.
-_REST = 1e-9
+# Velocity at which f is just above or just below rest: in whatever unit so small that only a jump
+# shows between the two, and that its square is still a number in single precision.
+REST = 1e-18
 _APART = 1e3  # times as far
 
 
@@ -278,8 +279,8 @@ class Plant(eqx.Module):
 
         A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
         """
-        above = jnp.diagonal(self._with_velocities(t, x, u, theta, _REST))
-        return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -_REST))
+        above = jnp.diagonal(self._with_velocities(t, x, u, theta, REST))
+        return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST))
 
     def _with_velocities(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
@@ -585,7 +586,7 @@ def _across_rest(
             below = plant._with_velocities(t, x, u, theta, -distance)
             return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
 
-        (near, size), (far, _) = change(_REST), change(_APART * _REST)
+        (near, size), (far, _) = change(REST), change(_APART * REST)
         return near, far, size
 
     return jax.vmap(one)(t, y, u, theta)
