@@ -27,8 +27,8 @@ its standard error: what differences of a sampled signal leave is systematic. Fi
 transient and instruments are those of the whole record; *split, chosen anew*, which may be another
 estimator, is shown beside. The standard errors, with ν degrees of freedom each, must agree within
 four standard deviations of the logarithm of their ratio, √(1/2ν) for each of them. A model with
-internal states declares where they start in each record: there the second part would be another
-experiment, and is not tried.
+internal states declares where they start in each record, and a delayed input is what it was at the
+start of its record: there the second part would be another experiment, and is not tried.
 
 On some plants `discover` looks, from a model that lacks an effect, for what is missing: the
 effects that it names, and its status, must be the same after each change.
@@ -502,7 +502,7 @@ def compared(
         base = identified(one)
         truth = np.asarray(list(one.truth.values()))
         for change in changes:
-            if change == "split" and FAMILIES[one.name].internal:
+            if change == "split" and (FAMILIES[one.name].internal or FAMILIES[one.name].delayed):
                 continue
             split, told = change == "split", changed(one, change, seed)
             other = identified(told, **(choices(one) if split else {}))

@@ -131,6 +131,15 @@ def check_choice(name: str, value: str, known: Iterable[str]) -> None:
     )
 
 
+def is_shallow(tree: Any, most: int) -> bool:
+    """Whether at most so many dicts and lists stand inside each other, before anything recurs."""
+    level = [tree] if isinstance(tree, dict | list) else []
+    for _ in range(most):
+        parts = (part for one in level for part in (one.values() if isinstance(one, dict) else one))
+        level = [part for part in parts if isinstance(part, dict | list)]
+    return not level
+
+
 def printable(text: str, keep: str = "") -> str:
     """A text with whatever does not print as its code: a terminal would obey some of it.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from eoi_jax.checks import check, printable
+from eoi_jax.checks import check, is_shallow, printable
 from eoi_jax.data.limits import MAX_GIGABYTES
 from eoi_jax.equations.model import ModelTable
 from eoi_jax.schema import struct
@@ -342,16 +342,6 @@ class Config(msgspec.Struct, frozen=True):
 _DEEPEST = 20  # tables and lists inside each other; a config has five
 
 
-def _check_depth(tables: dict[str, Any], path: Path) -> None:
-    """Before anything walks through the tables, each level of which is a call in Python."""
-    level: list[Any] = [tables]
-    for _ in range(_DEEPEST):
-        parts = (part for one in level for part in (one.values() if isinstance(one, dict) else one))
-        level = [part for part in parts if isinstance(part, dict | list)]
-    rule = f"must have at most {_DEEPEST} tables and lists inside each other"
-    check(not level, "config", rule, path)
-
-
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
     """TOML has infinity and nan: only a bound may be infinite, where there is none."""
     if isinstance(value, dict):
@@ -380,7 +370,8 @@ def load(path: Path) -> Config:
         said = "it is nested too deeply" if deep else printable(str(error))
         check(False, "config", "must be a TOML file", path, f"The reader says: {said}.")
         raise
-    _check_depth(tables, path)
+    rule = f"must have at most {_DEEPEST} tables and lists inside each other"
+    check(is_shallow(tables, _DEEPEST), "config", rule, path)
     _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):

@@ -143,7 +143,7 @@ def load(
     given = _Given(plant, {_name(type(one)): type(one) for one in effects})
     try:
         check_tree(tree["result"], list(arrays))
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         check(False, "path", "must be a result that `save` wrote", path, _reason(error))
     return _decode(tree["result"], arrays, given)
 

@@ -17,9 +17,10 @@ import numpy as np
 from jaxtyping import AbstractArray, jaxtyped
 from msgspec import UNSET, UnsetType
 
-from eoi_jax.checks import check
+from eoi_jax.checks import check, is_shallow
 
 _PACKAGE = "eoi_jax."
+_DEEPEST = 200  # objects and lists inside each other; results have fewer than fifty
 _RENAMES = {"mapping": "dict", "listed": "list", "grouped": "tuple", "kind": "class"}
 _WITH_FIELDS = {"class": {"fields"}, "effect": {"fields", "name"}}
 
@@ -62,6 +63,8 @@ def check_tree(tree: Any, keys: Sequence[str]) -> None:
     Raises:
         ValueError: it is not, or is nested too deeply.
     """
+    if not is_shallow(tree, _DEEPEST):
+        raise ValueError("it is nested too deeply")
     try:
         msgspec.convert(tree, Branch | str | float | int | bool | None)
     except msgspec.ValidationError as error:
