@@ -105,6 +105,14 @@ def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Pat
         assert all(total is None or one <= total for one, total in steps)
 
 
+def test_an_inspection_is_shown_from_nothing_on(tmp_path: Path):
+    record = Record(0.01 * np.arange(300), np.ones(300), np.sin(np.arange(300.0)))
+    write_csv(tmp_path / "run.csv", record)
+    seen = []
+    cli.inspect(tmp_path / "run.csv", tmp_path / "runs", lambda *told: seen.append(told))
+    assert seen == [("reading", 0, None, ""), ("drawing", 0, None, "")]
+
+
 def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
     done = eoi("identify", config, "--output", tmp_path / "runs", "--quiet")
     assert done.exit_code == 0

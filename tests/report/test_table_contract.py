@@ -166,7 +166,7 @@ def test_report_of_an_identification(identified, diagnosed):
     )
     assert_rows(shown.tables[0].rows, parameter_table_of(identified))
     assert_rows(shown.tables[1].rows, validation_table_of(held))
-    assert shown.tables[0].numeric == (1, 2, 3, 4)
+    assert [one.numeric for one in shown.tables] == [(1, 2, 3, 4), (1, 2, 3)]
     tiles = [(one.label, one.value, one.note) for one in shown.tiles]
     assert tiles == [
         ("Free run of upper, held out", f"{held.fit[0]:.4g} %",
