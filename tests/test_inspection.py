@@ -118,6 +118,7 @@ def test_a_file_without_time_may_say_its_sample_period(tmp_path):
     assert (found.clock.column, found.clock.sample_period) == (None, 0.01)
     savemat(tmp_path / "run.mat", {"u": U, "y": Y, "fs": 200.0})
     assert inspect(tmp_path / "run.mat").clock.sample_period == pytest.approx(0.005)
+    assert "\nsample_period = 0.005" in draft(inspect(tmp_path / "run.mat"), tmp_path / "run.toml")
     found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
     assert found.clock.sample_period is None
     assert "give sample_period" in found.advice[0]
@@ -181,6 +182,12 @@ def test_what_an_iddata_structure_says_is_believed(tmp_path):
     assert (found.inputs, found.outputs) == (("z.smooth",), ("z.strange",))
     assert found.clock.column == "z.time"
     assert any("scalar" in line for line in found.left_out)
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.1, 1e4])
+def test_a_signal_that_jumps_is_an_input_in_whatever_unit(tmp_path, size):
+    found = inspect(written(tmp_path / "run.csv", t=T, p=size * U, q=size * CLEAN))
+    assert roles(found) == {"t": "time", "p": "input", "q": "output"}
 
 
 def test_an_inspection_prints_plots_and_is_json(tmp_path):

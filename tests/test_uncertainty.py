@@ -10,7 +10,7 @@ import eoi_jax as eoi
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.report.estimate_figures import refinement_figure
 from eoi_jax.results import Status
-from eoi_jax.uncertainty import Uncertainty, student, uncertainty
+from eoi_jax.uncertainty import Uncertainty, _precision, student, uncertainty
 
 VALUES = {"inverse_mass": 2.0, "stiffness": 80.0, "damping": 3.0}
 COVARIANCE = np.asarray([[0.01, 0.1, 0.0], [0.1, 4.0, 0.0], [0.0, 0.0, 0.09]])
@@ -332,3 +332,13 @@ def test_kept_fields_come_back_from_a_file(tmp_path):
     np.testing.assert_array_equal(back.information, result.information)
     np.testing.assert_array_equal(back.degrees_of_freedom, 19.0)
     assert uncertainty(back).intervals() == uncertainty(result).intervals()
+
+
+def test_precision_is_the_inverse_of_what_is_known():
+    """A fixed parameter has no variance, and no part in it; too few degrees of freedom, nothing."""
+    covariance = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.5]])
+    exact = np.zeros((3, 3))
+    exact[::2, ::2] = np.linalg.inv(covariance[::2, ::2])
+    known = np.array([50.0, np.inf, 30.0])
+    np.testing.assert_allclose(_precision(covariance, known), exact, atol=1e-15)
+    np.testing.assert_array_equal(_precision(covariance, np.array([50.0, np.inf, 4.0])), 0.0)
