@@ -204,6 +204,13 @@ def test_an_inspection_prints_plots_and_is_json(tmp_path):
     assert left == ["y", "more", "u", "step / median"]
     assert all(len(axes.lines) >= 1 for axes in figure.axes[::2])
     assert figure.axes[-1].get_ylabel() == "count"
+    assert figure.axes[4].get_xlabel() == "time [s]"
+    assert figure.axes[5].get_xlabel().startswith("frequency [Hz]")
+    untimed = inspect(written(tmp_path / "untimed.csv", u=U, y=Y)).plot()
+    assert [axes.get_xlabel().split("\n")[0] for axes in untimed.axes[2:]] == [
+        "sample",
+        "frequency [1/sample]",
+    ]
     assert eoi.inspect is inspect
 
 
