@@ -16,8 +16,9 @@ from eoi_jax.compilation import fingerprint, jit
 
 @pytest.fixture(autouse=True)
 def usual_limit():
+    before = compilation._limit
     yield
-    compilation.limit(compilation.PROGRAMS)
+    compilation.limit(before)
 
 
 def traced(function, *arguments):

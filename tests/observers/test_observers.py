@@ -23,6 +23,7 @@ from problems import (
 from scipy.interpolate import BSpline
 
 from eoi_jax import observers
+from eoi_jax.compilation import jit
 from eoi_jax.observers import (
     AbstractObserver,
     FirstOrder,
@@ -92,11 +93,13 @@ def watch(observer, y, drift, h, start=None, rates=None):
     rates = np.zeros((rows, y.shape[1])) if rates is None else rates
     state = observer.init(jnp.asarray(start), jnp.asarray(rates))
 
-    def body(state, row):
-        return observer.step(state, *row, jnp.asarray(h))
-
     rows = tuple(map(jnp.asarray, (y[:-1], y[1:], drift)))
-    return jax.lax.scan(body, state, rows)
+    run = scanned if jax.config.jax_disable_jit else jit(scanned)
+    return run(observer, state, rows, jnp.asarray(h))
+
+
+def scanned(observer, state, rows, h):
+    return jax.lax.scan(lambda state, row: observer.step(state, *row, h), state, rows)
 
 
 def sway(observer, h, samples, derivative=0, at=0.0):
