@@ -358,6 +358,20 @@ def test_a_file_elsewhere_is_named_by_its_whole_path_and_one_in_the_data_folder_
     assert 'files = ["run.csv"]' in text
 
 
+@pytest.mark.parametrize("constant", [-2.0, 2.0])
+def test_a_first_order_record_is_drafted_as_one(tmp_path, constant):
+    """y' = -4 y + 3 u + c between the samples, u held."""
+    y, decay = np.zeros(N), np.exp(-4.0 * H)
+    for i in range(N - 1):
+        y[i + 1] = decay * y[i] + (1.0 - decay) / 4.0 * (3.0 * U[i] + constant)
+    file = written(tmp_path / "run.csv", t=T, u=U, y=y)
+    text = draft(inspect(file), tmp_path / "run.toml")
+    assert 'y = "-decay*y + gain*u + offset"' in text
+    found = re.search(r"^decay = ([0-9.]+)", text, re.MULTILINE)
+    assert found
+    assert float(found[1]) == pytest.approx(4.0, rel=0.1)
+
+
 def test_a_file_without_an_output_gets_no_draft(tmp_path):
     file = written(tmp_path / "run.csv", t=T, still=np.ones(N))
     with pytest.raises(ValueError, match="`path` must have a column that can be an output"):
