@@ -7,7 +7,6 @@ fingerprint it bears; whatever of it does not read is made anew from the plan, a
 
 import json
 import shutil
-import tempfile
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -327,32 +326,35 @@ def _mend(path: Path, plan: Plan, labels: Labels) -> None:
     Warns:
         StoreWarning: what was damaged.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        sound = Path(folder) / "store"
-        _create(str(sound), plan, labels)
-        damaged = [
-            name
-            for name in (".", "done", *_ARRAYS, *labels.numbers)
-            if not _alike(path / name, sound / name, name in labels.numbers)
-        ]
-        for name in damaged:
-            sweep_up(path / name)
-            files = (sound / name).rglob("*") if name in labels.numbers else ()
-            for file in (sound / name / "zarr.json", *files):
-                if file.is_file():
-                    _replace(path, file.relative_to(sound), file)
+    import zarr.storage
+
+    contents: dict[str, Any] = {}  # in memory: a process that is killed leaves nothing
+    sound = zarr.storage.MemoryStore(contents)
+    _create(sound, plan, labels)
+    damaged = [
+        name
+        for name in ("", "done", *_ARRAYS, *labels.numbers)
+        if not _alike(path / name, sound, name, name in labels.numbers)
+    ]
+    for name in damaged:
+        sweep_up(path / name)
+        own = f"{name}/zarr.json".lstrip("/")
+        for key in [one for one in contents if one.startswith(f"{name}/")] or [own]:
+            if key == own or name in labels.numbers:
+                _replace(path, Path(key), contents[key].to_bytes())
     if damaged:
-        names = ", ".join("attributes" if name == "." else f"`{name}`" for name in damaged)
+        names = ", ".join(f"`{name}`" if name else "attributes" for name in damaged)
         said = f"{names} of the store {path} were damaged, and are written anew"
         warnings.warn(said, StoreWarning, stacklevel=4)
 
 
-def _alike(node: Path, sound: Path, values: bool) -> bool:
+def _alike(node: Path, sound: Any, name: str, values: bool) -> bool:
     """Whether a group or an array reads, and says the same as another; holds the same `values`."""
     import zarr
 
     try:
-        one, other = (zarr.open(str(path), mode="r") for path in (node, sound))
+        one = zarr.open(str(node), mode="r")
+        other = zarr.open(sound, path=name, mode="r")
         if isinstance(other, zarr.Group):
             return isinstance(one, zarr.Group) and dict(one.attrs) == dict(other.attrs)
         if not isinstance(one, zarr.Array) or one.metadata.to_dict() != other.metadata.to_dict():
@@ -365,8 +367,8 @@ def _alike(node: Path, sound: Path, values: bool) -> bool:
         return False
 
 
-def _replace(path: Path, place: Path, new: Path) -> None:
-    """Put a copy of a file into a store, whatever stands in its way."""
+def _replace(path: Path, place: Path, content: bytes) -> None:
+    """Put a file into a store, whatever stands in its way."""
     for parent in reversed(place.parents):
         if (path / parent).is_file():
             (path / parent).unlink()
@@ -374,7 +376,11 @@ def _replace(path: Path, place: Path, new: Path) -> None:
     if goal.is_dir():
         shutil.rmtree(goal)
     goal.parent.mkdir(parents=True, exist_ok=True)
-    write_file(goal, lambda draft: shutil.copyfile(new, draft) and None)
+
+    def write(draft: Path) -> None:
+        draft.write_bytes(content)
+
+    write_file(goal, write)
 
 
 def _remove(path: Path) -> None:
