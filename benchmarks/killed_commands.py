@@ -230,6 +230,9 @@ class Bench:
         """Files of the run that are missing or not whole."""
         wrong = []
         partly = self.command in ("sweep", "report")  # their files come one by one
+        said = self.run / "sweep.json"
+        if said.exists() and not json.loads(said.read_text(encoding="utf-8"))["finished"]:
+            return []  # an interrupted sweep reports on what is done
         for whole in self.whole.iterdir():
             path = self.run / whole.name
             if not path.exists():
