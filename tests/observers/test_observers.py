@@ -94,8 +94,8 @@ def watch(observer, y, drift, h, start=None, rates=None):
     state = observer.init(jnp.asarray(start), jnp.asarray(rates))
 
     rows = tuple(map(jnp.asarray, (y[:-1], y[1:], drift)))
-    run = scanned if jax.config.jax_disable_jit else jit(scanned)
-    return run(observer, state, rows, jnp.asarray(h))
+    eager = jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
+    return (scanned if eager else jit(scanned))(observer, state, rows, jnp.asarray(h))
 
 
 def scanned(observer, state, rows, h):
