@@ -27,7 +27,7 @@ import numpy as np
 from eoi_jax.checks import check_count
 from eoi_jax.jax_private import Literal, Tracer, tracing
 
-PROGRAMS = 128  # a discovery needs up to a hundred; a program takes two megabytes and ten mappings
+PROGRAMS = 128  # a discovery needs up to a hundred; of two to five megabytes, ten to forty mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
 _NESTED = 4  # so many functions inside others: their traces take ten megabytes each
 _GONE = 50  # programs let go, after which their memory goes back to the system
@@ -53,13 +53,13 @@ def jit(function: Callable | None = None, *, static: tuple[str, ...] | None = No
     if function is None:
         return lambda one: jit(one, static=static)
     names, kinds = static or (), _ARRAYS if static is None else _NUMBERS
-    order = tuple(inspect.signature(function).parameters) if names else ()
+    signature = inspect.signature(function)
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         given: tuple[tuple[str, Any], ...] = ()
         if names:
-            kwargs = {**dict(zip(order[: len(args)], args, strict=True)), **kwargs}
+            kwargs = dict(signature.bind(*args, **kwargs).arguments)
             args, given = (), tuple((name, kwargs.pop(name)) for name in names if name in kwargs)
         leaves, structure = jax.tree.flatten((args, kwargs))
         split = _Split.of(leaves, structure, given, kinds)

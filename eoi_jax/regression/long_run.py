@@ -145,12 +145,9 @@ class _Sums:
         for along in self.squares @ m:
             own = along @ m
             mirrored = np.concatenate([own[self.functions - 1 : 0 : -1], own[: self.functions]])
-            both = (
-                sliding_window_view(own, self.functions)
-                + (
-                    sliding_window_view(mirrored, self.functions)[::-1]  # of j + k, and of |j - k|
-                )
-            )
+            at_sum = sliding_window_view(own, self.functions)  # O at j + k
+            at_difference = sliding_window_view(mirrored, self.functions)[::-1]  # at |j - k|
+            both = at_sum + at_difference
             both *= 0.5 * a
             both *= a[:, None]
             yield both, a[:, None] * along[: self.functions]
