@@ -30,6 +30,7 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
 START = (sys.executable, "-c", "from eoi_command import main; main()")
 MARK = "mark"  # a file beside those of the run that stands already
 LIMIT = 300.0  # [s]
+_PNG_END = b"IEND\xaeB`\x82"
 
 CONFIG = """
 name = "rig"
@@ -231,14 +232,13 @@ class Bench:
         wrong = []
         partly = self.command in ("sweep", "report")  # their files come one by one
         said = self.run / "sweep.json"
-        if said.exists() and not json.loads(said.read_text(encoding="utf-8"))["finished"]:
-            return []  # an interrupted sweep reports on what is done
+        begun = said.exists() and not json.loads(said.read_text(encoding="utf-8"))["finished"]
         for whole in self.whole.iterdir():
             path = self.run / whole.name
             if not path.exists():
                 if not partly:
                     wrong.append(f"{path.name} is missing")
-            elif path.is_file() and not _is_whole(path, whole, self.command):
+            elif path.is_file() and not _is_whole(path, whole, self.command, begun):
                 wrong.append(f"{'old' if old else 'new'} {path.name} is not whole")
         return wrong
 
@@ -249,8 +249,11 @@ def _hear() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
-def _is_whole(path: Path, whole: Path, command: str) -> bool:
+def _is_whole(path: Path, whole: Path, command: str, begun: bool) -> bool:
     """Whether a file is what the command writes without a kill: everything is seeded."""
+    if begun and path.suffix in (".csv", ".md", ".png"):  # an interrupted sweep's, of what is done
+        data = path.read_bytes()
+        return data.endswith(_PNG_END if path.suffix == ".png" else b"\n")
     if path.suffix == ".json" and command == "sweep":
         # A sweep that was killed goes on: how much was left is what differs.
         return isinstance(json.loads(path.read_text(encoding="utf-8")), dict)

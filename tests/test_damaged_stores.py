@@ -47,11 +47,14 @@ def test_damage_is_computed_again_written_anew_or_refused(kind, expected):
     assert expected in campaign.outcome(kind, seed=0)
 
 
-def test_only_the_damaged_chunk_is_computed_again(tmp_path):
+@pytest.mark.parametrize(
+    ("damage", "array"), [(campaign.flipped, "index"), (campaign.folder_instead, "done")]
+)
+def test_only_the_damaged_chunk_is_computed_again(tmp_path, damage, array):
     store = tmp_path / "store"
     whole = campaign.swept(store).load()
     stamps = marks(store)
-    campaign.flipped(campaign.chunk_of(store, "index", random.Random(1)), store, random.Random(1))
+    damage(campaign.chunk_of(store, array, random.Random(1)), store, random.Random(1))
     with pytest.warns(StoreWarning, match=r"1 of 4 chunks .* damaged, and shown as not_run"):
         read = eoi.open_sweep(store)
     assert np.sum(read.status.values == 0) == 2

@@ -9,6 +9,7 @@ import hashlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,12 +52,13 @@ class Chunks:
         root: the group.
         names: of the arrays over the lanes.
         sweep: fingerprint of the sweep that it must belong to.
+        folder: of the store; None in memory.
     """
 
-    def __init__(self, root: Any, names: Sequence[str], sweep: str):
+    def __init__(self, root: Any, names: Sequence[str], sweep: str, folder: Path | None):
         self._arrays = {name: root[name] for name in names}
         self._done = root["done"]
-        self._sweep = sweep
+        self._sweep, self._folder = sweep, folder
         first = self._arrays[names[0]]
         rank = len(self._done.shape)
         self._shape, self._steps = first.shape[:rank], first.chunks[:rank]
@@ -72,6 +74,16 @@ class Chunks:
             for i, step, n in zip(place, self._steps, self._shape, strict=True)
         )
 
+    def files(self, place: Place) -> dict[str, Path]:
+        """Of a chunk by name of the array, its mark under ``done``; none of a store in memory."""
+        if self._folder is None:
+            return {}
+        found = {}
+        for name, array in {"done": self._done, **self._arrays}.items():
+            coordinates = (*place, *[0] * (len(array.shape) - len(place)))
+            found[name] = self._folder / name / array.metadata.encode_chunk_key(coordinates)
+        return found
+
     def read(self, place: Place) -> dict[str, np.ndarray]:
         """What a chunk holds by name; whatever Zarr raises where it cannot be read."""
         region = self.region(place)
@@ -79,6 +91,9 @@ class Chunks:
 
     def condition(self, place: Place) -> Condition:
         """Whether a chunk can be read, and is what its mark stands for."""
+        # To Zarr a folder in the place of a file is no chunk, so one that was never written.
+        if any(path.is_dir() for path in self.files(place).values()):
+            return Condition.DAMAGED
         try:
             mark, arrays = np.uint64(self._done[place]), self.read(place)
         except Exception:  # of the disk, of a codec, of Zarr: they have no class in common

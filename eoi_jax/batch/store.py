@@ -73,7 +73,7 @@ class Store:
             _check(self._path, plan)
             _mend(self._path, plan, labels)
         self._root: Any = zarr.open_group(self._store, mode="r+")
-        self._chunks = Chunks(self._root, list(_ARRAYS), plan.fingerprint)
+        self._chunks = Chunks(self._root, list(_ARRAYS), plan.fingerprint, self._path)
 
     def unfinished(self, places: Iterable[Place]) -> list[Place]:
         """Which of some chunks are to be computed.
@@ -87,7 +87,7 @@ class Store:
         if self._path is None:
             return places
         sweep_up(self._path.parent)
-        conditions = {place: self._condition(place) for place in places}
+        conditions = {place: self._chunks.condition(place) for place in places}
         left = [place for place, found in conditions.items() if found is not Condition.WHOLE]
         damaged = [place for place in left if conditions[place] is Condition.DAMAGED]
         for place in left:
@@ -97,12 +97,6 @@ class Store:
             said = f"{number} of the store {self._path} were damaged, and are computed again"
             warnings.warn(said, StoreWarning, stacklevel=3)
         return left
-
-    def _condition(self, place: Place) -> Condition:
-        """As the marks say; to Zarr a folder in the place of a file is no chunk, so absent."""
-        if any(self._file(name, place).is_dir() for name in ("done", *_ARRAYS)):
-            return Condition.DAMAGED
-        return self._chunks.condition(place)
 
     def write(self, place: Place, arrays: Arrays) -> None:
         """One chunk, then its mark."""
@@ -120,16 +114,14 @@ class Store:
 
     def _settle(self, place: Place, names: Iterable[str]) -> None:
         """Have chunks of arrays on the disk; one that holds nothing but the fill has no file."""
-        if self._path is not None:
-            for name in names:
-                path = self._file(name, place)
-                settle(path)
-                settle(path.parent)
+        files = self._chunks.files(place)
+        for path in (files[name] for name in names if name in files):
+            settle(path)
+            settle(path.parent)
 
     def _clear(self, place: Place, damaged: bool) -> None:
         """Remove what a killed process left beside a chunk's files; damaged files too."""
-        for name in ("done", *_ARRAYS):
-            path = self._file(name, place)
+        for path in self._chunks.files(place).values():
             if damaged:
                 _remove(path)
             # As Zarr names what it has not yet put in place; none but this job writes the chunk.
@@ -140,13 +132,6 @@ class Store:
                     break
                 if folder.is_file():
                     folder.unlink()
-
-    def _file(self, name: str, place: Place) -> Path:
-        """Of a chunk of an array."""
-        assert self._path is not None
-        array = self._root[name]
-        coordinates = (*place, *[0] * (len(array.shape) - len(place)))
-        return self._path / name / array.metadata.encode_chunk_key(coordinates)
 
     def dataset(self, outcome: dict[str, Any] | None = None) -> Any:
         """What is there, labelled; read from disk only when it is used.
@@ -214,7 +199,8 @@ def _labelled(path: Any) -> Any:
 
 def _without_damage(root: Any, sweep: str, path: Any) -> dict[str, Any]:
     """Arrays, in memory, whose damaged chunks hold what a lane shows that has not run."""
-    chunks = Chunks(root, list(_ARRAYS), sweep)
+    folder = Path(path) if isinstance(path, str | Path) else None
+    chunks = Chunks(root, list(_ARRAYS), sweep, folder)
     places = list(chunks)
     sound = [one for one in places if chunks.condition(one) is not Condition.DAMAGED]
     if len(sound) == len(places):
