@@ -18,8 +18,8 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any
+from functools import lru_cache, wraps
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -33,7 +33,7 @@ _NESTED = 4  # so many functions inside others: their traces take ten megabytes 
 _GONE = 50  # programs let go, after which their memory goes back to the system
 _CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
 
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
+_ARRAYS = (np.ndarray, np.generic, jax.Array)
 _NUMBERS = (*_ARRAYS, bool, int, float, complex)
 
 
@@ -62,8 +62,8 @@ def jit(function: Callable | None = None, *, static: tuple[str, ...] | None = No
             kwargs = dict(signature.bind(*args, **kwargs).arguments)
             args, given = (), tuple((name, kwargs.pop(name)) for name in names if name in kwargs)
         leaves, structure = jax.tree.flatten((args, kwargs))
-        split = _Split.of(leaves, structure, given, kinds)
-        if tracing() or any(isinstance(leaf, Tracer) for leaf in leaves):
+        split = _Split(*_parted(leaves, kinds), structure, given)
+        if tracing() or any(_is(type(array), Tracer) for array in split.arrays):
             return _combined(_nested(function, split)(split.arrays))
         return _run(function, split)
 
@@ -90,8 +90,7 @@ def count() -> int:
     return len(_programs)
 
 
-@dataclass(frozen=True)
-class _Split:
+class _Split(NamedTuple):
     """Arguments: the arrays, and all else as a key."""
 
     arrays: list[Any]
@@ -99,15 +98,11 @@ class _Split:
     structure: Any
     given: tuple[tuple[str, Hashable], ...]
 
-    @classmethod
-    def of(cls, leaves: list[Any], structure: Any, given: Any, kinds: tuple) -> "_Split":
-        return cls(*_parted(leaves, kinds), structure, given)
-
     @property
     def key(self) -> tuple[Hashable, ...]:
         """Without the arrays."""
         # 1, 1.0 and True are equal, but not the same to a program.
-        kinds = tuple(map(type, (*self.fixed, *(value for _, value in self.given))))
+        kinds = tuple(map(type, self.fixed)), tuple(type(value) for _, value in self.given)
         return self.structure, self.fixed, kinds, self.given, jax.dtypes.canonicalize_dtype(float)
 
     def arguments(self, arrays: list[Any]) -> tuple[tuple, dict[str, Any]]:
@@ -125,9 +120,19 @@ _ARRAY = _Marker()
 
 def _parted(leaves: list[Any], kinds: tuple) -> tuple[list[Any], tuple[Hashable, ...]]:
     """The arrays among the leaves of a tree, and all others with a mark where an array was."""
-    dynamic = [isinstance(leaf, (kinds, Tracer)) for leaf in leaves]
-    arrays = [leaf for leaf, one in zip(leaves, dynamic, strict=True) if one]
-    return arrays, tuple(_ARRAY if one else leaf for leaf, one in zip(leaves, dynamic, strict=True))
+    arrays, fixed = [], []
+    for leaf in leaves:
+        dynamic = _is(type(leaf), (*kinds, Tracer))
+        (arrays if dynamic else fixed).append(leaf)
+        if dynamic:
+            fixed.append(_ARRAY)
+    return arrays, tuple(fixed)
+
+
+@lru_cache(maxsize=1000)
+def _is(kind: type, kinds: type | tuple[type, ...]) -> bool:
+    """As `issubclass`, which takes longer of JAX's own."""
+    return issubclass(kind, kinds)
 
 
 def _joined(structure: Any, fixed: tuple, arrays: list[Any]) -> Any:
@@ -270,11 +275,10 @@ def _combined(result: Any) -> Any:
 
 def _kind(array: Any) -> Hashable:
     """What decides how an argument is compiled."""
-    if isinstance(array, jax.Array):
-        return array.shape, array.dtype, array.weak_type
-    if isinstance(array, np.ndarray | np.generic):
+    kind = type(array)
+    if _is(kind, (np.ndarray, np.generic)):
         return array.shape, array.dtype
-    return type(array)
+    return (array.shape, array.dtype, array.weak_type) if _is(kind, jax.Array) else kind
 
 
 def fingerprint(closed: Any) -> str:

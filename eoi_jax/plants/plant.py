@@ -317,12 +317,8 @@ class Plant(eqx.Module):
 
         Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
         """
-        near, far, size = map(np.asarray, _across_rest(self, *_probes(self)))
-        # A slope grows with the distance between the two velocities, a jump does not.
-        jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
-        # What another output does where one of degree one changes sign is no friction.
-        own = np.eye(len(self.outputs), dtype=bool)
-        return np.any(jumps, axis=0) & (own | (np.asarray(self.degrees) >= 2))
+        theta = tuple(np.asarray(self.theta, float).tolist())
+        return _jumps(jax.tree.structure(self), theta, jnp.result_type(float))
 
     @property
     def coupled(self) -> Bool[np.ndarray, "ny nu"]:
@@ -558,6 +554,21 @@ def _affine(
 
     line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
+
+
+@functools.lru_cache(maxsize=64)
+def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndarray, "ny ny"]:
+    """`Plant.jumps` of the plant of this structure, whose bounds play no part."""
+    del dtype  # in which the probes are computed: another one, another answer
+    plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
+    near, far, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
+    # A slope grows with the distance between the two velocities, a jump does not.
+    jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
+    # What another output does where one of degree one changes sign is no friction.
+    own = np.eye(len(plant.outputs), dtype=bool)
+    jumps = np.any(jumps, axis=0) & (own | (np.asarray(plant.degrees) >= 2))
+    jumps.flags.writeable = False
+    return jumps
 
 
 @jit(static=())
