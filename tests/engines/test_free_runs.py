@@ -44,11 +44,26 @@ def trolley_with_a_load():
     return Plant(both, {"k": 30.0, "d": 3.0, "c": 0.4}, 2, ("u",), ("y1", "y2"))
 
 
+def between_stops():
+    """A model that branches at a stop on either side."""
+
+    def mass(t, x, u, p):
+        y, v = x.y[:, 0]
+        left, right = (
+            jax.lax.cond(side * y > 0.05, lambda: p.push, lambda: 0.0 * p.push)
+            for side in (-1.0, 1.0)
+        )
+        return u[0] - p.k * y - p.d * v + left - right
+
+    return Plant(mass, {"k": 10.0, "d": 0.5, "push": 5.0}, 2, ("u",), ("y",))
+
+
 CASES: dict[str, Any] = {
     "pendulum, dry friction": (plants.pendulum(), [0.4, 0.0]),
     "two masses, dry friction in both": (two_with_dry_friction(), [0.3, 0.0, 0.0, 0.2]),
     "tanks, an internal state": (plants.cascaded_tanks(), [3.0, 4.0]),
     "friction that acts on another mass": (trolley_with_a_load(), [0.3, 0.0, 0.0, 0.2]),
+    "stops on both sides": (between_stops(), [0.0, 0.0]),
 }
 
 
@@ -102,7 +117,7 @@ def rows_of(plant, table):
 
 
 @pytest.mark.parametrize(
-    ("name", "threshold"), list(zip(CASES, (0.3, np.inf, 0.3, 0.3), strict=True)), ids=[*CASES]
+    ("name", "threshold"), list(zip(CASES, (0.3, np.inf, 0.3, 0.3, np.inf), strict=True)), ids=[*CASES]
 )
 def test_sums_of_many_lanes_equal_the_scan(name, threshold):
     plant, _, table, lanes = case_of(name, lanes=5)
