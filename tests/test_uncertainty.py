@@ -8,6 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.refinement import Refinement, Start
+from eoi_jax.report import estimate_figures
 from eoi_jax.report.estimate_figures import refinement_figure
 from eoi_jax.results import Status
 from eoi_jax.uncertainty import Uncertainty, _precision, student, uncertainty
@@ -315,6 +316,19 @@ def test_figure_shows_runs_residuals_and_a_panel_for_each_parameter(tmp_path):
     assert [one.get_title(loc="left") for one in panels] == ["mass\n[kg]", "drag", "force"]
     figure.savefig(tmp_path / "figure.png")
     assert figure.get_size_inches()[0] * figure.dpi == 1000
+
+
+@pytest.mark.parametrize("figure", [refinement_figure, lambda one: uncertainty(one).plot()])
+def test_panels_in_several_rows_are_as_high_as_in_one(figure, monkeypatch):
+    def height():
+        drawn = figure(refined())
+        drawn.draw_without_rendering()
+        (axes,) = [axes for axes in drawn.axes if axes.get_title(loc="left").startswith("mass")]
+        return axes.get_window_extent().height
+
+    in_one = height()
+    monkeypatch.setattr(estimate_figures, "_PER_ROW", 1)
+    assert height() > 0.8 * in_one
 
 
 def test_figure_of_a_result_that_kept_less_shows_what_there_is():
