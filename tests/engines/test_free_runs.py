@@ -117,7 +117,9 @@ def rows_of(plant, table):
 
 
 @pytest.mark.parametrize(
-    ("name", "threshold"), list(zip(CASES, (0.3, np.inf, 0.3, 0.3, np.inf), strict=True)), ids=[*CASES]
+    ("name", "threshold"),
+    list(zip(CASES, (0.3, np.inf, 0.3, 0.3, np.inf), strict=True)),
+    ids=[*CASES],
 )
 def test_sums_of_many_lanes_equal_the_scan(name, threshold):
     plant, _, table, lanes = case_of(name, lanes=5)
