@@ -55,7 +55,6 @@ _WINDOWS = 20
 _ALIKE = 0.95  # correlation of two estimates from which they are called confounded
 _POOR = 0.01  # of the regressors' mean power, below which a window has no excitation
 _UNEVEN = 100.0  # standard error of the worst combination over that of the best
-_SLIDING = 0.9
 _HELD = 0.1  # share of the residual's power from which a line is told
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,3 +75,31 @@ def test_passes_that_fall_short_of_what_least_squares_promises_are_not_converged
     found = iterate(run, PLANT, np.array([[1.0, 2.0]]), 10)
     np.testing.assert_allclose(found.best.promise, 0.5)
     assert found.codes == ["stalled"]
+
+
+def test_what_is_settled_does_not_depend_on_units():
+    """An increment that moves f by a thousandth of what was observed is none too small."""
+    for size in (1e-9, 1.0, 1e9):
+        square = np.full((1, 1), size**2)
+        observed = eqx.tree_at(lambda one: one.observed_square, sums(np.eye(2)), square)
+        one = _solve(PLANT, np.array([[1.0, 2.0]]), observed, np.zeros(1))
+        # Outputs are weighed by 1/P, which has the unit of the output, squared.
+        weighed = dataclasses.replace(one, weights=np.ones((1, 1)))
+        for share, settled in ((1e-3, False), (1e-12, True)):
+            moved = np.full((1, 2), share * size) / weighed.solution.scale
+            moved = dataclasses.replace(weighed, increment=moved)
+            np.testing.assert_array_equal(moved.settled, [settled])
+
+
+def test_an_output_without_scored_samples_has_no_part_in_the_cost():
+    plant = eoi.Plant(
+        lambda t, x, u, p: jnp.stack([-p.k * x.y[0, 0], p.b * u[0]]), {"k": 1.0, "b": 2.0}, 1,
+        outputs=("y", "w"),
+    )  # fmt: skip
+    one, both = np.array([1.0, 0.0]), np.array([2.0, 0.0])
+    alone = Sums(np.stack([np.eye(2), 0 * np.eye(2)]), np.zeros((2, 2)), both, both, one, 9 * one,
+                 one, np.zeros((2, 2)))  # fmt: skip
+    alone = jax.tree.map(lambda leaf: np.asarray(leaf)[None], alone)
+    found = _solve(plant, np.array([[1.0, 2.0]]), alone, np.zeros(1))
+    assert found.index[0, 0] > 0.0
+    np.testing.assert_allclose(found.cost, np.log(found.index[:, 0]))

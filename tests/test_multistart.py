@@ -204,3 +204,11 @@ def test_points_take_their_first_steps_in_longer_ones_and_end_in_short_ones(prob
     best(runs, rough, unknowns, points, 2)
     assert seen[3:6] == [(True, 1, 16), (False, 1, 8), (False, 1, 24)]  # where all begin
     assert [one for one in seen if one[1] > 1] == 2 * [(True, 20, 16), (False, 3, 8)]
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_steps_of_one_standard_error_do_not_depend_on_the_unit_of_the_output(problem, unit):
+    runs, unknowns = problem
+    steps = _standard_steps(runs, unknowns)
+    scaled = replace(runs, scale=np.asarray(runs.scale) * unit)
+    np.testing.assert_allclose(_standard_steps(scaled, unknowns), steps, rtol=1e-6)

@@ -15,7 +15,7 @@ from eoi_jax.plants import (
     three_mass_spring_damper,
 )
 from eoi_jax.simulate import simulate
-from eoi_jax.validate import validate
+from eoi_jax.validate import _descend, validate
 from eoi_jax.windows import plan
 
 TIME = np.arange(1001) * 5e-3
@@ -261,3 +261,40 @@ def test_predictions_are_what_simulate_gives_from_the_same_start():
     # One exponential mode: the estimated start is the true one up to rounding.
     np.testing.assert_allclose(result.predictions[0].outputs, record.outputs, atol=1e-12)
     assert result.predictions[0].name == "simulation (free run)"
+
+
+class Heads:
+    """Two runs of one unknown v each, with the error unit·(exp(v) - 1)."""
+
+    def __init__(self, unit, sign=1.0):
+        self.unit, self.sign = unit, sign
+
+    def part(self, which):
+        return Heads(self.unit[which], self.sign)
+
+    def errors(self, trials):
+        errors = self.unit[:, None, None] * np.expm1(trials)
+        return np.sum(errors**2, axis=-1), errors
+
+    def slopes(self, values, error, free):
+        return -self.sign * (error + self.unit[:, None])[..., None]
+
+    def tried(self, trials, free):
+        costs, errors = self.errors(trials)
+        return costs, errors, self.slopes(trials[:, 0], errors[:, 0], free)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_start_states_are_fitted_to_their_end_in_any_unit(unit):
+    heads = Heads(np.array([unit, 3.0 * unit]))
+    cost, values = _descend(heads, np.array([[[1.5]], [[-0.5]]]), np.array([True]))
+    np.testing.assert_allclose(values, 0.0, atol=1e-3)
+    np.testing.assert_allclose(cost, heads.errors(values[:, None])[0][:, 0])
+
+
+def test_a_step_that_does_not_help_is_not_taken():
+    start = np.array([[[1.5]], [[-0.5]]])
+    heads = Heads(np.array([1.0, 3.0]), sign=-1.0)  # slopes that point uphill
+    cost, values = _descend(heads, start, np.array([True]))
+    np.testing.assert_array_equal(values, start[:, 0])
+    np.testing.assert_array_equal(cost, heads.errors(start)[0][:, 0])

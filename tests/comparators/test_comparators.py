@@ -7,7 +7,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import comparators
 from eoi_jax.comparators import vss_direct
-from eoi_jax.comparators.filtered import Rows, default_filters, equation, linearised, motion
+from eoi_jax.comparators.filtered import Rows, default_filters, equation, linearised, motion, usable
 from eoi_jax.comparators.plain import explicit_form
 from eoi_jax.comparators.svf import least_squares_on
 from eoi_jax.comparators.weighed import covariance, solve
@@ -398,3 +398,17 @@ def test_the_sandwich_of_white_residuals_is_their_covariance(memory):
         total += covariance(solved, rows, rows, memory) / np.outer(size, size)
     # Each has 50 or 10 blocks, so that the mean of 200 is uncertain by 1.4 or 3.2 %.
     np.testing.assert_allclose(total / 200, np.eye(2), atol=0.07)
+
+
+def test_a_steady_motion_is_no_rest():
+    def block(t, x, u, p):
+        return p.g * u - p.c * jnp.sign(x.y[1])
+
+    plant = eoi.Plant(block, {"g": 1.0, "c": 0.1}, 2)
+    time = 0.01 * np.arange(1000)
+    position = np.where(time < 5.0, 0.7 * time, 3.5)  # moves, then stands
+    record = eoi.Record(time, 0.0 * time, position)
+    filters = default_filters(plant, [record])
+    keep = usable(plant, record, motion(plant, record, filters.wide), filters)[:, 0]
+    assert np.all(keep[200:400] == 1.0)
+    assert np.all(keep[600:800] == 0.0)
