@@ -16,6 +16,7 @@ from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.regression.coloured import ljung_box, prediction_from, whitened
 from eoi_jax.report.diagnosis import findings
 from eoi_jax.report.health import health
+from eoi_jax.residual import views_of
 
 TRUE = {"k": 900.0, "d": 12.0, "b": 50.0}
 NOMINAL = {"k": 800.0, "d": 10.0, "b": 40.0}
@@ -377,3 +378,12 @@ def test_it_prints_plots_and_survives_a_file(coulomb, tmp_path):
     back = eoi.load(tmp_path / "diagnosis.npz")
     assert str(back) == text
     np.testing.assert_array_equal(back.maps[1].mean, coulomb.maps[1].mean)
+
+
+def test_variables_of_the_residual_are_where_they_are_measured():
+    """A filter that starts on the first sample: what stands still is seen where it stands."""
+    drive = np.concatenate([np.full(2000, 1.5), DRIVE[:4000]])
+    measured = record(drive=drive)
+    (view,), _ = views_of(eoi.identify(plant(values=NOMINAL), measured))
+    np.testing.assert_allclose(view.inputs[: 1000 // view.thin], 1.5, rtol=1e-9)
+    np.testing.assert_array_equal(view.variables[:, -1], measured.time[:: view.thin])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.held_out import check_runs, held_out
+from eoi_jax.held_out import INITIAL, _common, check_runs, held_out
 
 TIME = 0.01 * np.arange(1000)
 
@@ -129,3 +129,13 @@ def test_a_cut_off_below_all_that_the_records_tell_is_said():
     found = eoi.discover(PLANT, record, lowpass=eoi.LowPass(1e-3))
     assert found.status.code == "no_data"
     assert found.status.message.startswith("the records are too short for the cut-off 0.001 rad/s")
+
+
+def test_a_gap_in_either_hides_no_common_samples():
+    time = 0.01 * np.arange(400)
+    y = np.cumsum(np.random.default_rng(0).standard_normal(400))
+    holes = [np.where((np.arange(400) // 5) % 20 == place, np.nan, y) for place in (7, 12)]
+    with pytest.warns(eoi.RecordWarning):
+        one, other = (eoi.Record(time, np.sin(time), y) for y in holes)
+    both = np.isfinite(holes[0] + holes[1])
+    assert _common(one, other) == np.sum(both[INITIAL:])

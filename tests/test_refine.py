@@ -20,7 +20,7 @@ from eoi_jax.output_error import (
     spans_of,
     used_window,
 )
-from eoi_jax.refine import refine
+from eoi_jax.refine import _typical, refine
 
 PERIOD = 5e-3
 TIME = np.arange(1001) * PERIOD
@@ -726,3 +726,11 @@ def test_an_identification_is_refined_and_the_result_is_saved(tmp_path):
     again = eoi.load(tmp_path / "refined.npz")
     assert again.parameters == result.parameters
     assert again.status == result.status
+
+
+def test_the_typical_error_is_that_of_each_output():
+    draw = np.random.default_rng(2)
+    error = np.array([1.0, 50.0]) * draw.standard_normal((3, 4000, 2))
+    use = draw.uniform(size=error.shape) < 0.9
+    error[~use] = 1e6
+    np.testing.assert_allclose(_typical(error, use), [1.0, 50.0], rtol=0.05)

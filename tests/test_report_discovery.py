@@ -489,3 +489,21 @@ def test_a_diagnosis_survives_a_file(found, tmp_path):
     diagnosis = diagnose(found.declared)
     diagnosis.save(tmp_path / "diagnosis.npz")
     assert str(eoi.load(tmp_path / "diagnosis.npz", plant=DECLARED)) == str(diagnosis)
+
+
+def test_residual_effects_and_free_run_stand_one_below_the_other(found):
+    figure = discovery_figures.discovery_figure(found)
+    figure.draw_without_rendering()
+    residual, effect, free_run = figure.subfigs
+    assert len(residual.axes) == len(found.plant.outputs)
+    assert residual.bbox.y0 >= effect.bbox.y1 > effect.bbox.y0 >= free_run.bbox.y1
+
+
+def test_where_nothing_is_known_the_residual_is_drawn_against_every_variable(found):
+    none = dataclasses.replace(found, added=())
+    variables = [variable for _, variable, _ in discovery_figures._maps(none)]
+    assert variables == ["y", "v", "t", "force"]
+    level = plants.level_tank()
+    tank = dataclasses.replace(none, plant=level)
+    variables = [variable for _, variable, _ in discovery_figures._maps(tank)]
+    assert variables == ["y", "t", *level.inputs]  # the velocity of a level is what f is

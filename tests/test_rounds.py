@@ -1,10 +1,13 @@
 """One round of discovery: at which frequencies a sinusoid is tried, how dry friction is read."""
 
+import os
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import effects
+from eoi_jax import effects, rounds
 from eoi_jax.augment import place
 from eoi_jax.candidates import Atom
 from eoi_jax.fit import Fit
@@ -66,3 +69,9 @@ def test_an_output_at_rest_has_some_power_all_the_same():
     """Errors are divided by it."""
     rest = np.zeros(5)
     assert np.all(known_power(rest, rest, np.zeros(5, int)) > 0.0)
+
+
+@pytest.mark.parametrize(("waiting", "threads"), [(True, 0), (False, os.cpu_count())])
+def test_models_that_xla_waits_for_are_evaluated_by_one_thread(monkeypatch, waiting, threads):
+    monkeypatch.setattr(rounds, "waits", lambda plant: waiting)
+    assert rounds.Task.threads.func(SimpleNamespace(plant=None)) == threads

@@ -15,7 +15,7 @@ from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base, Fit, Span, fitted, refined, solve, within_bounds
 from eoi_jax.modes import stretch
 from eoi_jax.noise_model import fitted_power, known_power, local_power
-from eoi_jax.search import Search
+from eoi_jax.search import Search, _span
 
 ROWS = 600
 NOISE = 0.1  # of each row, standard deviation
@@ -492,3 +492,11 @@ def test_shape_at_which_a_term_is_not_finite_is_not_tried():
     (placed, _) = alone(TWO, effects.StribeckFriction())
     shapes = [one.shape for one in atoms(TWO, placed, np.array([[0.1], [np.nan]]), several)]
     assert shapes == [(0.1,)]
+
+
+def test_a_scale_is_never_refined_down_to_nothing():
+    """Half a step below the grid, but of a rate no less than a fifth of the smallest."""
+    placed = Placed(effects.InternalOverflow(), 0, ("rate", "level"))
+    span = _span(placed, np.array([[1.0, 1.0], [4.0, 4.0]]))
+    np.testing.assert_allclose(span.low, [0.2, -0.5])
+    np.testing.assert_allclose(span.high, [5.5, 5.5])

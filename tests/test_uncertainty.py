@@ -11,7 +11,7 @@ from eoi_jax.refinement import Refinement, Start
 from eoi_jax.report import estimate_figures
 from eoi_jax.report.estimate_figures import refinement_figure
 from eoi_jax.results import Status
-from eoi_jax.uncertainty import Uncertainty, _precision, student, uncertainty
+from eoi_jax.uncertainty import Uncertainty, _on_bounds, _precision, student, uncertainty
 
 VALUES = {"inverse_mass": 2.0, "stiffness": 80.0, "damping": 3.0}
 COVARIANCE = np.asarray([[0.01, 0.1, 0.0], [0.1, 4.0, 0.0], [0.0, 0.0, 0.09]])
@@ -356,3 +356,14 @@ def test_precision_is_the_inverse_of_what_is_known():
     known = np.array([50.0, np.inf, 30.0])
     np.testing.assert_allclose(_precision(covariance, known), exact, atol=1e-15)
     np.testing.assert_array_equal(_precision(covariance, np.array([50.0, np.inf, 4.0])), 0.0)
+
+
+def test_a_parameter_on_a_bound_is_left_out_only_where_its_error_is_not_known():
+    plant = eoi.Plant(
+        lambda t, x, u, p: -p.a * x.y[0] + p.b * u + p.c, {"a": 1.0, "b": 2.0, "c": 0.0}, 1,
+        bounds={"a": (1.0, 3.0), "b": (0.0, 2.0)}, fixed=("c",),
+    )  # fmt: skip
+    covariance = np.diag([np.nan, 0.1, np.nan])
+    found = _on_bounds(np.array([1.0, 2.0, 0.0]), plant, covariance)
+    np.testing.assert_array_equal(found, [True, False, False])
+    assert not np.any(_on_bounds(np.array([1.5, 1.0, 0.0]), plant, covariance))

@@ -412,3 +412,11 @@ def test_a_steady_motion_is_no_rest():
     keep = usable(plant, record, motion(plant, record, filters.wide), filters)[:, 0]
     assert np.all(keep[200:400] == 1.0)
     assert np.all(keep[600:800] == 0.0)
+
+
+def test_too_few_blocks_leave_errors_unknown_but_not_of_what_is_fixed():
+    draw = np.random.default_rng(1)
+    rows = Rows([draw.standard_normal((40, 1, 2))], [draw.standard_normal((40, 1))], np.ones(1))
+    solved = solve(rows, rows, np.array([1.0, 0.0]))
+    found = covariance(solved, rows, rows, 30)
+    np.testing.assert_array_equal(found, [[np.nan, 0.0], [0.0, 0.0]])

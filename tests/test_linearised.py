@@ -1,0 +1,34 @@
+"""What a term does to a free run, to first order: where and when it is looked at."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.linearised import Along, _stages
+from eoi_jax.output_error import problem_of, spans_of
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_frequencies_at_which_the_residual_stands_out(outputs):
+    period, omega = 0.02, 2.0 * np.pi * 7 / 20.0  # seven periods in 20 s
+    time = period * np.arange(1000)
+    residual = np.sin(omega * time)[:, None] * np.ones(outputs)
+    names = ("y", "w")[:outputs]
+    one = SimpleNamespace(residual=residual.ravel(), plant=SimpleNamespace(outputs=names))
+    assert Along._peaks(one, period)[0] == pytest.approx(omega)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("substeps", [1, 2, 3])
+def test_stages_are_start_middle_and_end_of_each_sample(substeps):
+    """An input and a state that are the time itself."""
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1)
+    sampled = 2.0 + 0.3 * np.arange(101)
+    record = eoi.Record(sampled, sampled, sampled, hold="linear")
+    problem = problem_of(plant, [record], spans_of([record], None), substeps)
+    time = np.linspace(sampled[0], sampled[-1], 100 * substeps + 1)
+    inputs = np.stack([time[:-1], 0.5 * (time[:-1] + time[1:]), time[1:]], axis=1)
+    expected = sampled[:-1, None] + 0.3 * np.array([0.0, 0.5, 1.0])
+    for one in _stages(problem, inputs[None, ..., None], time[None, :, None]):
+        np.testing.assert_allclose(np.reshape(one, (100, 3)), expected)
