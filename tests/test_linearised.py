@@ -17,7 +17,7 @@ def test_frequencies_at_which_the_residual_stands_out(outputs):
     residual = np.sin(omega * time)[:, None] * np.ones(outputs)
     names = ("y", "w")[:outputs]
     one = SimpleNamespace(residual=residual.ravel(), plant=SimpleNamespace(outputs=names))
-    assert Along._peaks(one, period)[0] == pytest.approx(omega)  # type: ignore[arg-type]
+    assert Along._peaks(one, period)[0] == pytest.approx(omega)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 3])

@@ -1,5 +1,7 @@
 """Free-run validation: known errors, estimated starts, windows, divergence, a measured record."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -286,7 +288,7 @@ class Heads:
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_start_states_are_fitted_to_their_end_in_any_unit(unit):
-    heads = Heads(np.array([unit, 3.0 * unit]))
+    heads: Any = Heads(np.array([unit, 3.0 * unit]))
     cost, values = _descend(heads, np.array([[[1.5]], [[-0.5]]]), np.array([True]))
     np.testing.assert_allclose(values, 0.0, atol=1e-3)
     np.testing.assert_allclose(cost, heads.errors(values[:, None])[0][:, 0])
@@ -294,7 +296,7 @@ def test_start_states_are_fitted_to_their_end_in_any_unit(unit):
 
 def test_a_step_that_does_not_help_is_not_taken():
     start = np.array([[[1.5]], [[-0.5]]])
-    heads = Heads(np.array([1.0, 3.0]), sign=-1.0)  # slopes that point uphill
+    heads: Any = Heads(np.array([1.0, 3.0]), sign=-1.0)  # slopes that point uphill
     cost, values = _descend(heads, start, np.array([True]))
     np.testing.assert_array_equal(values, start[:, 0])
     np.testing.assert_array_equal(cost, heads.errors(start)[0][:, 0])

@@ -271,15 +271,18 @@ def test_explicit_form_of_outputs_of_different_degree(clean: eoi.Record):
     both = eoi.Plant(dynamics, {"k": 90.0, "g": 1.5, "a": 1.0}, (2, 1), ("u",), ("y", "w"))
     y = np.column_stack([clean.outputs, np.exp(-0.5 * TIME)])
     records = [eoi.Record(TIME, INPUT, y), eoi.Record(TIME, 0.5 * INPUT, 0.5 * y)]
-    first = eoi.identify(both, records, passes=1)
-    observer = explicit_form(first)
+    found = eoi.identify(both, records, passes=1)
+    observer = explicit_form(found)
     assert isinstance(observer, eoi.observers.PerOutput)
     assert [one.scheme for one in observer.observers] == ["explicit", "explicit"]
-    injections = first.first_injection
+    injections = found.first_injection
     largest = np.max([np.nanmax(np.abs(one[:, 0])) for one in injections])
     fastest = np.max([np.nanmax(np.abs(np.diff(one[:, 1]))) for one in injections]) / 2e-3
-    np.testing.assert_allclose(observer.observers[0].c3, 2.0 * largest)
-    np.testing.assert_allclose(observer.observers[1].delta, 2.0 * fastest)
+    second, first = observer.observers
+    assert isinstance(second, eoi.observers.SecondOrder)
+    assert isinstance(first, eoi.observers.FirstOrder)
+    np.testing.assert_allclose(second.c3, 2.0 * largest)
+    np.testing.assert_allclose(first.delta, 2.0 * fastest)
 
 
 def test_explicit_filter_stays_below_the_limit_cycle(plant: eoi.Plant, clean: eoi.Record):
