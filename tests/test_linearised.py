@@ -1,6 +1,7 @@
 """What a term does to a free run, to first order: where and when it is looked at."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ def test_frequencies_at_which_the_residual_stands_out(outputs):
     time = period * np.arange(1000)
     residual = np.sin(omega * time)[:, None] * np.ones(outputs)
     names = ("y", "w")[:outputs]
-    one = SimpleNamespace(residual=residual.ravel(), plant=SimpleNamespace(outputs=names))
+    one: Any = SimpleNamespace(residual=residual.ravel(), plant=SimpleNamespace(outputs=names))
     assert Along._peaks(one, period)[0] == pytest.approx(omega)
 
 
