@@ -88,17 +88,15 @@ def averaged(observer, values):
 
 def watch(observer, y, drift, h, start=None, rates=None):
     """Observations of all steps, and the last state; starts on y with zero rates."""
-    rows = int(np.max(degrees(observer))) - 1
+    if rates is None:
+        rates = np.zeros((int(np.max(degrees(observer))) - 1, y.shape[1]))
     start = y[0] if start is None else start
-    rates = np.zeros((rows, y.shape[1])) if rates is None else rates
-    state = observer.init(jnp.asarray(start), jnp.asarray(rates))
-
-    rows = tuple(map(jnp.asarray, (y[:-1], y[1:], drift)))
-    eager = jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
-    return (scanned if eager else jit(scanned))(observer, state, rows, jnp.asarray(h))
+    return _watched(observer, np.asarray(start), rates, (y[:-1], y[1:], drift), np.asarray(h))
 
 
-def scanned(observer, state, rows, h):
+@jit
+def _watched(observer, start, rates, rows, h):
+    state = observer.init(start, rates)
     return jax.lax.scan(lambda state, row: observer.step(state, *row, h), state, rows)
 
 
@@ -199,18 +197,6 @@ def test_rates_have_one_row_for_each_derivative_below_the_highest(observer):
     assert observer.rates(state).shape == (rows, 2)
     for j, r in enumerate(degrees(observer)):
         np.testing.assert_array_equal(np.asarray(seen.rates)[:, r - 1 :, j], 0.0)
-
-
-@every
-def test_jit_equals_eager(observer):
-    h, samples = 5e-3, 8
-    y, drift = sway(observer, h, samples), np.ones((samples - 1, 2))
-    start = y[0] + np.array([0.01, -0.02])  # off the surface: no sign is decided by rounding
-    _, jitted = jax.jit(lambda: watch(observer, y, drift, h, start))()
-    with jax.disable_jit():
-        _, eager = watch(observer, y, drift, h, start)
-    for one, other in zip(jax.tree.leaves(jitted), jax.tree.leaves(eager), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
 GAINS = {
@@ -377,13 +363,7 @@ def test_outputs_side_by_side_equal_each_alone():
     drift = np.cos(t[:-1, None] * np.array([1.0, 2.0, 3.0]))
     rates = np.array([[0.1, 0.0, 0.3], [0.2, 0.0, 0.0]])
     both = PerOutput((first, second, third))
-    state = both.init(jnp.asarray(y[0]), jnp.asarray(rates))
-
-    def body(state, row):
-        here, there, model = row
-        return both.step(state, here, there, model, jnp.asarray(h))
-
-    _, seen = jax.lax.scan(body, state, tuple(map(jnp.asarray, (y[:-1], y[1:], drift))))
+    _, seen = watch(both, y, drift, h, rates=rates)
     for j, one in enumerate((first, second, third)):
         rows = one.relative_degree - 1
         own = slice(j, j + 1)
