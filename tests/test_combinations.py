@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eoi_jax.regression.combinations import in_weights, told
+from eoi_jax.regression.combinations import _product, in_weights, told
 
 THETA = np.asarray([3.7, 0.21, 58.0, -1.3])
 NAMES = ("a", "b", "c", "d")
@@ -71,3 +71,8 @@ def test_a_parameter_of_zero_takes_no_part_in_products():
 
 def test_a_direction_is_written_in_its_own_units():
     assert in_weights(np.asarray([-2.0, 0.0, 1.0, 1e-9]), THETA, NAMES) == "+1·a -0.5·c"
+
+
+def test_a_product_is_written_with_its_first_name_above_the_line():
+    assert _product([("a", -1), ("b", 1)]) == "a/b"
+    assert _product([("a", -2), ("b", -1), ("c", 3)]) == "a²·b/c³"

@@ -249,6 +249,9 @@ def test_a_coarse_sensor_is_called_quantised():
     diagnosis = found(eoi.Record(TIME, DRIVE, y, hold="smooth"))
     assert diagnosis.quantum[0] == pytest.approx(step, rel=1e-6)
     assert said(diagnosis, "y is quantised in steps of")
+    # Steps without noise at all, of a signal that is computed, are not its noise.
+    exact = findings(replace(diagnosis, noise=np.zeros(1)))
+    assert not any("quantised" in one for one in exact)
 
 
 def test_a_hum_of_the_sensor_is_named_with_its_frequency_and_size(clean, coulomb):

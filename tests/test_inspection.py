@@ -377,3 +377,11 @@ def test_a_file_without_an_output_gets_no_draft(tmp_path):
     with pytest.raises(ValueError, match="`path` must have a column that can be an output"):
         draft(inspect(file), tmp_path / "run.toml")
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_symbols_of_the_drafted_model_are_the_last_part_of_column_names(tmp_path):
+    """As tables of several devices name them: device, signal, unit."""
+    written(tmp_path / "run.csv", **{"rig.time [s]": T, "drive.force [N]": U, "arm/angle (rad)": Y})
+    drafted(tmp_path / "run.csv", tmp_path / "run.toml")
+    plant = build.plant(configs.load(tmp_path / "run.toml"), tmp_path)
+    assert (plant.inputs, plant.outputs) == (("force",), ("angle",))

@@ -367,3 +367,14 @@ def test_a_parameter_on_a_bound_is_left_out_only_where_its_error_is_not_known():
     found = _on_bounds(np.array([1.0, 2.0, 0.0]), plant, covariance)
     np.testing.assert_array_equal(found, [True, False, False])
     assert not np.any(_on_bounds(np.array([1.5, 1.0, 0.0]), plant, covariance))
+
+
+def test_what_is_fixed_or_open_has_no_correlation():
+    untraced = np.array([[0.0], [0.0], [0.0], [1.0]])
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2] = [[4.0, 1.0], [1.0, 1.0]]
+    names = dict.fromkeys("abcd", 1.0)
+    known = Uncertainty(names, covariance, np.full(4, np.inf), untraced, (), {})
+    expected = np.full((4, 4), np.nan)
+    expected[:2, :2] = [[1.0, 0.5], [0.5, 1.0]]
+    np.testing.assert_array_equal(known.correlation, expected)
