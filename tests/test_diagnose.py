@@ -250,7 +250,7 @@ def test_a_coarse_sensor_is_called_quantised():
     assert diagnosis.quantum[0] == pytest.approx(step, rel=1e-6)
     assert said(diagnosis, "y is quantised in steps of")
     # Steps without noise at all, of a signal that is computed, are not its noise.
-    exact = findings(replace(diagnosis, noise=np.zeros(1)))
+    exact = findings(replace(diagnosis, noise=np.zeros(1)), eoi.Status("converged", ""))
     assert not any("quantised" in one for one in exact)
 
 
@@ -318,6 +318,11 @@ def test_a_constant_force_shows_as_the_mean_of_the_residual():
     assert diagnosis.offset[0] == pytest.approx(3.0, rel=0.2)
     assert diagnosis.offset_error[0] < 0.3
     assert said(diagnosis, "has a mean of")
+    # From four standard errors on.
+    for share, told in ((3.5, False), (4.5, True)):
+        near = replace(diagnosis, offset=share * diagnosis.offset_error, method_floor=np.zeros(1))
+        sentences = findings(near, eoi.Status("converged", ""))
+        assert told == any("has a mean of" in one for one in sentences)
 
 
 def test_what_is_small_but_not_noise_is_said_so(clean, coulomb):
