@@ -12,6 +12,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import Placed, augmented, place, unit
 from eoi_jax.candidates import atoms, candidates
+from eoi_jax.compilation import jit
 from eoi_jax.effects.effect import (
     AbstractActuator,
     AbstractEffect,
@@ -130,10 +131,11 @@ def test_term_is_linear_in_its_gains(effect: AbstractTerm):
     random = np.random.default_rng(1)
     first, second = random.standard_normal((2, len(effect.gains)))
     at = somewhere(effect)
+    term = jit(effect.term)
     for shape in effect.grid(seen())[::3]:
-        both = effect.term(at, 2.0 * first - second, shape)
-        apart = 2.0 * effect.term(at, first, shape) - effect.term(at, second, shape)
-        assert both == pytest.approx(float(apart), rel=1e-12, abs=1e-12)
+        both = float(term(at, 2.0 * first - second, shape))
+        apart = 2.0 * float(term(at, first, shape)) - float(term(at, second, shape))
+        assert both == pytest.approx(apart, rel=1e-12, abs=1e-12)
 
 
 @each(TERMS)
@@ -156,14 +158,18 @@ def test_input_effect_at_its_neutral_shape_leaves_the_plant_as_it_is(effect: Abs
 
 def assert_same_derivative(plant: eoi.Plant, new: eoi.Plant):
     random = np.random.default_rng(3)
-    theta = jnp.asarray(plant.theta)
-    start = new.internal_start(jnp.asarray(new.theta))
     for _ in range(3):
-        y = jnp.asarray(random.standard_normal((plant.relative_degree, 1)))
-        u, t = jnp.asarray(random.standard_normal(1)), jnp.asarray(random.uniform(0.0, 9.0))
-        old = plant.derivative(t, eoi.State(y, jnp.zeros(0)), u, theta)
-        got = new.derivative(t, eoi.State(y, start), u, jnp.asarray(new.theta))
+        y = random.standard_normal((plant.relative_degree, 1))
+        u, t = random.standard_normal(1), np.asarray(random.uniform(0.0, 9.0))
+        old, got = derivative(plant, t, y, u), derivative(new, t, y, u)
         np.testing.assert_allclose(got, old, rtol=1e-14)
+
+
+@jit
+def derivative(plant: eoi.Plant, t: Any, y: Any, u: Any) -> Any:
+    """At the nominal parameters; internal states as they are at the start."""
+    theta = jnp.asarray(plant.theta)
+    return plant.derivative(t, eoi.State(y, plant.internal_start(theta)), u, theta)
 
 
 @each(EFFECTS)
@@ -382,8 +388,9 @@ def states_along(effect: AbstractEffect, time, y, v, u, shape):
         return new, new
 
     pairs = (tuple(one[:-1] for one in rows), tuple(one[1:] for one in rows))
-    start = jnp.zeros(effect.states)
-    return np.concatenate([start[None], jax.lax.scan(step, start, pairs)[1]])
+    start = np.zeros(effect.states)
+    states = jit(lambda start, pairs: jax.lax.scan(step, start, pairs)[1])(start, pairs)
+    return np.concatenate([start[None], states])
 
 
 def test_delay_is_the_shift_of_the_input():
@@ -391,7 +398,7 @@ def test_delay_is_the_shift_of_the_input():
     time = np.arange(0.0, 12.0, 2e-3)
     u = np.sin(2.0 * time) ** 3 * (time > 0)
     shifted = np.where(time > tau, np.sin(2.0 * (time - tau)) ** 3, 0.0)
-    along = np.asarray(delay.along(jnp.asarray(time), jnp.asarray(u), jnp.asarray([tau])))
+    along = np.asarray(jit(delay.along)(time, u, np.array([tau])))
     # Exact but for the linear interpolation between samples: h² u''/8.
     assert np.max(np.abs(along - shifted)) < 2e-3**2 * 30.0 / 8.0
 
@@ -402,32 +409,31 @@ def test_slope_of_an_actuator_with_its_time_is_that_of_differences(
     effect: AbstractActuator, tau: float
 ):
     """Also where it is shorter than a step."""
-    time = jnp.arange(0.0, 4.0, 0.01)
-    u = jnp.cumsum(jnp.asarray(np.random.default_rng(5).standard_normal(len(time))))
+    time = jnp.asarray(np.arange(0.0, 4.0, 0.01))
+    u = jnp.asarray(np.cumsum(np.random.default_rng(5).standard_normal(len(time))))
 
     def along(tau: Any) -> Any:
         return effect.along(time, u, tau[None])
 
-    slope = jax.jacfwd(along)(jnp.asarray(tau))
+    slope = jit(jax.jacfwd(along))(np.asarray(tau))
     small = 1e-7 * tau
-    expected = (along(jnp.asarray(tau + small)) - along(jnp.asarray(tau - small))) / (2.0 * small)
+    after, before = (jit(along)(np.asarray(tau + sign * small)) for sign in (1.0, -1.0))
+    expected = np.asarray(after - before) / (2.0 * small)
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
 
 
 @pytest.mark.parametrize("effect", [effects.InputDelay(), effects.ActuatorLag()], ids=label)
 def test_effect_in_time_vanishes_with_its_time(effect: AbstractActuator):
-    time = jnp.arange(0.0, 1.0, 0.01)
-    u = jnp.sin(9.0 * time)
-    np.testing.assert_allclose(effect.along(time, u, jnp.asarray([1e-9])), u, atol=1e-6)
+    time = np.arange(0.0, 1.0, 0.01)
+    u = np.sin(9.0 * time)
+    np.testing.assert_allclose(jit(effect.along)(time, u, np.array([1e-9])), u, atol=1e-6)
 
 
 def test_lag_along_a_record_is_the_analytic_answer_to_a_step():
     h, lag = 0.01, 0.07
     start = np.arange(-h, 1.0, h)
     step = np.where(start > -0.5 * h, 1.0, 0.0)
-    answer = effects.ActuatorLag().along(
-        jnp.asarray(start + 0.5 * h), jnp.asarray(step), jnp.asarray([lag])
-    )
+    answer = jit(effects.ActuatorLag().along)(start + 0.5 * h, step, np.array([lag]))
     # Mean of 1 - exp(-t/T) over each step.
     mean = step * (1.0 - lag / h * (np.exp(-start / lag) - np.exp(-(start + h) / lag)))
     np.testing.assert_allclose(answer, mean, rtol=1e-12)
