@@ -7,6 +7,7 @@ import pytest
 from problems import stiff_response
 from scipy.integrate import solve_ivp
 
+from eoi_jax.compilation import jit
 from eoi_jax.plants import (
     Plant,
     State,
@@ -502,8 +503,9 @@ def test_sensitivities_equal_differences(plant: Plant, time: np.ndarray, push: n
     theta = jnp.asarray(plant.theta)
     got = np.asarray(jax.jit(jax.jacfwd(run))(theta))
     for i, size in enumerate(1e-6 * np.asarray(theta)):
-        move = jnp.asarray(np.eye(len(theta))[i] * size)
-        want = np.asarray((run(theta + move) - run(theta - move)) / (2 * size))
+        move = np.eye(len(theta))[i] * size
+        after, before = (np.asarray(run(plant.theta + sign * move)) for sign in (1.0, -1.0))
+        want = (after - before) / (2 * size)
         # The difference itself is good to 1e-6 of the sensitivity.
         np.testing.assert_allclose(got[:, i], want, atol=1e-5 * np.max(np.abs(want)))
 
@@ -629,10 +631,12 @@ def test_runs_in_one_chain_are_those_one_by_one(inputs: tuple[str, ...]):
         jnp.asarray(random.standard_normal((runs, 2, 1))), jnp.zeros((runs, 0))
     )
     together = chained(plant, theta, drives, starts, (True,))
+    run = jit(lambda drive, start: trajectory(plant, theta, drive, start, (True,))[0])
     for i in range(runs):
         alone, start = (jax.tree.map(lambda leaf: leaf[i], one) for one in (drives, starts))  # noqa: B023
-        y, _ = trajectory(plant, theta, alone, start, (True,))
-        np.testing.assert_allclose(together[i], y[:, 0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            together[i], np.asarray(run(alone, start))[:, 0], rtol=1e-12, atol=1e-12
+        )
 
 
 def test_adaptive_solver_refuses_a_plant_behind_an_actuator():
