@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from eoi_jax.compilation import jit
 from eoi_jax.engines.jaxprs import translated
 from eoi_jax.engines.scalars import Graph, Untranslatable, evaluated, ordered
 
@@ -93,9 +94,7 @@ def test_values_are_those_of_jax(name):
     flat = evaluated(list(nodes.flat), lambda i: values[i], np.float64)
     got = np.array([float(one) for one in flat]).reshape(nodes.shape)
     # Both compute the same operations; a library's sine or power may differ in its last digits.
-    np.testing.assert_allclose(
-        got, FUNCTIONS[name](jnp.asarray(X), jnp.asarray(Y)), rtol=1e-13, atol=1e-15
-    )
+    np.testing.assert_allclose(got, jit(FUNCTIONS[name])(X, Y), rtol=1e-13, atol=1e-15)
 
 
 def test_not_a_number_stays_one():
