@@ -31,6 +31,7 @@ class Drift(AbstractTerm):
     sentence = "a drift, linear in time"
     gains = (Parameter("", "{f}/s"),)
     depends_on = "t"
+    rarity = 1.0  # where the clock started long before the record, an offset is one
     form = ("+ {0}·t", r"+ {0}\,t")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
