@@ -106,6 +106,7 @@ def discover(
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
     held = held_out(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
+    spare = rare() if effects is None else ()
     fitting = _fitting(plant, tried)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
@@ -113,11 +114,13 @@ def discover(
     told = callback or _untold
     told("fitting the declared model", 0, _STAGES)
     prepared, several, brief = _telling(plant, several, lowpass)
+    start = min(float(one.time[0]) for one in several)
+    tried, spare = (tuple(one.since(start) for one in part) for part in (tried, spare))
     declared = estimate(plant, prepared, passes=_PASSES)
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
-    found = _run(task, rare() if effects is None else (), told)
+    found = _run(task, spare, told)
     if refine and found.status.code in ("explained", "nothing_missing"):
         told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
         found = _polished(task, found, None if effects is None else tried)

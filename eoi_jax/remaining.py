@@ -196,6 +196,8 @@ def remaining(
     held = held_out(plant, records, validation)
     check_judges(plant, "validation", held)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)
+    start = min(float(one.time[0]) for one in records)
+    chosen = tuple(one.since(start) for one in chosen)
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
     along = Along.of(refinement, records, spans, substeps)

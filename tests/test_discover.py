@@ -702,3 +702,19 @@ def test_an_effect_of_unknown_size_is_said(errors, told):
     notes = import_module("eoi_jax.discover")._vague([one])
     assert len(notes) == told
     assert all("overflow" in note and "half" in note for note in notes)
+
+
+@pytest.mark.parametrize("began", [0.0, 86_400.0], ids=["at the first sample", "a day before"])
+@pytest.mark.parametrize(
+    "effect", [effects.ConstantOffset(), effects.Drift()], ids=["offset", "drift"]
+)
+def test_offset_and_drift_are_told_apart_wherever_the_clock_began(effect, began):
+    plant = eoi.Plant(lambda t, x, u, p: -p.a * x.y[0] + p.b * u, {"a": 1.2, "b": 1.8}, 1)
+    time = 0.02 * np.arange(900)
+    true = augmented(plant, [place(plant, effect, 0)], {effect.name: 0.3})
+    run = eoi.simulate(true, time, eoi.excitation.random_steps(time, -1.0, 1.0, 0.6, seed=1))
+    y = run.outputs + 1e-3 * np.random.default_rng(0).standard_normal(run.outputs.shape)
+    found = eoi.discover(plant, eoi.Record(began + time, run.inputs, y, hold=run.hold))
+    assert found.effects == (effect.name,)
+    assert found.plant.parameters[effect.name] == pytest.approx(0.3, rel=0.02)
+    assert ("(t - 86400)" in found.equation) == (effect.name == "drift" and began > 0)

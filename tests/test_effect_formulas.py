@@ -19,7 +19,7 @@ from eoi_jax.effects.effect import (
 )
 from eoi_jax.effects.products import ModulatedSinusoid, Product
 
-ALL = (*effects.standard(), *effects.rare())
+ALL = (*effects.standard(), *effects.rare(), effects.Drift(start=2.5))
 TERMS = [one for one in ALL if isinstance(one, AbstractTerm)]
 INPUTS = [one for one in ALL if isinstance(one, AbstractInputEffect)]
 INTERNAL = [one for one in ALL if isinstance(one, AbstractInternalEffect)]
@@ -57,6 +57,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     ),
     effects.ConstantOffset(): lambda t, y, v, u, z, g, s: g[0],
     effects.Drift(): lambda t, y, v, u, z, g, s: g[0] * t,
+    effects.Drift(start=2.5): lambda t, y, v, u, z, g, s: g[0] * (t - 2.5),
     effects.SinusoidalDisturbance(): lambda t, y, v, u, z, g, s: (
         np.hypot(*g) * np.cos(s[0] * t - np.arctan2(g[0], g[1]))
     ),

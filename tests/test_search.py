@@ -329,17 +329,6 @@ def test_common_twin_is_preferred():
     assert names(best) == {"linear_stiffness"}
 
 
-def test_an_offset_is_no_drift_wherever_the_clock_starts():
-    """A day after its zero, a drift of a millionth of the offset per second is the same column."""
-    for seed in range(5):
-        parts = columns(seed, 3)
-        time = np.linspace(86_400.0, 86_410.0, ROWS)
-        target = 0.5 + 0.1 * parts[:, 2]
-        grid = [atom(effects.Drift(), time), atom(effects.ConstantOffset(), np.ones(ROWS))]
-        _, best = search(base(target, parts[:, :2]), grid)
-        assert names(best) == {"constant_offset"}
-
-
 def test_one_gain_costs_what_a_test_at_that_level_asks_for():
     parts = columns(11, 3)
     grid = [atom(effects.Drift(), parts[:, 2])]

@@ -1,5 +1,6 @@
 """What acts from outside, whatever the plant does."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -21,21 +22,38 @@ class ConstantOffset(AbstractTerm):
         return gain[0] + 0.0 * at.t
 
 
+@dataclass(frozen=True)
 class Drift(AbstractTerm):
-    """a t: a disturbance that grows with time.
+    """a (t - t_0): a disturbance that grows with time.
 
-    Its value at t = 0 is part of it where the model has a constant; else it starts from zero.
+    Its value at t_0 is part of it where the model has a constant; else it starts from zero. A
+    search takes the start of the records for t_0: far from zero, a t would be a constant.
+
+    Attributes:
+        start: t_0 [s].
     """
 
     name = "drift"
     sentence = "a drift, linear in time"
     gains = (Parameter("", "{f}/s"),)
     depends_on = "t"
-    rarity = 1.0  # where the clock started long before the record, an offset is one
-    form = ("+ {0}·t", r"+ {0}\,t")
+
+    start: float = 0.0
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """With t, or with the time since the start."""
+        if self.start == 0.0:
+            return "+ {0}·t", r"+ {0}\,t"
+        since = f"(t {'-' if self.start > 0 else '+'} {abs(self.start):.10g})"
+        return f"+ {{0}}·{since}", rf"+ {{0}}\,{since}"
+
+    def since(self, start: float) -> "Drift":
+        """From there on, unless it has a start of its own."""
+        return replace(self, start=start) if self.start == 0.0 else self
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return gain[0] * at.t
+        return gain[0] * (at.t - self.start)
 
 
 class SinusoidalDisturbance(AbstractTerm):

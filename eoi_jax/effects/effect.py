@@ -127,6 +127,11 @@ class AbstractEffect(ABC):
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
 
+    def since(self, start: float) -> "AbstractEffect":
+        """The effect for records that start at this time; the same where time plays no part."""
+        del start
+        return self
+
     @abstractmethod
     def channels(self, plant: Plant) -> tuple[str, ...]:
         """Names of what it may act on: the outputs, the inputs, or the internal states."""
