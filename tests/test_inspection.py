@@ -14,7 +14,7 @@ from eoi_jax import build
 from eoi_jax import config as configs
 from eoi_jax.checks import RecordWarning
 from eoi_jax.draft import checked, draft
-from eoi_jax.inspection import Inspection, inspect
+from eoi_jax.inspection import Inspection, _band, inspect
 
 N = 600
 H = 0.01
@@ -385,3 +385,11 @@ def test_symbols_of_the_drafted_model_are_the_last_part_of_column_names(tmp_path
     drafted(tmp_path / "run.csv", tmp_path / "run.toml")
     plant = build.plant(configs.load(tmp_path / "run.toml"), tmp_path)
     assert (plant.inputs, plant.outputs) == (("force",), ("angle",))
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_the_band_does_not_depend_on_the_unit(unit):
+    time = 0.01 * np.arange(2000)
+    band = _band(unit * (np.sin(2.0 * np.pi * time) + 5.0), 0.01)
+    assert band == pytest.approx(1.0, abs=0.15)
+    assert _band(np.full(100, unit), 0.01) is None

@@ -103,3 +103,17 @@ def test_an_output_without_scored_samples_has_no_part_in_the_cost():
     found = _solve(plant, np.array([[1.0, 2.0]]), alone, np.zeros(1))
     assert found.index[0, 0] > 0.0
     np.testing.assert_allclose(found.cost, np.log(found.index[:, 0]))
+
+
+def test_a_bound_of_one_lane_does_not_touch_the_other():
+    values, bounds = {"k": 1.0, "b": 2.0}, {"k": (-np.inf, 1.0)}
+    plant = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0] + p.b * u, values, 1, bounds=bounds)
+    one = sums(np.array([[2.0, 0.5], [0.5, 1.0]]))
+    both = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf]), one)
+    both = eqx.tree_at(lambda each: each.rhs, both, np.array([[[5.0, 1.0]], [[-5.0, 1.0]]]))
+    theta = np.array([[1.0, 2.0], [1.0, 2.0]])  # the first lane would leave the bound
+    found = _solve(plant, theta, both, np.zeros(2))
+    np.testing.assert_array_equal(found.bound, [[True, False], [False, False]])
+    inverse = np.linalg.inv([[2.0, 0.5], [0.5, 1.0]])
+    np.testing.assert_allclose(found.solution.inverse[0], [[0.0, 0.0], [0.0, 1.0]], atol=1e-12)
+    np.testing.assert_allclose(found.solution.inverse[1], inverse)

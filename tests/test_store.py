@@ -357,3 +357,8 @@ def test_a_result_that_unpacks_to_more_than_is_allowed_is_refused(result, tmp_pa
     with pytest.raises(ValueError, match=r"unpacks to more than 1e-05 GB.*`max_gigabytes`"):
         eoi.load(tmp_path / "run.npz", max_gigabytes=1e-5)
     assert eoi.load(tmp_path / "run.npz", max_gigabytes=np.inf).parameters == result.parameters
+
+
+def test_what_cannot_be_read_back_is_not_stored():
+    with pytest.raises(TypeError, match="cannot store slice"):
+        _encode(slice(3), _Arrays())

@@ -308,3 +308,13 @@ def test_a_torn_record_beside_whole_ones_has_no_say():
         "torn: no 8 valid samples follow each other: left out"
     ]
     assert foreign_lines(holed, 0) == []
+
+
+def test_what_has_no_velocity_needs_no_smoothing():
+    """A level is measured as it is: the model sees no derivative of it."""
+    draw = np.random.default_rng(0)
+    time = 1e-3 * np.arange(20_000)
+    y = np.sin(3.0 * time) + 0.05 * draw.standard_normal(len(time))
+    record = Record(time, np.cos(3.0 * time), y)
+    assert default_smoothing(PLANT, [record], 10.0)[0] is not False
+    assert default_smoothing(level_tank(), [record], 10.0) == (False, [])

@@ -11,7 +11,7 @@ from eoi_jax.refinement import Refinement, Start
 from eoi_jax.report import estimate_figures
 from eoi_jax.report.estimate_figures import refinement_figure
 from eoi_jax.results import Status
-from eoi_jax.uncertainty import Uncertainty, _on_bounds, _precision, student, uncertainty
+from eoi_jax.uncertainty import Uncertainty, _groups, _on_bounds, _precision, student, uncertainty
 
 VALUES = {"inverse_mass": 2.0, "stiffness": 80.0, "damping": 3.0}
 COVARIANCE = np.asarray([[0.01, 0.1, 0.0], [0.1, 4.0, 0.0], [0.0, 0.0, 0.09]])
@@ -378,3 +378,9 @@ def test_what_is_fixed_or_open_has_no_correlation():
     expected = np.full((4, 4), np.nan)
     expected[:2, :2] = [[1.0, 0.5], [0.5, 1.0]]
     np.testing.assert_array_equal(known.correlation, expected)
+
+
+def test_directions_that_share_a_parameter_are_told_together():
+    shared = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0],
+                       [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]])  # fmt: skip
+    assert sorted(map(sorted, _groups(shared))) == [[0, 1, 3], [2]]

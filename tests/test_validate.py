@@ -17,7 +17,7 @@ from eoi_jax.plants import (
     three_mass_spring_damper,
 )
 from eoi_jax.simulate import simulate
-from eoi_jax.validate import _descend, validate
+from eoi_jax.validate import _descend, _record, validate
 from eoi_jax.windows import plan
 
 TIME = np.arange(1001) * 5e-3
@@ -300,3 +300,11 @@ def test_a_step_that_does_not_help_is_not_taken():
     cost, values = _descend(heads, start, np.array([True]))
     np.testing.assert_array_equal(values, start[:, 0])
     np.testing.assert_array_equal(cost, heads.errors(start)[0][:, 0])
+
+
+def test_a_diverged_prediction_is_shown_within_a_thousand_ranges_of_the_measurement():
+    time = 0.1 * np.arange(100)
+    record = Record(time, 0.0 * time, 1.0 + 1e-3 * np.sin(time))
+    diverged = np.full((100, 1), np.inf)
+    shown = _record(record, diverged).outputs
+    np.testing.assert_allclose(shown, np.mean(record.outputs) + 1e3 * np.ptp(record.outputs))

@@ -9,7 +9,7 @@ from eoi_jax import comparators
 from eoi_jax.comparators import vss_direct
 from eoi_jax.comparators.filtered import Rows, default_filters, equation, linearised, motion, usable
 from eoi_jax.comparators.plain import explicit_form
-from eoi_jax.comparators.svf import least_squares_on
+from eoi_jax.comparators.svf import _change, least_squares_on
 from eoi_jax.comparators.weighed import covariance, solve
 
 
@@ -423,3 +423,9 @@ def test_too_few_blocks_leave_errors_unknown_but_not_of_what_is_fixed():
     solved = solve(rows, rows, np.array([1.0, 0.0]))
     found = covariance(solved, rows, rows, 30)
     np.testing.assert_array_equal(found, [[np.nan, 0.0], [0.0, 0.0]])
+
+
+def test_an_output_that_stands_still_does_not_hide_that_rounds_have_settled():
+    phi = np.stack([np.ones((50, 2)), np.zeros((50, 2))], axis=1)
+    rows = Rows([phi], [np.zeros((50, 2))], np.array([4.0, 0.0]))
+    assert _change(rows, np.array([0.5, 0.5])) == pytest.approx(0.25)

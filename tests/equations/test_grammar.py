@@ -202,3 +202,9 @@ def test_values_are_those_of_python(text):
             assert worth(text) == pytest.approx(wanted, rel=1e-12, abs=1e-300)
         except ValueError as error:
             assert "constants" in str(error)  # noqa: PT017 - a constant part without a value
+
+
+def test_names_in_messages_are_cut_from_forty_characters_on():
+    for length, shown in ((40, "a" * 40 + r"[^a…]"), (41, "a" * 40 + "…")):
+        with pytest.raises(ValueError, match=f"got {shown}"):
+            parse("a" * length, NAMES, "field")
