@@ -110,10 +110,10 @@ def test_a_bound_of_one_lane_does_not_touch_the_other():
     plant = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0] + p.b * u, values, 1, bounds=bounds)
     one = sums(np.array([[2.0, 0.5], [0.5, 1.0]]))
     both = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf]), one)
-    both = eqx.tree_at(lambda each: each.rhs, both, np.array([[[5.0, 1.0]], [[-5.0, 1.0]]]))
-    theta = np.array([[1.0, 2.0], [1.0, 2.0]])  # the first lane would leave the bound
+    both = eqx.tree_at(lambda each: each.rhs, both, np.array([[[-5.0, 1.0]], [[5.0, 1.0]]]))
+    theta = np.array([[1.0, 2.0], [1.0, 2.0]])  # the second lane would leave the bound
     found = _solve(plant, theta, both, np.zeros(2))
-    np.testing.assert_array_equal(found.bound, [[True, False], [False, False]])
+    np.testing.assert_array_equal(found.bound, [[False, False], [True, False]])
     inverse = np.linalg.inv([[2.0, 0.5], [0.5, 1.0]])
-    np.testing.assert_allclose(found.solution.inverse[0], [[0.0, 0.0], [0.0, 1.0]], atol=1e-12)
-    np.testing.assert_allclose(found.solution.inverse[1], inverse)
+    np.testing.assert_allclose(found.solution.inverse[1], [[0.0, 0.0], [0.0, 1.0]], atol=1e-12)
+    np.testing.assert_allclose(found.solution.inverse[0], inverse)
