@@ -17,7 +17,7 @@ from eoi_jax.plants import (
     three_mass_spring_damper,
 )
 from eoi_jax.simulate import drive, free_run, simulate
-from eoi_jax.trajectory import Drive, chained, frictional, trajectory
+from eoi_jax.trajectory import Drive, _first_zero, chained, frictional, trajectory
 
 
 def block_dynamics(t, x, u, p):
@@ -649,3 +649,17 @@ def test_adaptive_solver_refuses_a_plant_behind_an_actuator():
 def test_actuator_of_a_wrong_shape_is_found_when_the_plant_is_made():
     with pytest.raises(ValueError, match="`actuator` must return as many inputs as it gets"):
         Plant(lambda t, x, u, p: p.k * u, {"k": 1.0}, actuator=lambda t, u, p: u[:, 0])
+
+
+def test_stops_are_where_the_parabola_of_the_velocity_falls_through_zero():
+    draw = np.random.default_rng(0)
+    v0, v1 = draw.uniform(0.1, 1.0, 200), -draw.uniform(0.1, 1.0, 200)
+    dv = draw.uniform(-3.0, 3.0, 200)
+    way = draw.choice([-1.0, 1.0], 200)
+    stops = draw.uniform(size=200) < 0.8
+    found = np.asarray(jit(_first_zero)(way * v0, way * dv, way * v1, way, stops))
+    expected = [
+        min(one.real for one in np.roots([v1 - v0 - dv, dv, v0]) if 0.0 <= one.real <= 1.0)
+        for v0, dv, v1 in zip(v0, dv, v1, strict=True)
+    ]
+    np.testing.assert_allclose(found, np.where(stops, expected, 1.0), rtol=1e-12)
