@@ -516,6 +516,11 @@ def test_best_does_not_fall_for_a_low_cut_off():
     assert "NRMSE" in judged.attrs["criterion"]
 
 
+def test_the_only_lane_with_an_answer_is_the_best():
+    result = quick(observers=gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [np.nan, 300.0]}))
+    assert float(eoi.best(result).c3) == 300.0
+
+
 def test_best_of_nothing_says_so():
     result = quick(observers=gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [np.nan]}))
     with pytest.raises(ValueError, match=r"lane with an answer.*status"):
