@@ -130,7 +130,7 @@ class Judge:
         text = path.read_text(encoding="utf-8") if path.exists() else ""
         changed = faults.mutated(text, fate.fault) if text else None
         if changed is None:
-            fate.status, fate.commit = "gone", self.commit
+            fate.status, fate.passed, fate.commit = "gone", [], self.commit
             return
         fate.after = next((after for _, after in faults.difference(text, changed[0])), "")
         where = changed[1]
