@@ -30,7 +30,7 @@ from eoi_jax.jax_private import Literal, Tracer, tracing
 PROGRAMS = 128  # a discovery needs up to a hundred; of two to five megabytes, ten to forty mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
 _NESTED = 4  # so many functions inside others: their traces take ten megabytes each
-_GONE = 50  # programs let go, after which their memory goes back to the system
+_MADE = 10  # programs, after which what their compilation has freed goes back to the system
 _CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
 
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
@@ -181,7 +181,7 @@ class _Call:
 
 
 _limit = PROGRAMS
-_gone = 0  # programs since memory was given back
+_made = 0  # programs since memory was given back
 _lock = threading.RLock()
 _programs: OrderedDict[str, _Program] = OrderedDict()
 _calls: dict[Hashable, _Call] = {}
@@ -204,6 +204,7 @@ def _run(function: Callable, split: _Split) -> Any:
 
 def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Callable]:
     """Trace a function; if what it computes is known its program serves."""
+    global _made
     run = _jitted(function, split)
     traced = run.trace(split.arrays)
     name = fingerprint(traced.jaxpr)
@@ -212,25 +213,24 @@ def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Ca
         program = _programs.get(name)
         if program is None:
             program = _programs[name] = _Program(run, traced.jaxpr, OrderedDict())
+            _made += 1
         _programs.move_to_end(name)
         if len(program.calls) >= _CALLS:
             _calls.pop(program.calls.popitem(last=False)[0], None)
         program.calls[key] = None
         _calls[key] = _Call(name, result)
         _trim()
+        if _made >= _MADE:
+            _made = 0
+            _give_back()
         return _calls[key], program.run
 
 
 def _trim() -> None:
-    global _gone
     while len(_programs) > _limit:
         _, program = _programs.popitem(last=False)
         for key in program.calls:
             _calls.pop(key, None)
-        _gone += 1
-    if _gone >= _GONE:
-        _gone = 0
-        _give_back()
 
 
 def _give_back() -> None:

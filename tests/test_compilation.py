@@ -65,13 +65,13 @@ def test_a_program_that_was_let_go_is_compiled_again_and_gives_the_same():
     np.testing.assert_array_equal(again, first)
 
 
-def test_memory_of_programs_that_went_is_given_back_every_so_often(monkeypatch):
+def test_memory_that_compilation_freed_is_given_back_every_so_often(monkeypatch):
     compilation.limit(1)
     applied(polynomial(0.0, 1.0), np.ones(3), "")
     given_back = []
     monkeypatch.setattr(compilation, "_give_back", lambda: given_back.append(compilation.count()))
-    monkeypatch.setattr(compilation, "_GONE", 3)
-    monkeypatch.setattr(compilation, "_gone", 0)
+    monkeypatch.setattr(compilation, "_MADE", 3)
+    monkeypatch.setattr(compilation, "_made", 0)
     for i in range(7):  # each takes the place of the one before
         applied(polynomial(float(i), 2.0), np.ones(3), "")
     assert given_back == [1, 1]
