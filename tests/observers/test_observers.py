@@ -199,6 +199,21 @@ def test_rates_have_one_row_for_each_derivative_below_the_highest(observer):
         np.testing.assert_array_equal(np.asarray(seen.rates)[:, r - 1 :, j], 0.0)
 
 
+@every
+def test_jit_equals_eager(observer):
+    h, samples = 5e-3, 8
+    y, drift = sway(observer, h, samples), np.ones((samples - 1, 2))
+    start = y[0] + np.array([0.01, -0.02])  # off the surface: no sign is decided by rounding
+    rates = np.zeros((int(np.max(degrees(observer))) - 1, 2))
+    _, jitted = watch(observer, y, drift, h, start, rates)
+    rows = tuple(map(jnp.asarray, (y[:-1], y[1:], drift)))
+    with jax.disable_jit():
+        arguments = jnp.asarray(start), jnp.asarray(rates), rows, jnp.asarray(h)
+        _, eager = _watched.__wrapped__(observer, *arguments)
+    for one, other in zip(jax.tree.leaves(jitted), jax.tree.leaves(eager), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
 GAINS = {
     "FirstOrder": lambda g: FirstOrder(g, 0.5),
     "SecondOrder": lambda g: SecondOrder(4.0, 9.0, g),
