@@ -120,9 +120,9 @@ _ARRAY = _Marker()
 
 def _parted(leaves: list[Any], kinds: tuple) -> tuple[list[Any], tuple[Hashable, ...]]:
     """The arrays among the leaves of a tree, and all others with a mark where an array was."""
-    arrays, fixed = [], []
+    arrays, fixed, kinds = [], [], (*kinds, Tracer)
     for leaf in leaves:
-        dynamic = _is(type(leaf), (*kinds, Tracer))
+        dynamic = _is(type(leaf), kinds)
         (arrays if dynamic else fixed).append(leaf)
         if dynamic:
             fixed.append(_ARRAY)
