@@ -25,7 +25,7 @@ import jax
 import numpy as np
 
 from eoi_jax.checks import check_count
-from eoi_jax.jax_private import Literal, Tracer, tracing
+from eoi_jax.jax_private import Literal, Tracer, forget_lowered, tracing
 
 PROGRAMS = 128  # a discovery needs up to a hundred; of two to five megabytes, ten to forty mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
@@ -234,7 +234,9 @@ def _trim() -> None:
 
 
 def _give_back() -> None:
-    """What is freed between blocks in use glibc keeps, hundreds of megabytes, until it is asked."""
+    """Memory that compilation needed and nothing needs any more goes back to the system."""
+    forget_lowered()
+    # What is freed between blocks in use glibc keeps, hundreds of megabytes, until it is asked.
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
         if trim is not None:

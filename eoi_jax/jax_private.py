@@ -7,6 +7,7 @@ this module run on every version that the README names.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import jax
@@ -46,6 +47,22 @@ def backend_runs() -> bool:
     except ImportError:
         return False
     return backends_are_initialized()
+
+
+def forget_lowered() -> None:
+    """Let go of what compiled programs were lowered to; the programs stay, and run as before.
+
+    JAX keeps the StableHLO module of each program, and of each operation that runs by itself, as
+    long as the function is traced: with its context a megabyte each up to JAX 0.10, four times what
+    the compiled operation takes. It would serve to compile the same again. Where the caches have
+    other names, nothing is let go.
+    """
+    for room, name in (("pjit", "_pjit_lower"), ("interpreters.pxla", "_cached_lowering_to_hlo")):
+        try:
+            cache = getattr(import_module(f"jax._src.{room}"), name)
+            cache.cache_clear()
+        except (ImportError, AttributeError):
+            continue
 
 
 def inputs_read(closed: ClosedJaxpr) -> list[bool]:
