@@ -236,6 +236,18 @@ def weighed(
     return replace(problem, scale=_inverse(sigma), threshold=np.asarray(float(threshold)))
 
 
+def beginning(problem: Problem, share: float) -> Problem:
+    """The first part of every run; what comes later is neither simulated nor scored."""
+    plant, n = problem.kernel.plant, problem.substeps
+    counts = n * np.maximum(np.round(share * (problem.counts - 1) / n), 1).astype(int) + 1
+    tables = np.array(problem.tables)
+    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    for table, count in zip(tables, counts, strict=True):
+        table[count:, y] = table[count:, use] = 0.0
+    squares = np.sum(_samples(plant, tables, n)[0] ** 2, axis=1)
+    return replace(problem, counts=counts, tables=jnp.asarray(tables), squares=squares)
+
+
 def _inverse(sigma: Float[np.ndarray, " ny"]) -> Float[np.ndarray, " ny"]:
     """1/σ; an output without spread counts as it is."""
     return 1.0 / np.where(sigma > 0, sigma, 1.0)

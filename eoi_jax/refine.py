@@ -29,6 +29,7 @@ from eoi_jax.output_error import (
     Problem,
     Span,
     Unknowns,
+    beginning,
     guessed_starts,
     problem_of,
     shaken,
@@ -54,6 +55,7 @@ _LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the
 # Share of the cost that least squares promises where the solver stalls, from which on it is looked
 # for; points and rounds of that search.
 _PROMISED, _POINTS, _AROUND = 0.01, 64, 4
+_SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
 
 
 @one_thread()
@@ -85,8 +87,9 @@ def refine(
             (starts, np), or how many are drawn around the plant's values: each times a factor of
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
             ones more, the best one the rest; the answer is never worse than without them. None:
-            the plant's values, and four rounds of 64 points around where they lead, if the solver
-            stalls there and least squares promises a hundredth of the cost or more.
+            the plant's values. If the solver stalls from there, the beginnings of the runs are
+            fitted first, an eighth, a quarter and a half of them; and where least squares still
+            promises a hundredth of the cost or more, four rounds of 64 points around follow.
         rounds: how often so many points are followed. From the second time on they are drawn
             around the best one so far: some parameters anew, the others moved a little, each by
             itself or along what the records hardly tell. Where that stands still for five rounds
@@ -140,6 +143,8 @@ def refine(
     if not fits:
         reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
         return _unanswered(nominal, several, window, Status("diverged", reason))
+    if starts is None:
+        fits = [_grown(fits[0], begun[0][0], effort, huber)]
     if substeps is None:
         fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
     if starts is None:
@@ -252,6 +257,37 @@ def _stepped(
     """The same runs and weights with other steps."""
     other = problem_of(problem.kernel.plant, records, spans, substeps)
     return weighed(other, 1.0 / np.asarray(problem.scale), float(problem.threshold))
+
+
+def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None) -> "_Fit":
+    """Where a fit stalled: the beginnings of the runs first, each twice as long as the one before.
+
+    Small errors of the start grow in a run, in a chaotic one (a pendulum that turns over) without
+    end: the cost of a long run is then full of minima beside the best one, and that of its
+    beginning is not. Each fit begins where the one of half the length ended, in the same valley
+    (H. Voss, J. Timmer, J. Kurths, Int. J. Bifurcation and Chaos 14 (2004) 1905, on these minima).
+
+    Args:
+        fit: of the whole runs.
+        unknowns: where it began.
+        effort: for each fit.
+        huber: as of `refine`.
+
+    Returns:
+        The better one; with the steps of all.
+    """
+    outcome, steps = fit.outcome, fit.steps
+    if float(outcome.promise) < PROMISE or bool(outcome.exhausted) or not fit.differentiable:
+        return fit
+    for share in (*_SHARES, 1.0):
+        problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
+        shown = signals(unknowns, problem)
+        if not _smooth(problem, unknowns, shown):
+            return fit
+        grown = _fitted(problem, unknowns, shown, fit.before, effort, huber)
+        unknowns, steps = grown.outcome.unknowns, steps + grown.steps
+    better = min(fit, grown, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
+    return replace(better, steps=steps)
 
 
 def _beyond(

@@ -6,9 +6,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
-from eoi_jax import effects
+from eoi_jax import effects, output_error
 from eoi_jax.augment import augmented, place
 from eoi_jax.checks import RecordWarning
 from eoi_jax.multistart import _varied, points_of
@@ -124,6 +125,18 @@ def test_derivatives_are_finite_differences(plant, moved):
         assert np.linalg.norm(slope - column) < 1e-5 * np.linalg.norm(column), j
 
 
+@pytest.mark.parametrize("plant", [RUBBING, LAGGED], ids=["machine code", "scan"])
+def test_a_beginning_is_scored_as_in_the_whole_runs_and_the_rest_is_not(plant):
+    problem, unknowns = prepared(plant, twice(plant), None)
+    part = output_error.beginning(problem, 0.25)
+    whole, shown = signals(unknowns, problem), signals(unknowns, part)
+    for i, count in enumerate([501, 251]):
+        np.testing.assert_allclose(shown[i, :count], whole[i, :count], rtol=1e-12)
+        assert not np.any(shown[i, count:])
+        assert part.use[i].sum() == count
+        np.testing.assert_allclose(part.squares[i], np.sum(problem.y[i, :count] ** 2, axis=0))
+
+
 def test_noise_free_runs_give_the_truth():
     start = OSCILLATOR.with_parameters(0.7 * np.asarray(OSCILLATOR.theta))
     result = refine(start, run(OSCILLATOR, [0.02, -0.1]))
@@ -218,6 +231,40 @@ def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(m
     assert len(asked) == 1  # time was up before it could stall
     refine(start, record, starts=[start.parameters])
     assert len(asked) == 2  # for the points that were given, and no more
+
+
+def turning(t, x, u, p):
+    angle, rate = x.y
+    return -p.gravity * jnp.sin(angle) - p.damping * rate + p.gain * u
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_run_that_forgets_nothing_is_fitted_from_its_beginning_on(seed):
+    """A pendulum that turns over some ten times: begun half a percent off, it turns otherwise."""
+    draw, time, noise = np.random.default_rng(seed), 0.01 * np.arange(1200), 4e-3
+    torque = np.repeat(draw.uniform(-0.6, 0.6, 31), 40)[: len(time)]
+    states = [np.array([0.3, 0.0])]
+    for u in torque[:-1]:
+        states.append(
+            solve_ivp(
+                lambda _, s, u=u: [s[1], -60.0 * np.sin(s[0]) - s[1] + 90.0 * u],
+                (0.0, 0.01), states[-1], rtol=1e-10, atol=1e-12,
+            ).y[:, -1]
+        )  # fmt: skip
+    angle = np.array(states)[:, 0] + noise * draw.standard_normal(len(time))
+    record = eoi.Record(
+        time, torque, angle, input_names=("torque",), output_names=("angle",), hold="zero"
+    )
+    assert np.ptp(angle) > 10 * np.pi
+    near = {"gravity": 60.2, "damping": 1.02, "gain": 90.4}
+    pendulum = eoi.Plant(turning, near, 2, ("torque",), ("angle",))
+    found = refine(pendulum, record)
+    np.testing.assert_allclose(found.rmse, noise, rtol=0.05)
+    errors = np.array([found.standard_errors[name] for name in found.plant.names])
+    truth = np.array([60.0, 1.0, 90.0])
+    assert np.all(np.abs(found.plant.theta - truth) < 4.0 * errors)
+    # From points that were given it is not: the search ends in one of the many other minima.
+    assert refine(pendulum, record, starts=[near]).rmse[0] > 100.0 * noise
 
 
 def test_the_step_is_halved_while_its_error_shows_in_the_estimate():
