@@ -1,6 +1,8 @@
 """Float64, strict dtypes, shapes checked at run time; where the measured data lie."""
 
+import ctypes
 import os
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,6 +10,12 @@ from pathlib import Path
 import jax
 import pytest
 from jaxtyping import install_import_hook
+
+# Each thread of the compiler would have a pool of its own, that keeps what another could use: some
+# hundred megabytes of a worker. Before JAX starts these threads; as MALLOC_ARENA_MAX=1 does.
+_M_ARENA_MAX = -8
+if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
+    ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
