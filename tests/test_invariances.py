@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy import integrate, stats
 
 import eoi_jax as eoi
 from eoi_jax.lags import Peak, strongest
@@ -29,6 +30,20 @@ def test_a_benchmark_that_sees_nothing_would_see_this():
     assert words == "estimate 0.01 of its error"
     moved = invariances.replace(base, errors=1.06 * base.errors, status="stalled")
     assert len(invariances.violations(base, moved, "order", truth)) == 2
+
+
+def test_a_split_may_move_an_estimate_by_what_its_degrees_of_freedom_allow():
+    """Of ten the quantile is 6.567, that a normal variable has at 4."""
+    base = invariances.identified(invariances.experiment(3))[0]
+    lost, truth = np.sqrt(0.05 / 0.95), base.theta  # as if there were no bias
+    for freedom, quantile in ((10.0, 6.567), (np.inf, 4.0), (np.nan, 4.0)):
+        few = invariances.replace(base, freedom=np.full_like(base.freedom, freedom))
+        for share, wrong in ((0.98, False), (1.02, True)):
+            theta = base.theta + share * quantile * lost * base.errors
+            other = invariances.replace(few, theta=theta)
+            said = invariances.violations(few, other, "split", truth)
+            assert (said != []) == wrong
+    assert np.isclose(integrate.quad(stats.t.pdf, 6.567, np.inf, (10,))[0], 3.167e-5, 1e-3)
 
 
 def test_initial_states_of_outputs_in_other_units_are_the_same():
