@@ -25,13 +25,13 @@ is itself an estimate, of ν degrees of freedom, by less than the quantile of St
 exceeded as rarely as four standard deviations (7.1 of ν = 9). Both limits were set with violations
 in view: of 0.02, estimates that moved by 0.6 to 0.9 of their errors, so that what 0.02 would find
 is said too; and of four alone plant 83, by 1.6 of its error with nine degrees of freedom, where
-four allows 0.9 and Student 1.62. Where it is larger, the error of the estimate, whose truth is known, stands for
-its standard error: what differences of a sampled signal leave is systematic. Filter, gains,
-transient and instruments are those of the whole record; *split, chosen anew*, which may be another
-estimator, is shown beside. The standard errors, with ν degrees of freedom each, must agree within
-four standard deviations of the logarithm of their ratio, √(1/2ν) for each of them. A model with
-internal states declares where they start in each record, and a delayed input is what it was at the
-start of its record: there the second part would be another experiment, and is not tried.
+four allows 0.9 and Student 1.62. Where it is larger, the error of the estimate, whose truth is
+known, stands for its standard error: what differences of a sampled signal leave is systematic.
+Filter, gains, transient and instruments are those of the whole record; *split, chosen anew*, which
+may be another estimator, is shown beside. The standard errors, with ν degrees of freedom each, must
+agree within four standard deviations of the logarithm of their ratio, √(1/2ν) for each of them. A
+model with internal states declares where they start in each record, and a delayed input is what it
+was at the start of its record: there the second part would be another experiment, and is not tried.
 
 On some plants `discover` looks, from a model that lacks an effect, for what is missing: the
 effects that it names, and its status, must be the same after each change.

@@ -34,7 +34,7 @@ with install_import_hook(_MODULES, "beartype.beartype"):
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", RuntimeWarning)  # the backend may run already under plugins
-    configure(cache=False, programs=64)  # hardly a test needs those of another one
+    configure(cache=False, programs=32)  # hardly a test needs those of another one
 
 
 def pytest_configure(config: pytest.Config) -> None:
