@@ -81,10 +81,12 @@ def long_run(
     independent = len(scores) / (_PEAKS * correlation_time(scores, lengths))
     count = max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST)
     estimated = np.any(inverse != 0, axis=0)
-    flat = (rows if np.all(estimated) else rows[..., estimated]).reshape(-1, np.sum(estimated))
+    if not np.all(estimated):
+        scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
+    flat = rows.reshape(-1, rows.shape[2])
     unit = _orthonormal(flat)
     along = (flat @ unit).reshape(*rows.shape[:2], -1)
-    projected = scores[:, estimated] @ unit
+    projected = scores @ unit
     groups = [
         _sums(projected[places], along[places], count / len(scores))
         for places in _of_one_length(lengths)
@@ -93,7 +95,7 @@ def long_run(
     values, vectors = np.linalg.eigh(np.sum([one.expected for one in groups], axis=0))
     restored = vectors / np.sqrt(np.maximum(values, _LEFT)) @ vectors.T
     # θ moves by `inverse` times the sum of the scores: unit⁻ᵀ times those made orthonormal.
-    moved = inverse[:, estimated] @ np.linalg.pinv(unit).T @ restored
+    moved = inverse @ np.linalg.pinv(unit).T @ restored
     return moved @ spread @ moved.T, _freedom(groups, moved)
 
 
@@ -234,17 +236,19 @@ def correlation_time(
         lengths: of each record; a single one if left out.
     """
     lengths = [len(scores)] if lengths is None else list(lengths)
-    used = scores[:, np.any(scores != 0, axis=0)]
     # Periodograms add up on a common grid: of records that differ, all have that of the longest.
     count = _rounded_up(max(lengths))
-    total, squares = np.zeros(((count + 1) // 2 - 1, used.shape[1])), np.zeros(used.shape[1])
+    size = scores.shape[1]
+    total, squares = np.zeros(((count + 1) // 2 - 1, size)), np.zeros(size)
     for places in _of_one_length(lengths):
-        for one in used[places]:
+        for one in scores[places]:
             # The constant and the highest frequency, which have no pair, are left out.
             waves = np.fft.rfft(one, count, axis=0)[1 : (count + 1) // 2]
-            power = waves.real**2 + waves.imag**2
+            power = waves.real**2
+            power += waves.imag**2
             total += power
             squares += np.einsum("tk,tk->k", power, power)
     mean_square = (np.einsum("tk,tk->k", total, total) - 0.5 * squares) / len(total)
-    ratio = mean_square / np.mean(total, axis=0) ** 2
-    return float(max(np.max(ratio), 1.0))
+    squared_mean = np.mean(total, axis=0) ** 2
+    used = squared_mean > 0.0
+    return float(np.max(mean_square[used] / squared_mean[used], initial=1.0))
