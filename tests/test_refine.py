@@ -240,7 +240,7 @@ def turning(t, x, u, p):
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_a_run_that_forgets_nothing_is_fitted_from_its_beginning_on(seed):
-    """A pendulum that turns over some ten times: begun half a percent off, it turns otherwise."""
+    """A pendulum that turns over five times or more: half a percent off, it turns otherwise."""
     draw, time, noise = np.random.default_rng(seed), 0.01 * np.arange(1200), 4e-3
     torque = np.repeat(draw.uniform(-0.6, 0.6, 31), 40)[: len(time)]
     states = [np.array([0.3, 0.0])]
