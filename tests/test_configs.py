@@ -10,7 +10,7 @@ from eoi_jax import build, config
 from eoi_jax.identify import identify
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-SAMPLES = 8_000
+SAMPLES = 12_000
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)

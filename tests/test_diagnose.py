@@ -142,9 +142,9 @@ def test_whitening_restores_the_level_of_the_ljung_box_test():
 
 def test_false_alarms_of_a_right_model_are_at_the_stated_level():
     """Every test on 40 noisy records of a right model, estimated together, one by one."""
-    drives = [eoi.excitation.multisine(TIME[:1500], 1.0, (0.2, 12.0), 30, seed=s) for s in range(4)]
+    drives = [eoi.excitation.multisine(TIME[:3000], 1.0, (0.2, 12.0), 40, seed=s) for s in range(4)]
     records = [record(seed=1000 + s, drive=drives[s % 4], name=str(s)) for s in range(40)]
-    result = eoi.identify(plant(), records, passes=2, instruments=False)
+    result = eoi.identify(plant(), records, passes=2)
     parts = [
         diagnose(replace(result, records=(one,), residual=[e]), one)
         for one, e in zip(result.records, result.residual, strict=True)
