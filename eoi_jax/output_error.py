@@ -237,7 +237,7 @@ def weighed(
 
 
 def beginning(problem: Problem, share: float) -> Problem:
-    """The first part of every run; what comes later is neither simulated nor scored."""
+    """The first part of every run: later samples are not scored, nor simulated by machine code."""
     plant, n = problem.kernel.plant, problem.substeps
     counts = n * np.maximum(np.round(share * (problem.counts - 1) / n), 1).astype(int) + 1
     tables = np.array(problem.tables)

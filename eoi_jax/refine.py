@@ -149,7 +149,7 @@ def refine(
         fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
     if starts is None:
         fits += _beyond(fits[0], several, spans, effort, huber)
-    fit = min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
+    fit = _lowest(fits, huber)
     return _refinement(fit, several, spans, window)
 
 
@@ -259,6 +259,11 @@ def _stepped(
     return weighed(other, 1.0 / np.asarray(problem.scale), float(problem.threshold))
 
 
+def _lowest(fits: Sequence["_Fit"], huber: float | None) -> "_Fit":
+    """That of the lowest cost, among those that have derivatives where there are any."""
+    return min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
+
+
 def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None) -> "_Fit":
     """Where a fit stalled: the beginnings of the runs first, each twice as long as the one before.
 
@@ -283,10 +288,10 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
         shown = signals(unknowns, problem)
         if not _smooth(problem, unknowns, shown):
-            return fit
+            return replace(fit, steps=steps)
         grown = _fitted(problem, unknowns, shown, fit.before, effort, huber)
         unknowns, steps = grown.outcome.unknowns, steps + grown.steps
-    better = min(fit, grown, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
+    better = _lowest([fit, grown], huber)
     return replace(better, steps=steps)
 
 
