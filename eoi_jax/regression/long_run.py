@@ -250,5 +250,5 @@ def correlation_time(
             squares += np.einsum("tk,tk->k", power, power)
     mean_square = (np.einsum("tk,tk->k", total, total) - 0.5 * squares) / len(total)
     squared_mean = np.mean(total, axis=0) ** 2
-    used = squared_mean > 0.0
+    used = squared_mean != 0.0  # NaN stays
     return float(np.max(mean_square[used] / squared_mean[used], initial=1.0))
