@@ -496,13 +496,15 @@ class Outcome(eqx.Module):
 
     Attributes:
         unknowns: the best ones.
-        cost: there, with the weights of the problem.
+        further: a step without damping from there.
+        cost: at `unknowns`, with the weights of the problem.
         promise: share of the cost that least squares still promises to take away.
         steps: simulations with sensitivities. exhausted: whether there were too few.
     """
 
     unknowns: Unknowns
-    cost: Float[Array, "*lanes"]
+    further: Unknowns
+    cost: Float[Host, "*lanes"]
     promise: Float[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     exhausted: Bool[Array, "*lanes"]

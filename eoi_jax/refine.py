@@ -56,6 +56,10 @@ _LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the
 # for; points and rounds of that search.
 _PROMISED, _POINTS, _AROUND = 0.01, 64, 4
 _SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
+# Mean square of the errors in the first of these shares, over that of the whole runs, below which
+# errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry friction
+# (emps), 0.01 and far less in wrong minima of pendulums and of an oscillator.
+_GROWING = 0.3
 
 
 @one_thread()
@@ -82,14 +86,15 @@ def refine(
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the plant is too fast for them, and twice as many as long as their
             error would show in the estimate and the fit does not suffer.
-        max_steps: of the solver, each one simulation with its sensitivities.
+        max_steps: of the solver in each fit, each one simulation with its sensitivities.
         starts: further points to start from, run side by side: dicts of parameters, rows
             (starts, np), or how many are drawn around the plant's values: each times a factor of
             1/8 to 8, of either sign where the bounds allow it. All get a few steps, the better
             ones more, the best one the rest; the answer is never worse than without them. None:
-            the plant's values. If the solver stalls from there, the beginnings of the runs are
-            fitted first, an eighth, a quarter and a half of them; and where least squares still
-            promises a hundredth of the cost or more, four rounds of 64 points around follow.
+            the plant's values. If the solver stalls from there, or has used up its steps and least
+            squares promises a hundredth of the cost or more, and errors grow in the runs, it begins
+            again: their first eighth is fitted, then a quarter and a half of them. Where it then
+            stalls and least squares still promises so much, four rounds of 64 points around follow.
         rounds: how often so many points are followed. From the second time on they are drawn
             around the best one so far: some parameters anew, the others moved a little, each by
             itself or along what the records hardly tell. Where that stands still for five rounds
@@ -211,11 +216,10 @@ def _fitted(
 
     steps = 0
     for _ in range(1 + _ROUNDS):
-        outcome = solve(problem, unknowns, shown, effort.max_steps, effort.watch)
+        outcome, shown = solve(problem, unknowns, shown, effort.max_steps, effort.watch)
         if effort.watch is not None:
             jax.effects_barrier()  # all of it told before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
-        shown = signals(unknowns, problem)
         fit = _Fit(problem, shown, before, outcome, steps)
         # An output without any error would weigh infinitely.
         sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
@@ -265,12 +269,13 @@ def _lowest(fits: Sequence["_Fit"], huber: float | None) -> "_Fit":
 
 
 def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None) -> "_Fit":
-    """Where a fit stalled: the beginnings of the runs first, each twice as long as the one before.
+    """A fit that missed, of runs in which errors grow: anew, from their beginnings on.
 
-    Small errors of the start grow in a run, in a chaotic one (a pendulum that turns over) without
-    end: the cost of a long run is then full of minima beside the best one, and that of its
-    beginning is not. Each fit begins where the one of half the length ended, in the same valley
-    (H. Voss, J. Timmer, J. Kurths, Int. J. Bifurcation and Chaos 14 (2004) 1905, on these minima).
+    It stalled, or used up its steps where least squares still promises much. In a chaotic run (a
+    pendulum that turns over) small errors of the start grow without end: the cost of a long run is
+    then full of minima beside the best one, and that of its beginning is not. Each fit begins where
+    the one of half the length ended, in the same valley (H. Voss, J. Timmer, J. Kurths, Int. J.
+    Bifurcation and Chaos 14 (2004) 1905, on these minima).
 
     Args:
         fit: of the whole runs.
@@ -281,8 +286,9 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
     Returns:
         The better one; with the steps of all.
     """
-    outcome, steps = fit.outcome, fit.steps
-    if float(outcome.promise) < PROMISE or bool(outcome.exhausted) or not fit.differentiable:
+    promise, steps = float(fit.outcome.promise), fit.steps
+    least = _PROMISED if bool(fit.outcome.exhausted) else PROMISE
+    if promise < least or not fit.differentiable or not _growing(fit):
         return fit
     for share in (*_SHARES, 1.0):
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
@@ -293,6 +299,17 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
         unknowns, steps = grown.outcome.unknowns, steps + grown.steps
     better = _lowest([fit, grown], huber)
     return replace(better, steps=steps)
+
+
+def _growing(fit: "_Fit") -> bool:
+    """Whether errors are small at the beginning of the runs and grow in them."""
+    error, use = fit.shown[..., -1], fit.use
+    lengths = (np.asarray(fit.problem.counts) - 1) / fit.problem.substeps
+    first = (np.arange(use.shape[1]) <= _SHARES[0] * lengths[:, None])[..., None] & use
+    beginning, whole = (
+        np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
+    )
+    return bool(beginning < _GROWING * whole)
 
 
 def _beyond(
