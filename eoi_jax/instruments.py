@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,7 +29,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.directed import directed
 from eoi_jax.iteration import Pass, by_sample, mean, sample_counts
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.pairs import PairSums, Rows, run_pairs, together
+from eoi_jax.pairs import PairSums, Rows, Simulated, run_pairs, together
 from eoi_jax.passes import Steps
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import Ready, prepare, step_inputs
@@ -97,13 +96,13 @@ def instrumented(
     """
     theta, runs = np.array(plant.theta, dtype=float), None
     weights = 1.0 / np.maximum(_spread(records), np.finfo(float).tiny) ** 2
-    leak = 0.0
+    leak, pairs = 0.0, None
     for number in range(1, _PASSES + 1):
         model = plant.with_parameters(theta)
         runs = _runs(model, records, prepared, runs)
         if isinstance(runs, str):
             return runs
-        pairs = _pairs(model, runs, prepared, observer)
+        pairs = _pairs(model, runs, prepared, observer, pairs)
         one, rows = _one_pass(pairs, observer, theta, weights, leak)
         needed = _leak(plant, one, runs)
         if needed > leak:  # only seen after a pass, which is then of no use
@@ -252,44 +251,52 @@ _AWAY = "the free run of the model departs from the records, even in short windo
 
 @dataclass(frozen=True)
 class _Pairs:
-    """What a pass over pairs reads: the model as it is followed, and both records as steps."""
+    """What a pass over pairs reads: the model as it is followed, the measurement and the run."""
 
     plant: Plant
-    both: Steps
     steps: Steps
+    simulated: Simulated
     before: Float[np.ndarray, "runs S ny"] | None
 
 
-def _pairs(plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserver) -> _Pairs:
-    """Both records made ready alike, by what `ready` chose."""
+def _pairs(
+    plant: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserver, before: _Pairs | None
+) -> _Pairs:
+    """Both records made ready alike, by what `ready` chose; the measurement once for all passes."""
     friction = frictional(plant)
-    followed = directed(plant, friction) if any(friction) else plant
-    paired, inputs = [], []
-    for one, simulated in zip(runs.measured, runs.simulated, strict=True):
-        u = step_inputs(one, prepared.explicit)
-        if any(friction):
-            ways = _ways(plant.degrees, simulated.outputs)
-            ways = np.repeat(ways, prepared.substeps, axis=0)
-            u = np.column_stack([u, ways, np.full(len(u), _pace(simulated))])
-        paired.append(_fine(simulated, prepared))
-        inputs.append(u)
+    rubs = any(friction)
+    followed = directed(plant, friction) if rubs else plant
+    steps = _measured(followed, runs, prepared, observer) if before is None else before.steps
+    shape = np.shape(steps.y)
+    y, y_next = np.zeros(shape), np.zeros(shape)
+    ways = np.zeros((*shape[:2], shape[2] + 1)) if rubs else None
+    for i, simulated in enumerate(runs.simulated):
+        outputs = _fine(simulated, prepared).outputs
+        count = len(outputs) - 1
+        for whole, part in ((y, outputs[:-1]), (y_next, outputs[1:])):
+            whole[i, :count], whole[i, count:] = part, part[-1]
+        if ways is not None:
+            each = np.repeat(_ways(plant.degrees, simulated.outputs), prepared.substeps, axis=0)
+            ways[i, :count, :-1], ways[i, count:, :-1] = each, each[-1]
+            ways[i, :, -1] = _pace(simulated)
+    beside = Simulated(y, y_next)
+    if ways is None:
+        return _Pairs(followed, steps, beside, None)
+    inputs = np.asarray(steps.u)[..., : len(plant.inputs)]
+    steps = replace(steps, u=np.concatenate([inputs, ways], axis=2))
+    ways = ways[..., :-1]
+    return _Pairs(followed, steps, beside, np.concatenate([ways[:, :1], ways[:, :-1]], axis=1))
+
+
+def _measured(followed: Plant, runs: _Runs, prepared: Ready, observer: AbstractObserver) -> Steps:
+    """The records as steps, which all that count in the plain passes do here too."""
+    inputs = [step_inputs(one, prepared.explicit) for one in runs.measured]
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
     shortest = min(len(record) * record.sample_period for record in runs.measured)
-    quiet = [np.zeros(len(plant.outputs))] * len(runs.measured)
+    quiet = [np.zeros(len(followed.outputs))] * len(runs.measured)
     taper = min(_TAPER / prepared.lowpass.cutoff, shortest / _MEMORIES)
     memory, explicit = prepared.lowpass.memory, prepared.explicit
-    steps = prepare(followed, runs.measured, inputs, taps, 0.0, memory, quiet, explicit, taper)
-    beside = [np.zeros_like(np.asarray(steps.y)) for _ in range(2)]
-    for i, record in enumerate(paired):
-        count = len(record) - 1
-        for whole, part in zip(beside, (record.outputs[:-1], record.outputs[1:]), strict=True):
-            whole[i, :count], whole[i, count:] = part, part[-1]
-    other = Steps(**{**vars(steps), "y": beside[0], "y_next": beside[1]})
-    both = jax.tree.map(lambda a, b: np.stack([a, b], axis=1), steps, other)
-    if not any(friction):
-        return _Pairs(followed, both, steps, None)
-    ways = np.asarray(steps.u)[..., len(plant.inputs) : -1]
-    return _Pairs(followed, both, steps, np.concatenate([ways[:, :1], ways[:, :-1]], axis=1))
+    return prepare(followed, runs.measured, inputs, taps, 0.0, memory, quiet, explicit, taper)
 
 
 def _ways(
@@ -325,7 +332,8 @@ def _one_pass(
 ) -> tuple[PairSums, Rows]:
     """Sums over all runs, and the rows of each."""
     at, by, damping = (jnp.asarray(one) for one in (theta, weights, leak))
-    sums, rows = run_pairs(pairs.plant, observer, pairs.both, at, by, damping, pairs.before)
+    both = pairs.steps, pairs.simulated
+    sums, rows = run_pairs(pairs.plant, observer, *both, at, by, damping, pairs.before)
     return together(sums), rows
 
 

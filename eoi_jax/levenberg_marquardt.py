@@ -266,7 +266,7 @@ def _search(
     )  # fmt: skip
     found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
     steps = found.stats["num_steps"]
-    full, _ = solver.descent.step(_DAMPING / _LEAST_DAMPING, found.state.descent_state)
+    full, _ = solver.descent.step(jnp.asarray(_DAMPING / _LEAST_DAMPING), found.state.descent_state)
     return Outcome(
         found.value,
         jax.tree.map(jnp.add, found.value, full),

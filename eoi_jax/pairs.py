@@ -11,6 +11,7 @@ of the sensor, white again, and ζ are the sensitivities ∂ȳ/∂θ: the weight
 w̄ is what the discretisation leaves of a model without any error, and cancels that in w as well.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -55,6 +56,13 @@ class Rows(eqx.Module):
     zeta: Float[Array, "*steps ny np"]
 
 
+class Simulated(eqx.Module):
+    """The simulation beside the measured steps: outputs at both ends of each."""
+
+    y: Float[Array | np.ndarray, "*runs S ny"]
+    y_next: Float[Array | np.ndarray, "*runs S ny"]
+
+
 class _Carry(eqx.Module):
     """Of the loop: both kernels (leading axis 2), the prefilter, sums."""
 
@@ -68,6 +76,7 @@ def run_pairs(
     plant: Plant,
     observer: AbstractObserver,
     steps: Steps,
+    simulated: Simulated,
     theta: Theta,
     weights: Output,
     leak: Scalar,
@@ -78,8 +87,8 @@ def run_pairs(
     Args:
         plant: the model; its structure only, parameters come from `theta`.
         observer: with its gains.
-        steps: two leading axes: runs, and the measurement beside its simulation. What counts and
-            where observers restart is read from the measurement.
+        steps: of the measurement, runs on the leading axis.
+        simulated: its simulation, with the same inputs; counted, and started anew, where that is.
         theta: θ of this pass.
         weights: of each output in the scores, shape (ny,).
         leak: by which L⁻¹ is damped more than the model is [1/s].
@@ -89,7 +98,7 @@ def run_pairs(
         Sums, and each step's rows; runs on the leading axis.
     """
     pair = _Pair(plant, observer, theta, weights, leak)
-    return jax.vmap(pair.run)(steps, None if before is None else jnp.asarray(before))
+    return jax.vmap(pair.run)(steps, simulated, None if before is None else jnp.asarray(before))
 
 
 class _Pair(eqx.Module):
@@ -101,22 +110,26 @@ class _Pair(eqx.Module):
     weights: Output
     leak: Scalar
 
-    def run(self, steps: Steps, before: Float[Array, "S ny"] | None) -> tuple[PairSums, Rows]:
+    def run(
+        self, steps: Steps, simulated: Simulated, before: Float[Array, "S ny"] | None
+    ) -> tuple[PairSums, Rows]:
         # F passes all: L⁻¹ takes its place.
         through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
         kernel = Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "signals")
-        h = jnp.asarray(steps.sample_period)[0]
-        rows = jax.vmap(kernel.rows)(steps)
-        rows = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), rows)
-        start = jax.vmap(lambda y, y_next: kernel.init(y, y_next, h))(
-            jnp.asarray(steps.y)[:, 0], jnp.asarray(steps.y_next)[:, 0]
+        h = jnp.asarray(steps.sample_period)
+        y, y_next = (
+            jnp.stack([jnp.asarray(one), jnp.asarray(other)], axis=1)
+            for one, other in ((steps.y, simulated.y), (steps.y_next, simulated.y_next))
         )
+        start = jax.vmap(lambda y, y_next: kernel.init(y, y_next, h))(y[0], y_next[0])
 
-        def body(carry: _Carry, now: tuple[Step, Output | None]) -> tuple[_Carry, Rows]:
-            return self._step(kernel, carry, *now, h)
+        def body(carry: _Carry, now: tuple) -> tuple[_Carry, Rows]:
+            row, y, y_next, before = now
+            return self._step(kernel, carry, row, y, y_next, before, h)
 
-        last, shown = jax.lax.scan(body, self._init(start), (rows, before))
+        rows = kernel.rows(steps), y, y_next, before
+        last, shown = jax.lax.scan(body, self._init(start), rows)
         return last.sums, shown
 
     def _init(self, kernels: Carry) -> _Carry:
@@ -132,51 +145,61 @@ class _Pair(eqx.Module):
         return _Carry(kernels, zeros(nx, 2 * (1 + size)), sums)
 
     def _step(
-        self, kernel: Kernel, carry: _Carry, now: Step, before: Output | None, h: Scalar
+        self,
+        kernel: Kernel,
+        carry: _Carry,
+        now: Step,
+        y: Float[Array, "2 ny"],
+        y_next: Float[Array, "2 ny"],
+        before: Output | None,
+        h: Scalar,
     ) -> tuple[_Carry, Rows]:
-        measured = jax.tree.map(lambda leaf: leaf[0], now)
-        slopes = self._slopes(carry.kernels, now)
-        kernels, shown = jax.vmap(lambda old, row: kernel.step(old, row, h))(carry.kernels, now)
+        """`now` is the measurement's; `y` and `y_next` are of both."""
+        x = self._simulated(carry.kernels, y[1])
+        slopes = self._slopes(x, now)
+
+        def followed(old: Carry, y: Output, y_next: Output) -> tuple[Carry, Any]:
+            return kernel.step(old, replace(now, y=y, y_next=y_next), h)
+
+        kernels, shown = jax.vmap(followed)(carry.kernels, y, y_next)
         # Columns: w, φ of the measurement, then of the simulation.
         columns = jnp.concatenate([shown.injection[..., None], shown.Phi], axis=2)
         columns = jnp.concatenate([columns[0], columns[1]], axis=1)
-        filtered = jnp.where(measured.restart, 0.0, carry.filtered)
+        filtered = jnp.where(now.restart, 0.0, carry.filtered)
         if before is not None:
-            filtered = self._turned(filtered, carry.kernels, now, before)
+            filtered = self._turned(filtered, x, now, before)
         filtered = self._prefilter(slopes, filtered, columns, h)
-        sums, row = self._add(carry, filtered[: len(self.plant.outputs)], slopes, measured)
+        sums, row = self._add(carry, filtered[: len(self.plant.outputs)], slopes, now)
         return _Carry(kernels, filtered, sums), row
 
-    def _slopes(self, kernels: Carry, now: Step) -> Float[Array, "nx nx"]:
+    def _slopes(self, x: State, now: Step) -> Float[Array, "nx nx"]:
         """∂ẋ/∂x of the model where the simulation is."""
-        x, row = self._simulated(kernels, now)
         y, z = x.y, x.z
 
         def rate(flat: Float[Array, " nx"]) -> Float[Array, " nx"]:
             x = State(flat[: y.size].reshape(y.shape), flat[y.size :])
-            rates = rate_of(self.plant, self.theta, row.time, x, row.u)
+            rates = rate_of(self.plant, self.theta, now.time, x, now.u)
             return jnp.concatenate([rates.y.ravel(), rates.z])
 
         slopes = jax.jacfwd(rate)(jnp.concatenate([y.ravel(), z]))
         # Beyond the end of a record, or where the model is undefined, nothing is scored.
-        return jnp.where(jnp.all(jnp.isfinite(slopes)) & jnp.any(row.use > 0), slopes, 0.0)
+        return jnp.where(jnp.all(jnp.isfinite(slopes)) & jnp.any(now.use > 0), slopes, 0.0)
 
     def _turned(
-        self, filtered: Float[Array, "nx columns"], kernels: Carry, now: Step, before: Output
+        self, filtered: Float[Array, "nx columns"], x: State, now: Step, before: Output
     ) -> Float[Array, "nx columns"]:
         """ψ and ζ across a moment of rest; e is measured, and needs no help."""
         ny, half = len(self.plant.outputs), filtered.shape[1] // 2
-        x, row = self._simulated(kernels, now)
-        factor = turn(self.plant, self.theta, row.time, x, row.u, before)
+        factor = turn(self.plant, self.theta, now.time, x, now.u, before)
         derived = np.arange(2 * half) % half > 0
         rates = filtered[ny : 2 * ny]
         rates = jnp.where(derived, factor[:, None] * rates, rates)
         return filtered.at[ny : 2 * ny].set(rates)
 
-    def _simulated(self, kernels: Carry, now: Step) -> tuple[State, Step]:
-        """Where the simulation is, and its row."""
-        state, z, row = jax.tree.map(lambda leaf: leaf[1], (kernels.observer, kernels.z, now))
-        return State(jnp.concatenate([row.y[None], self.observer.rates(state)]), z), row
+    def _simulated(self, kernels: Carry, y: Output) -> State:
+        """Where the simulation is."""
+        state, z = jax.tree.map(lambda leaf: leaf[1], (kernels.observer, kernels.z))
+        return State(jnp.concatenate([y[None], self.observer.rates(state)]), z)
 
     def _prefilter(
         self,

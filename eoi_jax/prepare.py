@@ -281,8 +281,8 @@ def prepare(
     # Many blocks for a steady covariance, each longer than the filter remembers.
     total = duration or sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
-    rows = []
-    for record, u, noise in zip(records, inputs, velocity_noise, strict=True):
+    whole: list[np.ndarray] = []
+    for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
         h = record.sample_period
         use, restart = _usable(record, taps, plant.degrees, jumps, noise)
         score = (use > 0).astype(float)
@@ -290,22 +290,22 @@ def prepare(
         score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
         if explicit:
             score *= _settled(restart, round(transient / h))[:, None]
-        rows.append(
-            (
-                record.time[:-1] + (0.0 if explicit else 0.5 * h),
-                record.outputs[:-1],
-                record.outputs[1:],
-                u,
-                use,
-                score,
-                restart,
-                *_blocks(len(use), max(round(block / h), 1)),
-            )
+        signals = (
+            record.time[:-1] + (0.0 if explicit else 0.5 * h),
+            record.outputs[:-1],
+            record.outputs[1:],
+            u,
         )
-    stacked = [
-        np.stack([_pad(row[i], length, hold=i < 4) for row in rows]) for i in range(len(rows[0]))
-    ]
-    return Steps(*stacked, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
+        weights = use, score, restart, *_blocks(len(use), max(round(block / h), 1))
+        each = *signals, *weights
+        # Written in place: these are the largest arrays of an estimate.
+        whole = whole or [np.zeros((len(records), length, *a.shape[1:]), a.dtype) for a in each]
+        for out, own in zip(whole, each, strict=True):
+            out[i, : len(own)] = own
+        # Signals keep their last value: no model meets a number that it never saw.
+        for out, own in zip(whole, signals, strict=False):
+            out[i, len(own) :] = own[-1]
+    return Steps(*whole, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
 
 
 def _blocks(
@@ -408,11 +408,3 @@ def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray
     for start in np.flatnonzero(restart):
         settled[start : start + count] = False
     return settled
-
-
-def _pad(array: np.ndarray, length: int, hold: bool) -> np.ndarray:
-    """To `length`: signals keep their last value (no model meets a number it never saw)."""
-    if len(array) == length:
-        return array
-    width = [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1)
-    return np.pad(array, width, mode="edge" if hold else "constant")

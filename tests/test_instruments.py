@@ -15,8 +15,7 @@ from eoi_jax.identify import identify
 from eoi_jax.instruments import noise_in_residual
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers import SecondOrder
-from eoi_jax.pairs import run_pairs, together
-from eoi_jax.passes import Steps
+from eoi_jax.pairs import Simulated, run_pairs, together
 from eoi_jax.plants import Plant, mass_spring_damper, pendulum
 from eoi_jax.plants.plant import State
 from eoi_jax.prepare import prepare, ready, step_inputs
@@ -160,11 +159,10 @@ def paired(plant, record, simulated, observer, substeps=4):
     fine = simulated.resample(substeps)
     inputs = [step_inputs(one, False) for one in prepared.fine]
     steps = prepare(plant, prepared.fine, inputs, 1, 0.0, 0.1, [np.zeros(1)], False, 0.1)
-    other = Steps(**{**vars(steps), "y": fine.outputs[None, :-1], "y_next": fine.outputs[None, 1:]})
-    both = jax.tree.map(lambda a, b: np.stack([a, b], axis=1), steps, other)
+    beside = Simulated(fine.outputs[None, :-1], fine.outputs[None, 1:])
     one = jnp.asarray
     weight = one([3.0])
-    sums, rows = run_pairs(plant, observer, both, one(plant.theta), weight, one(0.0))
+    sums, rows = run_pairs(plant, observer, steps, beside, one(plant.theta), weight, one(0.0))
     scores = np.einsum("rsj,rsja->ra", rows.error, rows.zeta)
     np.testing.assert_allclose(scores, 3.0 * np.asarray(sums.rhs)[:, 0], rtol=1e-9)
     return together(sums)
