@@ -44,6 +44,7 @@ from eoi_jax.tuning import brief_notes, default_observer, default_transient
 # Up to so many values every pass stores its signals, which are wanted of the first and the best:
 # a second kernel that stores nothing, and the best pass once more, would take longer.
 _SHORT = 10_000_000
+_KEPT = 4_000_000  # values, up to which a result keeps what its standard errors are made from
 # The injection over time is shown where the filter's memory holds at least this share that counts.
 _SHARE = 0.5
 
@@ -271,6 +272,8 @@ class _Driver:
         theta, increment = one.theta[0], one.increment[0]
         better = None
         if self.cure is not None and status.ok:
+            # It takes far longer than one pass more.
+            trace = None if self._size > _KEPT else trace
             better, why = self.cure(self.plant.with_parameters(theta), one, self.observer)
             reasons += why
         bound = one.bound[0] if better is None else better.bound
@@ -329,12 +332,12 @@ class _Driver:
             known = partial(tuple, (better.covariance, better.degrees_of_freedom))
         certain = Deferred(partial(_certainty, plant, known, bound, status, information))
         # What it is made from takes room until somebody asks.
-        return certain.found if self._long else certain
+        return certain.found if self._size > _KEPT else certain
 
     @property
-    def _long(self) -> bool:
-        """Whether the signals of a pass take much room."""
-        return self.steps.use.size * (2 + len(self.plant.names)) > _SHORT
+    def _size(self) -> int:
+        """Numbers in the signals of a pass."""
+        return self.steps.use.size * (2 + len(self.plant.names))
 
     def _iterate(
         self, records: tuple[Record, ...]
@@ -342,11 +345,12 @@ class _Driver:
         """All passes, the injection of the first, and the signals of the best if they were kept."""
         first: list[np.ndarray] = []
         last = best = None
-        long = self._long
+        long = self._size > _SHORT
 
         def run(which: Any, theta: np.ndarray, number: int) -> Sums:
             nonlocal last
             del which
+            last = None  # or there would be those of three passes
             sums, last = self._pass(theta[0], "nothing" if long and number else "signals")
             if number == 0:
                 first.extend(self._per_sample(last.injection, last.weight, records))
@@ -429,9 +433,9 @@ def _covariance(
     """Of the estimate of least squares, with its degrees of freedom; NaN without an answer."""
     inverse, free = np.asarray(one.solution.inverse[0]), np.asarray(plant.free)
     root = np.sqrt(one.weights[0] * np.asarray(score))
-    inside = np.where(one.bound[0], 0.0, 1.0)  # of what is on its bound no score sums to zero
-    parts = _counted(root, left), _counted(root[..., None], Phi) * inside
+    parts = _counted(root, left), _counted(root[..., None], Phi)
     error, rows = (by_sample(part, use, substeps) for part in parts)
+    rows *= np.where(one.bound[0], 0.0, 1.0)  # of what is on its bound no score sums to zero
     scores = np.einsum("sj,sja->sa", error, rows)
     if not (np.all(np.isfinite(scores)) and np.any(inverse)):
         return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))

@@ -24,10 +24,12 @@ from eoi_jax.compilation import jit
 from eoi_jax.directed import turn
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.observers.observer import AbstractObserver
-from eoi_jax.passes import Carry, Kernel, Step, Steps
+from eoi_jax.passes import Carry, Kernel, Step, Steps, step_rows
 from eoi_jax.plants.plant import Plant, State
 from eoi_jax.trajectory import rate_of
 from eoi_jax.types import Output, Scalar, Theta
+
+_AT_ONCE = 100_000  # steps of all runs
 
 
 class PairSums(eqx.Module):
@@ -71,7 +73,38 @@ class _Carry(eqx.Module):
     sums: PairSums
 
 
-@jit
+class _Stretch(eqx.Module):
+    """Some steps of all runs: of the measurement, and both ends of each of both records.
+
+    Attributes:
+        steps: of the measurement, inputs behind the actuators. slope: their derivatives with θ.
+        y, y_next: of the measurement and its simulation.
+        before: directions of the step before each.
+    """
+
+    steps: Steps
+    slope: Float[Array | np.ndarray, "*runs S nu np"] | None
+    y: Float[Array | np.ndarray, "*runs S 2 ny"]
+    y_next: Float[Array | np.ndarray, "*runs S 2 ny"]
+    before: Float[Array | np.ndarray, "*runs S ny"] | None
+
+    def part(self, first: int, length: int) -> "_Stretch":
+        """So many steps; behind the last one they repeat it, and count for nothing."""
+        missing = max(first + length - self.y.shape[1], 0)
+
+        def cut(leaf: np.ndarray) -> np.ndarray:
+            if leaf.ndim == 1:  # of each run
+                return leaf
+            own = leaf[:, first : first + length]
+            held = np.repeat(own[:, -1:], missing, axis=1)
+            return np.concatenate([own, held], axis=1) if missing else own
+
+        part = jax.tree.map(cut, self)
+        for weights in (part.steps.use, part.steps.score) if missing else ():
+            weights[:, -missing:] = 0.0
+        return part
+
+
 def run_pairs(
     plant: Plant,
     observer: AbstractObserver,
@@ -80,7 +113,7 @@ def run_pairs(
     theta: Theta,
     weights: Output,
     leak: Scalar,
-    before: Float[Array | np.ndarray, "runs S ny"] | None = None,
+    before: Float[np.ndarray, "runs S ny"] | None = None,
 ) -> tuple[PairSums, Rows]:
     """One pass over pairs of records.
 
@@ -95,10 +128,41 @@ def run_pairs(
         before: of a directed plant, the directions of the step before each.
 
     Returns:
-        Sums, and each step's rows; runs on the leading axis.
+        Sums, and each step's rows; NumPy arrays, runs on the leading axis.
     """
     pair = _Pair(plant, observer, theta, weights, leak)
-    return jax.vmap(pair.run)(steps, simulated, None if before is None else jnp.asarray(before))
+    slope = None
+    if plant.actuator is not None:  # of the whole record: a delay looks back
+        u, slope = (np.asarray(one) for one in _driven(pair, steps))
+        steps = replace(steps, u=u)
+    ends = ((steps.y, simulated.y), (steps.y_next, simulated.y_next))
+    y, y_next = (np.stack([np.asarray(one) for one in both], axis=2) for both in ends)
+    whole = _Stretch(jax.tree.map(np.asarray, steps), slope, y, y_next, before)
+    carry = _started(pair, y[:, 0], y_next[:, 0], whole.steps.sample_period)
+    # What XLA makes of a record takes several times its room: in parts, all of one length.
+    runs, count = y.shape[:2]
+    length, shown = -(-count // -(-count * runs // _AT_ONCE)), []
+    for first in range(0, count, length):
+        carry, rows = _through(pair, carry, whole.part(first, length))
+        shown.append(jax.tree.map(lambda leaf, end=count - first: np.asarray(leaf)[:, :end], rows))
+    rows = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *shown)
+    return jax.tree.map(np.asarray, carry.sums), rows
+
+
+@jit
+def _driven(pair: "_Pair", steps: Steps) -> tuple[Array, Array | None]:
+    """Inputs behind the actuators, and their derivatives with θ."""
+    return jax.vmap(pair.kernel.inputs)(steps)
+
+
+@jit
+def _started(pair: "_Pair", y: Any, y_next: Any, h: Any) -> _Carry:
+    return jax.vmap(pair.start)(y, y_next, h)
+
+
+@jit
+def _through(pair: "_Pair", carry: _Carry, part: _Stretch) -> tuple[_Carry, Rows]:
+    return jax.vmap(pair.through)(carry, part)
 
 
 class _Pair(eqx.Module):
@@ -110,27 +174,28 @@ class _Pair(eqx.Module):
     weights: Output
     leak: Scalar
 
-    def run(
-        self, steps: Steps, simulated: Simulated, before: Float[Array, "S ny"] | None
-    ) -> tuple[PairSums, Rows]:
-        # F passes all: L⁻¹ takes its place.
+    @property
+    def kernel(self) -> Kernel:
+        """Of an observer; F passes all, L⁻¹ takes its place."""
         through = DiscreteFilter(np.zeros((1, 1)), np.ones(1))
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
-        kernel = Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "signals")
-        h = jnp.asarray(steps.sample_period)
-        y, y_next = (
-            jnp.stack([jnp.asarray(one), jnp.asarray(other)], axis=1)
-            for one, other in ((steps.y, simulated.y), (steps.y_next, simulated.y_next))
-        )
-        start = jax.vmap(lambda y, y_next: kernel.init(y, y_next, h))(y[0], y_next[0])
+        return Kernel(self.plant, self.observer, through, self.theta, zeros, ones, "signals")
 
-        def body(carry: _Carry, now: tuple) -> tuple[_Carry, Rows]:
-            row, y, y_next, before = now
-            return self._step(kernel, carry, row, y, y_next, before, h)
+    def start(self, y: Float[Array, "2 ny"], y_next: Float[Array, "2 ny"], h: Scalar) -> _Carry:
+        """Before the first step, whose ends are given."""
+        return self._init(jax.vmap(lambda y, y_next: self.kernel.init(y, y_next, h))(y, y_next))
 
-        rows = kernel.rows(steps), y, y_next, before
-        last, shown = jax.lax.scan(body, self._init(start), rows)
-        return last.sums, shown
+    def through(self, carry: _Carry, part: _Stretch) -> tuple[_Carry, Rows]:
+        """Some steps."""
+        kernel, h = self.kernel, jnp.asarray(part.steps.sample_period)
+        slope = None if part.slope is None else jnp.asarray(part.slope)
+        now = step_rows(part.steps, jnp.asarray(part.steps.u), slope)
+
+        def body(carry: _Carry, row: tuple) -> tuple[_Carry, Rows]:
+            step, y, y_next, before = row
+            return self._step(kernel, carry, step, y, y_next, before, h)
+
+        return jax.lax.scan(body, carry, (now, part.y, part.y_next, part.before))
 
     def _init(self, kernels: Carry) -> _Carry:
         size, ny, dtype = len(self.theta), len(self.plant.outputs), self.theta.dtype
@@ -169,8 +234,8 @@ class _Pair(eqx.Module):
         if before is not None:
             filtered = self._turned(filtered, x, now, before)
         filtered = self._prefilter(slopes, filtered, columns, h)
-        sums, row = self._add(carry, filtered[: len(self.plant.outputs)], slopes, now)
-        return _Carry(kernels, filtered, sums), row
+        sums, shown = self._add(carry, filtered[: len(self.plant.outputs)], slopes, now)
+        return _Carry(kernels, filtered, sums), shown
 
     def _slopes(self, x: State, now: Step) -> Float[Array, "nx nx"]:
         """∂ẋ/∂x of the model where the simulation is."""

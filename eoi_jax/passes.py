@@ -158,6 +158,23 @@ def run_pass(
     return jax.vmap(one)(lowpass, steps)
 
 
+def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | None = None) -> Step:
+    """All steps of a record, with what stands behind the actuators; fields as of `Step`."""
+    return Step(
+        u=u,
+        slope=slope,
+        time=jnp.asarray(steps.time),
+        y=jnp.asarray(steps.y),
+        y_next=jnp.asarray(steps.y_next),
+        use=jnp.asarray(steps.use),
+        score=jnp.asarray(steps.score),
+        restart=jnp.asarray(steps.restart),
+        block_weight=jnp.asarray(steps.block_weight),
+        block_end=jnp.asarray(steps.block_end),
+        emphasis=emphasis,
+    )
+
+
 class Kernel(eqx.Module):
     """The loop over one record: a carry and a step; fields as in `run_pass`.
 
@@ -192,27 +209,14 @@ class Kernel(eqx.Module):
 
     def rows(self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None) -> Step:
         """All steps of a record, each field with a leading axis (S,)."""
-        u, slope = self._inputs(steps)
         each = None
         if emphasis is not None:
             ends = jnp.asarray(steps.block_end)
             each = emphasis[jnp.cumsum(ends) - ends]
-        return Step(
-            u=u,
-            slope=slope,
-            time=jnp.asarray(steps.time),
-            y=jnp.asarray(steps.y),
-            y_next=jnp.asarray(steps.y_next),
-            use=jnp.asarray(steps.use),
-            score=jnp.asarray(steps.score),
-            restart=jnp.asarray(steps.restart),
-            block_weight=jnp.asarray(steps.block_weight),
-            block_end=jnp.asarray(steps.block_end),
-            emphasis=each,
-        )
+        return step_rows(steps, *self.inputs(steps), each)
 
-    def _inputs(self, steps: Steps) -> tuple[Array, Array | None]:
-        """Inputs behind the actuators, and their derivative with θ, shape (S, nu, np)."""
+    def inputs(self, steps: Steps) -> tuple[Array, Array | None]:
+        """Behind the actuators, and their derivative with θ, shape (S, nu, np)."""
         time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
         if self.plant.actuator is None:
             return u, None

@@ -700,6 +700,6 @@ def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
     module, calls = import_module("eoi_jax.identify"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
-    monkeypatch.setattr(module, "_SHORT", 100)
+    monkeypatch.setattr(module, "_KEPT", 100)
     identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
     assert len(calls) == 1

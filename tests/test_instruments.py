@@ -9,6 +9,7 @@ import pytest
 from problems import grid
 
 from eoi_jax import instruments as module
+from eoi_jax import pairs
 from eoi_jax.data.record import Record
 from eoi_jax.directed import directed, turn
 from eoi_jax.identify import identify
@@ -189,6 +190,19 @@ def test_the_error_of_a_pair_is_that_of_the_output_and_instruments_are_its_sensi
     close(got.cross[0] / np.outer(size, size), want / np.outer(size, size))
     close(got.rhs[0] / size / scale, 4 * slopes.T @ error / size / scale)
     assert got.square[0] == pytest.approx(4 * error @ error, rel=0.06)
+
+
+def test_a_pass_in_parts_is_the_same_as_in_one_go(clean, monkeypatch):
+    observer = SecondOrder(20.0, 100.0, 500.0)
+    moved = TRUTH.with_parameters(1.01 * np.asarray(TRUTH.theta))
+    record = simulate(moved, clean.time, clean.inputs, hold="zero", substeps=4)
+    whole = paired(TRUTH, record, clean, observer)
+    count = 4 * (len(record) - 1)
+    monkeypatch.setattr(pairs, "_AT_ONCE", 300)
+    assert count % -(-count // -(-count // 300))  # the last part is a shorter one
+    in_parts = paired(TRUTH, record, clean, observer)
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(in_parts), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 # -- what noise does ------------------------------------------------------------------------

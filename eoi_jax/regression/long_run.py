@@ -51,6 +51,7 @@ _FEWEST = 2  # cosines: with fewer there are no errors to speak of
 _PEAKS = 8.0 / 3.0  # ((1/2)² + (1/4)² + (1/4)²)⁻¹: of the width of all peaks over that of one
 _LEFT = 0.05  # of a score, below which what the estimate left of it is not scaled up any more
 _MANY = 1000  # cosines, from which on all degrees of freedom are alike
+_TOGETHER = 100_000  # samples of records that are treated at once, about
 _ROUNDING = 1e-12  # an eigenvalue of the scaled information below it is none
 
 
@@ -83,12 +84,10 @@ def long_run(
     estimated = np.any(inverse != 0, axis=0)
     if not np.all(estimated):
         scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
-    flat = rows.reshape(-1, rows.shape[2])
-    unit = _orthonormal(flat)
-    along = (flat @ unit).reshape(*rows.shape[:2], -1)
+    unit = _orthonormal(rows.reshape(-1, rows.shape[2]))
     projected = scores @ unit
     groups = [
-        _sums(projected[places], along[places], count / len(scores))
+        _sums(projected[places], rows[places], unit, count / len(scores))
         for places in _of_one_length(lengths)
     ]
     spread = np.sum([one.spread for one in groups], axis=0)
@@ -100,14 +99,15 @@ def long_run(
 
 
 def _of_one_length(lengths: Sequence[int]) -> list[Any]:
-    """Indices that give the samples of all records of each length, shape (records, time)."""
+    """Indices that give the samples of some records of one length, shape (records, time)."""
     if len(lengths) == 1:
         return [None]  # a new axis, without a copy
-    ends = np.cumsum(lengths)
-    return [
-        (ends[np.asarray(lengths) == one] - one)[:, None] + np.arange(one)
-        for one in np.unique(lengths)
-    ]
+    ends, groups = np.cumsum(lengths), []
+    for one in np.unique(lengths):
+        first = ends[np.asarray(lengths) == one] - one
+        places = first[:, None] + np.arange(one)
+        groups += np.array_split(places, -(-places.size // _TOGETHER))
+    return groups
 
 
 def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"]:
@@ -157,16 +157,19 @@ class _Sums:
 
 def _sums(
     scores: Float[np.ndarray, "records time k"],
-    rows: Float[np.ndarray, "records time ny k"],
+    rows: Float[np.ndarray, "records time ny np"],
+    unit: Float[np.ndarray, "np k"],
     bandwidth: float,
 ) -> _Sums:
-    """Of records of one length, with orthonormal regressors; cosines per sample are given."""
-    length, size = rows.shape[1], rows.shape[3]
+    """Of records of one length, regressors made orthonormal; cosines per sample are given."""
+    (count, length, outputs, _), size = rows.shape, unit.shape[1]
     functions = min(round(bandwidth * length), length - 1) + 1
     a = _factors(functions)
     sums = a * _cosine_sums(np.moveaxis(scores, 1, 2), functions)
     # Time last: transforms and products then run along the memory, in half the time.
-    along = np.ascontiguousarray(np.moveaxis(rows, 1, 3))
+    along = np.empty((count, outputs, size, length))
+    for j in range(outputs):
+        np.matmul(unit.T, np.swapaxes(rows[:, :, j], 1, 2), out=along[:, j])
     squares = np.zeros((len(rows), 2 * functions - 1, size, size))
     for i in range(size):
         products = np.einsum("rjt,rjbt->rbt", along[:, :, i], along[:, :, i:])
