@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -26,9 +25,10 @@ from eoi_jax.drafts import write_file
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
-from eoi_jax.stored import check_fields, check_tree, class_named, function_named
+from eoi_jax.stored import check_fields, check_tree, class_named, function_named, tag_of
 
-_FORMAT = 3  # 2: records keep what smoothed them. 3: errors of a pass lie together
+# 2: records keep what smoothed them. 3: errors of a pass lie together. 4: classes by their tags
+_FORMAT, _OLDEST = 4, 3
 _HEADER = "eoi_jax"
 _PACKAGE = "eoi_jax."
 _FUNCTIONS = ("dynamics", "internal", "internal_initial", "actuator")  # of a plant
@@ -134,9 +134,9 @@ def load(
             check(False, "path", "must be a model that `export` wrote", path)
     tree, arrays = _read(path, Allowance(max_gigabytes))
     check(
-        tree["format"] == _FORMAT,
+        _OLDEST <= tree["format"] <= _FORMAT,
         "path",
-        f"must be of format {_FORMAT}",
+        f"must be of format {_OLDEST} to {_FORMAT}",
         f"format {tree['format']}, written by eoi_jax {tree['version']}",
         "Update eoi_jax." if tree["format"] > _FORMAT else "Make the result anew.",
     )
@@ -357,7 +357,8 @@ def _own(value: Any) -> bool:
 def _name(value: Any) -> str:
     if isinstance(value, MissingModel):
         return value.name
-    if isinstance(value, eqx.Module | type) or callable(value):
-        name = getattr(value, "__qualname__", type(value).__qualname__)
-        return f"{getattr(value, '__module__', '')}:{name}"
+    if isinstance(value, type) or hasattr(value, "__qualname__"):
+        return tag_of(value)
+    if callable(value):  # a model that is an object
+        return tag_of(type(value))
     raise TypeError(f"cannot store {type(value).__name__}")

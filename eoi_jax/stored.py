@@ -5,9 +5,9 @@ path, a dictionary, a list, a tuple, a function by name, or a class or an effect
 """
 
 import dataclasses
-import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -21,6 +21,114 @@ from eoi_jax.checks import check, is_shallow
 
 _PACKAGE = "eoi_jax."
 _DEEPEST = 200  # objects and lists inside each other; results have fewer than fifty
+# Files name a class by a tag, which stays when the class moves or gets another name: where each
+# stands, with its name where that is not the tag.
+CLASSES: Mapping[str, str] = {
+    "Record": "data.record",
+    "Clock": "data.clock",
+    "Saturation": "data.saturation",
+    "Inspection": "inspection",
+    "Channel": "inspection",
+    "Plant": "plants.plant",
+    "LinearChains": "plants.linear_system:_Chains",
+    "LinearZeroDynamics": "plants.linear_system:_ZeroDynamics",
+    "TextEquations": "equations.system:Equations",
+    "TextDynamics": "equations.system",
+    "TextInternal": "equations.system",
+    "TextStart": "equations.system",
+    "Placed": "augment",
+    "AugmentedDynamics": "augment:_Dynamics",
+    "AugmentedInternal": "augment:_Internal",
+    "AugmentedStart": "augment:_Start",
+    "AugmentedActuator": "augment:_Actuator",
+    "FirstOrder": "observers.first_order",
+    "SecondOrder": "observers.second_order",
+    "HighOrder": "observers.high_order",
+    "SuperTwisting": "observers.super_twisting",
+    "PerOutput": "observers.per_output",
+    "LowPass": "lowpass",
+    "Status": "results",
+    "EngineUsed": "results",
+    "Certainty": "certainty",
+    "Identification": "identify",
+    "Validation": "validate",
+    "Diagnosis": "diagnosis",
+    "Confounded": "diagnosis",
+    "Cross": "diagnosis",
+    "Line": "diagnosis",
+    "Map": "diagnosis",
+    "Window": "diagnosis",
+    "Refinement": "refinement",
+    "Start": "refinement",
+    "Candidate": "linearised",
+    "Remaining": "remaining",
+    "Trial": "remaining",
+    "Uncertainty": "uncertainty",
+    "Profile": "profile",
+    "Comparison": "compare",
+    "Entry": "compare",
+    "Discovery": "discovery",
+    "Added": "discovery",
+    "Evidence": "discovery",
+    "Lead": "discovery",
+    "Texts": "discovery",
+    "ConstantOffset": "effects.disturbance",
+    "Drift": "effects.disturbance",
+    "SinusoidalDisturbance": "effects.disturbance",
+    "AsymmetricFriction": "effects.friction",
+    "AsymmetricViscousFriction": "effects.friction",
+    "CoulombFriction": "effects.friction",
+    "CubicDamping": "effects.friction",
+    "QuadraticDrag": "effects.friction",
+    "StribeckFriction": "effects.friction",
+    "ViscousFriction": "effects.friction",
+    "ActuatorLag": "effects.inputs",
+    "InputDeadZone": "effects.inputs",
+    "InputDelay": "effects.inputs",
+    "InputQuadratic": "effects.inputs",
+    "InputSaturation": "effects.inputs",
+    "Hysteresis": "effects.memory",
+    "InternalOverflow": "effects.outflow",
+    "Leak": "effects.outflow",
+    "Overflow": "effects.outflow",
+    "ModulatedSinusoid": "effects.products",
+    "Product": "effects.products",
+    "CubicStiffness": "effects.stiffness",
+    "EndStop": "effects.stiffness",
+    "FreePlay": "effects.stiffness",
+    "Gravity": "effects.stiffness",
+    "LinearStiffness": "effects.stiffness",
+    "PositionRipple": "effects.stiffness",
+    "QuadraticStiffness": "effects.stiffness",
+}
+FUNCTIONS: Mapping[str, str] = {
+    "cascaded_tanks_dynamics": "plants.cascaded_tanks",
+    "cascaded_tanks_internal": "plants.cascaded_tanks",
+    "cascaded_tanks_start": "plants.cascaded_tanks",
+    "duffing_oscillator_dynamics": "plants.duffing_oscillator",
+    "level_tank_dynamics": "plants.level_tank",
+    "mass_spring_damper_dynamics": "plants.mass_spring_damper",
+    "pendulum_dynamics": "plants.pendulum",
+    "positioning_system_dynamics": "plants.positioning_system",
+    "propeller_arm_dynamics": "plants.propeller_arm",
+    "three_mass_spring_damper_dynamics": "plants.three_mass_spring_damper",
+}
+# Files of format 3 name classes by module and name, as they were then; the names are the tags but
+# for these.
+_FORMER = {
+    "_Chains": "LinearChains",
+    "_ZeroDynamics": "LinearZeroDynamics",
+    "Equations": "TextEquations",
+    "_Dynamics": "AugmentedDynamics",
+    "_Internal": "AugmentedInternal",
+    "_Start": "AugmentedStart",
+    "_Actuator": "AugmentedActuator",
+}
+_TAGS = {
+    f"{_PACKAGE}{place if ':' in place else f'{place}:{tag}'}": tag
+    for table in (CLASSES, FUNCTIONS)
+    for tag, place in table.items()
+}
 _RENAMES = {"mapping": "dict", "listed": "list", "grouped": "tuple", "kind": "class"}
 _WITH_FIELDS = {"class": {"fields"}, "effect": {"fields", "name"}}
 
@@ -34,9 +142,10 @@ class Branch(msgspec.Struct, forbid_unknown_fields=True, rename=_RENAMES):
         mapping: of the key ``dict``: parts by name.
         listed: of the key ``list``: parts in order.
         grouped: of the key ``tuple``: parts in order.
-        function: ``module:name`` of a function.
-        kind: of the key ``class``: ``module:name`` of a class, with its `fields`.
-        effect: ``module:name`` of an effect's class, with its `fields` and its canonical `name`.
+        function: its tag, or ``module:name`` of one that is not of this package.
+        kind: of the key ``class``: its tag, with its `fields`.
+        effect: tag of an effect's class, or ``module:name`` of one that is not of this package,
+            with its `fields` and its canonical `name`.
         fields: by name.
         name: of an effect.
     """
@@ -87,34 +196,47 @@ def check_tree(tree: Any, keys: Sequence[str]) -> None:
 
 
 def class_named(name: str) -> type | None:
-    """A class of this package; None for any other.
+    """A stored class of this package; None for any other.
 
     Args:
-        name: as ``module:name``.
+        name: its tag; or, of files of format 3, ``module:name`` of where it stood.
     """
-    found = _loaded(name)
-    return (
-        found
-        if isinstance(found, type) and f"{found.__module__}:{found.__qualname__}" == name
-        else None
-    )
+    return _found(name, CLASSES)
 
 
 def function_named(name: str) -> Callable | None:
     """A function of a plant of this package; None for any other.
 
     Args:
-        name: as ``module:name``.
+        name: as of `class_named`.
     """
-    found = _loaded(name) if name.startswith(f"{_PACKAGE}plants.") else None
-    return found if isinstance(found, types.FunctionType) and found.__module__ in name else None
+    return _found(name, FUNCTIONS)
 
 
-def _loaded(name: str) -> Any:
-    """What is in a module that is loaded already: nothing is imported because a file says so."""
-    module, _, attribute = name.partition(":")
-    known = sys.modules.get(module) if module.startswith(_PACKAGE) else None
-    return vars(known).get(attribute) if known is not None else None
+def tag_of(item: Any) -> str:
+    """What files name a class or a function by: its tag, or ``module:name`` where it has none.
+
+    Args:
+        item: class or function.
+
+    Raises:
+        TypeError: a class of this package without a tag, which could not be read back.
+    """
+    name = f"{getattr(item, '__module__', '')}:{item.__qualname__}"
+    if isinstance(item, type) and name.startswith(_PACKAGE) and name not in _TAGS:
+        raise TypeError(f"{name} has no tag: give it one in `stored.py`")
+    return _TAGS.get(name, name)
+
+
+def _found(name: str, table: Mapping[str, str]) -> Any:
+    """Only what the table names is imported, whatever a file says."""
+    module, colon, last = name.rpartition(":")
+    if colon:
+        last = _FORMER.get(last, last) if module.startswith(_PACKAGE) else ""
+    if last not in table:
+        return None
+    module, _, own = table[last].partition(":")
+    return vars(import_module(_PACKAGE + module))[own or last]
 
 
 def check_fields(kind: type, content: Mapping[str, Any], stand_ins: tuple[type, ...]) -> None:

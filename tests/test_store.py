@@ -1,10 +1,16 @@
 """Results survive a file, without pickle and without running anything on the way back."""
 
+import collections.abc
 import dataclasses
+import importlib
+import inspect
 import json
 import pickle
+import pkgutil
 import subprocess
 import sys
+import typing
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +19,9 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax.augment import augmented, place
 from eoi_jax.store import _Arrays, _encode
+from eoi_jax.stored import CLASSES, FUNCTIONS, class_named, function_named, tag_of
+
+FORMER = Path(__file__).parent / "stored" / "format_3"
 
 
 def spring(t, x, u, p):
@@ -246,6 +255,94 @@ def test_jax_arrays_are_stored_as_arrays(tmp_path):
     back = eoi.load(tmp_path / "x.npz")
     np.testing.assert_array_equal(back["a"], [0.0, 1.0, 2.0])
     assert back["b"] == (1, [2.5, None])
+
+
+# -- files of other versions ------------------------------------------------------------------
+
+
+def tags(tree):
+    """Names of classes, effects and functions in a stored tree."""
+    if isinstance(tree, dict):
+        for key in ("class", "effect", "function"):
+            if isinstance(tree.get(key), str):
+                yield tree[key]
+        tree = list(tree.values())
+    for part in tree if isinstance(tree, list) else ():
+        yield from tags(part)
+
+
+def content(tree):
+    """A stored tree without the names that were given to classes and functions."""
+    if isinstance(tree, list):
+        return [content(part) for part in tree]
+    if not isinstance(tree, dict):
+        return tree
+    names = {"class", "function"} if "name" not in tree else {"class", "function", "effect"}
+    return {key: "a name" if key in names else content(part) for key, part in tree.items()}
+
+
+@pytest.mark.parametrize("path", sorted(FORMER.iterdir()), ids=lambda path: path.stem)
+def test_files_of_the_version_that_named_classes_by_their_modules_are_read(path, tmp_path):
+    with np.load(path) as file:
+        before = json.loads(str(file["eoi_jax"]))
+    assert before["format"] == 3
+    assert any(":" in name for name in tags(before["result"]))
+    back = eoi.load(path)
+    tree, _ = stored(back)
+    assert content(json.loads(tree)) == content(before["result"])
+    assert not any(":" in name for name in tags(json.loads(tree)))
+
+
+def test_plants_of_a_former_file_are_those_of_the_library():
+    for name, plant in eoi.load(FORMER / "library.npz").items():
+        assert plant == getattr(eoi.plants, name)()
+
+
+def package():
+    for found in pkgutil.walk_packages(eoi.__path__, "eoi_jax."):
+        yield importlib.import_module(found.name)
+
+
+def mentioned(annotation, kinds):
+    """Classes of the package in an annotation."""
+    if isinstance(annotation, str):
+        return {kind for kind in kinds if kind.__name__ in annotation}
+    if isinstance(annotation, type):
+        return {annotation} & kinds
+    if typing.get_origin(annotation) is collections.abc.Callable:
+        return set()
+    return {one for part in typing.get_args(annotation) for one in mentioned(part, kinds)}
+
+
+def test_every_class_that_a_result_may_hold_has_a_tag():
+    kinds = {
+        item
+        for module in package()
+        for item in vars(module).values()
+        if inspect.isclass(item) and item.__module__.startswith("eoi_jax.")
+    }
+    waiting, seen = {*EXPORTED, eoi.effects.AbstractEffect}, set()
+    while waiting:
+        kind = waiting.pop()
+        seen.add(kind)
+        inside = {one for one in kinds if issubclass(one, kind)}
+        for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+            inside |= mentioned(field.type, kinds)
+        waiting |= inside - seen
+    assert len(seen) > 60
+    # Certainty stands in the place of what works it out.
+    for kind in seen - {importlib.import_module("eoi_jax.certainty").Deferred}:
+        if not inspect.isabstract(kind):
+            assert class_named(tag_of(kind)) is kind
+
+
+def test_every_tag_names_what_it_is_the_tag_of():
+    for tag in CLASSES:
+        assert tag_of(class_named(tag)) == tag
+    for tag in FUNCTIONS:
+        assert tag_of(function_named(tag)) == tag
+    with pytest.raises(TypeError, match="Unfinished has no tag: give it one"):
+        tag_of(type("Unfinished", (), {"__module__": "eoi_jax.data"}))
 
 
 # -- results of others ------------------------------------------------------------------------
