@@ -13,9 +13,12 @@ from jaxtyping import install_import_hook
 
 # Each thread of the compiler would have a pool of its own, that keeps what another could use: some
 # hundred megabytes of a worker. Before JAX starts these threads; as MALLOC_ARENA_MAX=1 does.
-_M_ARENA_MAX = -8
+# Arrays of a megabyte and more go back to the system when they are released; glibc would come to
+# keep all of up to 32 MB.
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3
 if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
     ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+    ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1_000_000)
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
