@@ -43,6 +43,7 @@ from eoi_jax.refine import refine as refine
 from eoi_jax.refinement import Refinement as Refinement
 from eoi_jax.remaining import Remaining as Remaining
 from eoi_jax.remaining import remaining as remaining
+from eoi_jax.report import displays as _displays  # noqa: F401 - it registers tables and figures
 from eoi_jax.results import Status as Status
 from eoi_jax.simulate import simulate as simulate
 from eoi_jax.store import load as load

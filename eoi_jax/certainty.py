@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.stored import stored_form
+
 
 @dataclass(frozen=True)
 class Certainty:
@@ -46,3 +48,8 @@ class Deferred:
 def settled(one: Certainty | Deferred) -> Certainty:
     """A certainty, worked out if it has not been."""
     return one.found if isinstance(one, Deferred) else one
+
+
+@stored_form.register
+def _found(one: Deferred) -> Certainty:
+    return one.found

@@ -9,12 +9,11 @@ method's own index depends on its own filter, and no two of them may be compared
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result
 from eoi_jax.checks import check, check_choice, check_kind
 from eoi_jax.comparators import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
@@ -62,8 +61,10 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Result):
     """What `compare` found: prints itself as a table.
+
+    `plot` shows parameter error, held-out error and time of each method.
 
     Attributes:
         entries: one for each method, in the order given.
@@ -92,23 +93,6 @@ class Comparison:
         names = [one.method for one in self.entries]
         check_choice("method", method, names)
         return self.entries[names.index(method)]
-
-    def __str__(self) -> str:
-        from eoi_jax.report.comparison import comparison_text
-
-        return comparison_text(self)
-
-    def plot(self) -> Any:
-        """Parameter error, held-out error and time of each method: a matplotlib figure."""
-        from eoi_jax.report.comparison import comparison_figure
-
-        return comparison_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
 
 def compare(

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import findings
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_kind, real
 from eoi_jax.data.record import Record
@@ -107,8 +108,6 @@ def diagnose(
         quantum=np.max([record.quantum for record in measured], axis=0),
         lines=tuple(_foreign_lines(plant, views)),
     )
-    from eoi_jax.report.diagnosis import findings
-
     return replace(draft, findings=findings(draft, identification.status))
 
 

@@ -1,12 +1,11 @@
 """What `diagnose` returns: the tests of a residual, its maps, and what the records excite."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax._display import Result
 from eoi_jax.data.saturation import Saturation
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -112,8 +111,10 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Result):
     """What the residual of an estimate tells.
+
+    `plot` shows maps, correlations and excitation.
 
     Attributes:
         findings: sentences, the most important first.
@@ -170,20 +171,3 @@ class Diagnosis:
     noise: PerOutput
     quantum: PerOutput
     lines: tuple[Line, ...] = ()
-
-    def __str__(self) -> str:
-        from eoi_jax.report.diagnosis import diagnosis_text
-
-        return diagnosis_text(self)
-
-    def plot(self) -> Any:
-        """Maps, correlations and excitation: a matplotlib figure."""
-        from eoi_jax.report.diagnosis import diagnosis_figure
-
-        return diagnosis_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)

@@ -1,12 +1,12 @@
 """What `discover` answers."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
+from eoi_jax._display import Result
 from eoi_jax.data.record import Record
 from eoi_jax.diagnosis import Diagnosis
 from eoi_jax.effects.effect import AbstractEffect
+from eoi_jax.equations.display import equation_latex, equation_text
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
 from eoi_jax.results import EngineUsed, Status
@@ -98,8 +98,10 @@ class Texts:
 
 
 @dataclass(frozen=True)
-class Discovery:
+class Discovery(Result):
     """What a model lacks, and what adding it is worth.
+
+    `plot` shows residual before and after, the effect in it, the free run.
 
     Attributes:
         effects: canonical names of what was added, the strongest first; empty if nothing is
@@ -152,11 +154,6 @@ class Discovery:
         """That ran the passes of `found`, and why where it was not the fast one."""
         return self.found.engine
 
-    def __str__(self) -> str:
-        from eoi_jax.report.discovery import discovery_text
-
-        return discovery_text(self)
-
     @property
     def declared_part(self) -> Plant:
         """The declared model with its parameters as they are beside the effects."""
@@ -166,8 +163,6 @@ class Discovery:
     @property
     def equation(self) -> str:
         """The augmented equation as text."""
-        from eoi_jax.report.equation import equation_text
-
         if self.texts is not None:
             return self.texts.equation
         return equation_text(self.declared.nominal, self.added)
@@ -175,29 +170,6 @@ class Discovery:
     @property
     def latex(self) -> str:
         """The augmented equation in LaTeX."""
-        from eoi_jax.report.equation import equation_latex
-
         if self.texts is not None:
             return self.texts.latex
         return equation_latex(self.declared.nominal, self.added)
-
-    def with_texts(self) -> "Discovery":
-        """The same with its `texts`, for a file that cannot hold the model."""
-        from eoi_jax.report.discovery import texts
-
-        try:
-            return replace(self, texts=texts(self))
-        except ValueError:  # loaded without its model, from a file without texts
-            return self
-
-    def plot(self) -> Any:
-        """Residual before and after, the effect in it, the free run: a matplotlib figure."""
-        from eoi_jax.report.discovery_figures import discovery_figure
-
-        return discovery_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)

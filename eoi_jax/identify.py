@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax._display import Result
 from eoi_jax.blas import one_thread
 from eoi_jax.certainty import Certainty, Deferred, settled
 from eoi_jax.checks import check_count
@@ -50,8 +50,10 @@ _SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Result):
     """Estimate, its evidence, and how it came about.
+
+    `plot` shows index per pass, and injection of the first and the best pass.
 
     Attributes:
         parameters: estimate by name.
@@ -119,23 +121,6 @@ class Identification:
     def degrees_of_freedom(self) -> Float[np.ndarray, " np"] | None:
         """Of the variance of each parameter, shape (np,)."""
         return settled(self.certainty).degrees_of_freedom
-
-    def __str__(self) -> str:
-        from eoi_jax.report.tables import identification_text
-
-        return identification_text(self)
-
-    def plot(self) -> Any:
-        """Index per pass, and injection of the first and the best pass: a matplotlib figure."""
-        from eoi_jax.report.figures import identification_figure
-
-        return identification_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
 
 @one_thread()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result, text
 from eoi_jax.checks import RecordWarning, check
 from eoi_jax.data.clock import Clock, find_clock
 from eoi_jax.data.ingest import SHORTEST
@@ -84,8 +85,10 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Inspection:
+class Inspection(Result):
     """What is in a file; prints itself, and has a picture.
+
+    `plot` shows signals over time, their spectra, and the distances of the stamps.
 
     Attributes:
         path: of the file.
@@ -134,21 +137,7 @@ class Inspection:
         )
 
     def __repr__(self) -> str:
-        from eoi_jax.report.inspection import inspection_text
-
-        return inspection_text(self)
-
-    def plot(self) -> Any:
-        """Signals over time, their spectra, and the distances of the stamps: a figure."""
-        from eoi_jax.report.inspection import inspection_figure
-
-        return inspection_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
+        return text(self)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of numbers that are no measurement

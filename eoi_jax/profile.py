@@ -13,12 +13,11 @@ D ≈ (θ_i − θ̂_i)²/C_ii, with the C that knows about the colour; what the
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result
 from eoi_jax.checks import check, check_choice, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
@@ -31,8 +30,10 @@ _FARTHEST = 4.0  # such half widths
 
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(Result):
     """The profile of one parameter.
+
+    `plot` shows the profile, its threshold and the parabola of the standard error.
 
     Attributes:
         name: of the parameter.
@@ -62,28 +63,6 @@ class Profile:
     samples: float
     notes: tuple[str, ...]
     unit: str
-
-    def __str__(self) -> str:
-        """Interval and effective number of samples."""
-        low, high = self.interval
-        lines = [
-            f"{self.name}: {self.estimate:.6g}, {100 * self.level:.4g} % interval "
-            f"{low:.6g} … {high:.6g} {self.unit}".rstrip(),
-            f"profile of {len(self.values)} points, {self.samples:.3g} effective samples",
-        ]
-        return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
-
-    def plot(self) -> Any:
-        """The profile, its threshold and the parabola of the standard error: a figure."""
-        from eoi_jax.report.estimate_figures import profile_figure
-
-        return profile_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
 
 def profile(

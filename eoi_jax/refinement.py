@@ -1,12 +1,11 @@
 """What `refine` answers with: the refined estimate, and the point it started from."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result
 from eoi_jax.data.record import Record
 from eoi_jax.plants.plant import Plant
 from eoi_jax.results import NOT_RECORDED, EngineUsed, Status
@@ -30,8 +29,10 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class Refinement(Result):
     """Output-error estimate, and the point it started from.
+
+    `plot` shows measured and free run, residual, and the parameters' intervals.
 
     Attributes:
         parameters: estimate by name.
@@ -81,34 +82,3 @@ class Refinement:
     records: tuple[Record, ...] = ()
     substeps: int = 4
     engine: EngineUsed = NOT_RECORDED
-
-    def __str__(self) -> str:
-        """A short table."""
-        wide = max(len(name) for name in self.parameters)
-        units, old = self.plant.units, self.nominal.parameters
-        lines = [
-            f"{self.plant.name}: {self.status}",
-            f"{'parameter':<{wide}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
-        ]
-        for name, value in self.parameters.items():
-            fixed = name in self.plant.fixed
-            error = "fixed" if fixed else f"{self.standard_errors[name]:.2g}"
-            row = f"{name:<{wide}}  {old[name]:>11.6g}  {value:>11.6g}  {error:>12}"
-            lines.append(f"{row}  {units.get(name, '')}".rstrip())
-        length = "whole records" if self.window is None else f"windows of {self.window:g} s"
-        lines.append(f"rmse of {len(self.starts)} run(s), {length}:")
-        for name, old_rmse, rmse in zip(self.plant.outputs, self.before, self.rmse, strict=True):
-            lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
-        return "\n".join([*lines, *(f"- {note}" for note in (*self.notes, *self.engine.notes))])
-
-    def plot(self) -> Any:
-        """Measured and free run, residual, and the parameters' intervals: a matplotlib figure."""
-        from eoi_jax.report.estimate_figures import refinement_figure
-
-        return refinement_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)

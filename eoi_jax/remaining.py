@@ -8,12 +8,12 @@ other; held-out records judge what is most significant.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result
 from eoi_jax.augment import augmented
 from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_kind, real
@@ -53,8 +53,10 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Remaining:
+class Remaining(Result):
     """What is left of a refined model's error, and what would explain it.
+
+    `plot` shows share of the error that each effect, and each pair, explains.
 
     Attributes:
         plant: the refined one.
@@ -110,50 +112,12 @@ class Remaining:
         best = self.best
         return self.plant if best is None else augmented(self.plant, best.placed, best.values)
 
-    def plot(self) -> Any:
-        """Share of the error that each effect, and each pair, explains: a matplotlib figure."""
-        from eoi_jax.report.remaining import remaining_figure
-
-        return remaining_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
-
-    def __str__(self) -> str:
-        """The first ones of the ranking, and of the pairs; what held-out records say."""
-        rows = [f"{'effect':<42} {'share':>8} {'by chance':>10}  values"]
-        for one in (*self.ranking[:8], *self.pairs[:4]):
-            values = ", ".join(f"{name} {value:.4g}" for name, value in one.values.items())
-            label = " + ".join(one.names)
-            rows.append(
-                f"{label:<42} {100 * one.share:>6.1f} % {one.significance:>10.2g}  {values}"
-            )
-        if self.held_out is not None:
-            before = _numbers(self.held_out.rmse)
-            rows += [
-                f"held out with {' + '.join(one.candidate.names)}: {before} before, "
-                f"{_numbers(one.held_out.rmse)} after"
-                for one in self.trials
-            ]
-        if self.best is None:
-            refused = "None of them lowers the error on held-out records."
-            return "\n".join([*rows, refused if self.trials else "None of them is significant."])
-        lacks = " and ".join(one.effect.sentence for one in self.best.placed)
-        return "\n".join([*rows, f"The model lacks {lacks}."])
-
 
 def _relative(one: Validation, other: Validation) -> float:
     """Geometric mean of the errors of all outputs over those of another model."""
     tiny = np.finfo(float).tiny
     ratio = np.maximum(one.rmse, tiny) / np.maximum(other.rmse, tiny)
     return float(np.exp(np.mean(np.log(np.where(np.isfinite(ratio), ratio, np.inf)))))
-
-
-def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{value:.4g}" for value in values)
 
 
 def remaining(

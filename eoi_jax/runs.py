@@ -17,13 +17,15 @@ from eoi_jax.data.record import Record
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Discovery
 from eoi_jax.drafts import make_draft, sweep_up, write_files
+from eoi_jax.equations.display import equation_latex
 from eoi_jax.identify import Identification
 from eoi_jax.inspection import Inspection
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refinement import Refinement
+from eoi_jax.report import discovery_figures
 from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawn import save_drawn
-from eoi_jax.report.equation import equation_latex
+from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.sweep import sweep_figure
 from eoi_jax.store import save
 from eoi_jax.unfinished import tidied
@@ -136,8 +138,6 @@ def write_identification(
         summary: of `identification_summary`.
         config: text of the config, with the command that was given above it.
     """
-    from eoi_jax.report.figures import identification_figure
-
     _write_json(folder / "result.json", summary)
     save_drawn(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
@@ -181,8 +181,6 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
         summary: of `discovery_summary`.
         config: text of the config, with the command that was given above it.
     """
-    from eoi_jax.report import discovery_figures
-
     _write_json(folder / "discovery.json", summary)
     _write(folder / "report.txt", discovery_text(result) + "\n")
     model = result.declared_part

@@ -15,17 +15,23 @@ from typing import Any
 import jax
 import numpy as np
 
-from eoi_jax.certainty import Deferred
+from eoi_jax import _display
 from eoi_jax.checks import check
 from eoi_jax.data.archive import read_arrays
 from eoi_jax.data.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.resample import Real
-from eoi_jax.discovery import Discovery
 from eoi_jax.drafts import write_file
 from eoi_jax.effects import AbstractEffect
 from eoi_jax.equations.model import plant_from_json
 from eoi_jax.plants.plant import Plant
-from eoi_jax.stored import check_fields, check_tree, class_named, function_named, tag_of
+from eoi_jax.stored import (
+    check_fields,
+    check_tree,
+    class_named,
+    function_named,
+    stored_form,
+    tag_of,
+)
 
 # 2: records keep what smoothed them. 3: errors of a pass lie together. 4: classes by their tags
 _FORMAT, _OLDEST = 4, 3
@@ -100,6 +106,9 @@ def save(result: Any, path: str | Path) -> None:
         write_file(path, fill)
     except OSError as error:
         check(False, "path", f"must be writable ({error.strerror})", path)
+
+
+_display.save.register(object, save)
 
 
 def load(
@@ -278,10 +287,7 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
         return {kind: [_encode(one, arrays) for one in value]}
-    if isinstance(value, Discovery):
-        value = value.with_texts()
-    if isinstance(value, Deferred):
-        value = value.found
+    value = stored_form(value)
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
     if isinstance(value, MissingEffect):

@@ -7,6 +7,7 @@ path, a dictionary, a list, a tuple, a function by name, or a class or an effect
 import dataclasses
 import types
 from collections.abc import Callable, Mapping, Sequence
+from functools import singledispatch
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -160,6 +161,12 @@ class Branch(msgspec.Struct, forbid_unknown_fields=True, rename=_RENAMES):
     effect: str | UnsetType = UNSET
     fields: "dict[str, Branch | str | float | int | bool | None] | UnsetType" = UNSET
     name: str | UnsetType = UNSET
+
+
+@singledispatch
+def stored_form(value: Any) -> Any:
+    """What of a result a file holds in its place: itself, where nothing else is registered."""
+    return value
 
 
 def check_tree(tree: Any, keys: Sequence[str]) -> None:

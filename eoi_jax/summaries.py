@@ -12,11 +12,11 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery import Added, Discovery, Lead
+from eoi_jax.equations.display import equation_latex, equation_lines, equation_text
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refinement import Refinement
 from eoi_jax.report.discovery import answer
-from eoi_jax.report.equation import equation_latex, equation_lines, equation_text
 from eoi_jax.report.sweep import gain_names, statuses
 from eoi_jax.report.tables import identification_answer, refinement_answer
 from eoi_jax.runs import Job

@@ -9,7 +9,6 @@ them has no finite error.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax._display import Result
 from eoi_jax.checks import check, check_kind, real
 from eoi_jax.identify import Identification
 from eoi_jax.plants.plant import Plant, parameter_type
@@ -31,8 +31,10 @@ _MUCH = 0.1  # relative change that hides in the noise, from which this is worth
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Result):
     """Estimates with their covariance.
+
+    `plot` shows parameters with their intervals, and their correlation.
 
     Attributes:
         parameters: estimates by name.
@@ -65,18 +67,6 @@ class Uncertainty:
         errors = np.asarray(list(self.standard_errors.values()))
         known = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
         return self.covariance / np.outer(known, known)
-
-    def plot(self) -> Any:
-        """Parameters with their intervals, and their correlation: a matplotlib figure."""
-        from eoi_jax.report.estimate_figures import uncertainty_figure
-
-        return uncertainty_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence intervals by name.
@@ -163,11 +153,6 @@ class Uncertainty:
             dict(units or {}),
             draws,
         )
-
-    def __str__(self) -> str:
-        from eoi_jax.report.tables import uncertainty_text
-
-        return uncertainty_text(self)
 
 
 def uncertainty(estimate: Identification | Refinement) -> Uncertainty:

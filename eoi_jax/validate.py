@@ -9,14 +9,13 @@ scored.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from eoi_jax._display import Result
 from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_count, check_positive
 from eoi_jax.compilation import jit
@@ -40,8 +39,10 @@ _ENOUGH = 1e-5  # relative fall of the squared error below which they end: 0.02 
 
 
 @dataclass(frozen=True)
-class Validation:
+class Validation(Result):
     """Free-run errors, each of shape (ny,), over the scored samples of all records.
+
+    `plot` shows free run against the measurement, and its error.
 
     Attributes:
         rmse: root mean square of y − ŷ [unit of y]; infinite if a run diverges.
@@ -64,32 +65,6 @@ class Validation:
     units: tuple[str, ...]
     notes: tuple[str, ...]
     records: tuple[Record, ...] = ()
-
-    def __str__(self) -> str:
-        """A short table."""
-        wide = max(len("output"), *(len(key) for key in self.outputs))
-        lines = [
-            f"Free run, {len(self.predictions)} record(s), {self.scored} samples scored",
-            f"{'output':<{wide}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
-        ]
-        rows = zip(self.outputs, self.rmse, self.nrmse, self.fit, self.units, strict=True)
-        lines += [
-            f"{key:<{wide}}  {rmse:>11.5g}  {nrmse:>8.4f}  {fit:>8.2f}  {unit}".rstrip()
-            for key, rmse, nrmse, fit, unit in rows
-        ]
-        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
-
-    def plot(self) -> Any:
-        """Free run against the measurement, and its error: a matplotlib figure."""
-        from eoi_jax.report.figures import validation_figure
-
-        return validation_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
 
 @one_thread()

@@ -13,7 +13,7 @@ import eoi_jax as eoi
 from eoi_command.commands import app
 from eoi_jax import backend, build, cli, runs
 from eoi_jax import config as configs
-from eoi_jax.report.equation import equation_lines
+from eoi_jax.equations.display import equation_lines
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 

@@ -8,8 +8,8 @@ from problems import noisy
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.equations.display import equation_latex, equation_text
 from eoi_jax.report.discovery import phrase
-from eoi_jax.report.equation import equation_latex, equation_text
 
 mpl.use("Agg")
 

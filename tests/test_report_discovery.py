@@ -11,11 +11,11 @@ import eoi_jax as eoi
 from eoi_jax import effects, plants
 from eoi_jax.diagnose import diagnose
 from eoi_jax.discovery import Added
+from eoi_jax.equations.display import equation_latex, equation_text
+from eoi_jax.equations.printer import name_latex
 from eoi_jax.report import discovery_figures, tables
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import answer, discovery_text
-from eoi_jax.report.equation import equation_latex, equation_text
-from eoi_jax.report.expression import name_latex
 from eoi_jax.store import save
 
 

@@ -9,12 +9,12 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._display import Result
 from eoi_jax.checks import RecordWarning, check, check_choice, check_positive
 from eoi_jax.data.ingest import (
     SHORTEST,
@@ -51,8 +51,10 @@ from eoi_jax.types import Mask, TimeAxis
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Record:
+class Record(Result):
     """One measured or simulated run (t, u, y) on a uniform time grid.
+
+    `plot` shows outputs and inputs over time, masked samples left out.
 
     What comes in is checked and brought onto the grid. Stamps within 1e-3 of a period of a
     uniform clock, or as near to it as their printed digits tell, are taken as they are; otherwise
@@ -410,18 +412,6 @@ class Record:
 
     def __repr__(self) -> str:
         return _table(self)
-
-    def plot(self) -> Any:
-        """Outputs and inputs over time, masked samples left out: a matplotlib figure."""
-        from eoi_jax.report.figures import record_figure
-
-        return record_figure(self)
-
-    def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
-        from eoi_jax.store import save
-
-        save(self, path)
 
     # -- construction ---------------------------------------------------------------------
 

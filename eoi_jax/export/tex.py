@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from eoi_jax.equations.expression import Call, Expression, Number, Operation, Symbol
+from eoi_jax.equations.printer import escaped, latex
 from eoi_jax.export.names import comment, identifiers
 from eoi_jax.export.program import Program
-from eoi_jax.report.expression import escaped, latex
 
 _SIGNS = {"≤": r"\le", "≥": r"\ge", "≠": r"\ne"}
 

@@ -11,8 +11,8 @@ import numpy as np
 from eoi_jax.confirm import only_short
 from eoi_jax.discovery import Added, Discovery, Evidence, Lead, Texts
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
+from eoi_jax.equations.display import equation_text
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.report.equation import equation_text
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.validate import Validation
 from eoi_jax.verdict import DENIED

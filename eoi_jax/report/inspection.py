@@ -1,6 +1,5 @@
 """What is in a file, as a table and as a picture."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -168,7 +167,7 @@ def _draw_spectrum(
     axes.grid(visible=True, alpha=0.3)
 
 
-def _draw_steps(axes: Sequence[Any], time: Float[np.ndarray, " time"], period: float) -> None:
+def _draw_steps(axes: Any, time: Float[np.ndarray, " time"], period: float) -> None:
     """Distances of neighbouring stamps, over time and as a histogram."""
     steps = np.diff(time) / period
     axes[0].plot(*decimate(time[1:], steps), color="#000000", linewidth=0.6)

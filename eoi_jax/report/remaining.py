@@ -51,3 +51,28 @@ def remaining_figure(result: Remaining) -> Any:
     axes.set_xlabel("share of the free run's squared error [%]")
     legend_above(axes)
     return finished(figure)
+
+
+def remaining_text(result: Remaining) -> str:
+    """The first ones of the ranking, and of the pairs; what held-out records say."""
+    rows = [f"{'effect':<42} {'share':>8} {'by chance':>10}  values"]
+    for one in (*result.ranking[:8], *result.pairs[:4]):
+        values = ", ".join(f"{name} {value:.4g}" for name, value in one.values.items())
+        label = " + ".join(one.names)
+        rows.append(f"{label:<42} {100 * one.share:>6.1f} % {one.significance:>10.2g}  {values}")
+    if result.held_out is not None:
+        before = _numbers(result.held_out.rmse)
+        rows += [
+            f"held out with {' + '.join(one.candidate.names)}: {before} before, "
+            f"{_numbers(one.held_out.rmse)} after"
+            for one in result.trials
+        ]
+    if result.best is None:
+        refused = "None of them lowers the error on held-out records."
+        return "\n".join([*rows, refused if result.trials else "None of them is significant."])
+    lacks = " and ".join(one.effect.sentence for one in result.best.placed)
+    return "\n".join([*rows, f"The model lacks {lacks}."])
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)

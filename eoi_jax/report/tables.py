@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.identify import Identification
+from eoi_jax.profile import Profile
 from eoi_jax.refinement import Refinement
 from eoi_jax.uncertainty import Uncertainty, uncertainty
 from eoi_jax.validate import Validation
@@ -270,3 +271,49 @@ def with_error(value: float, error: float) -> str:
     if error >= _SMALL:  # "9.3e-05" would not be read as a small part of the number before it
         shown = np.format_float_positional(float(shown), trim="-")
     return f"{value:.{digits}f} ± {shown}"
+
+
+def refinement_table(result: Refinement) -> str:
+    """Parameters before and after, errors of the runs, and notes."""
+    wide = max(len(name) for name in result.parameters)
+    units, old = result.plant.units, result.nominal.parameters
+    lines = [
+        f"{result.plant.name}: {result.status}",
+        f"{'parameter':<{wide}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
+    ]
+    for name, value in result.parameters.items():
+        fixed = name in result.plant.fixed
+        error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
+        row = f"{name:<{wide}}  {old[name]:>11.6g}  {value:>11.6g}  {error:>12}"
+        lines.append(f"{row}  {units.get(name, '')}".rstrip())
+    length = "whole records" if result.window is None else f"windows of {result.window:g} s"
+    lines.append(f"rmse of {len(result.starts)} run(s), {length}:")
+    for name, old_rmse, rmse in zip(result.plant.outputs, result.before, result.rmse, strict=True):
+        lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
+    return "\n".join([*lines, *(f"- {note}" for note in (*result.notes, *result.engine.notes))])
+
+
+def validation_text(result: Validation) -> str:
+    """Errors of the free run, a line for each output; then notes."""
+    wide = max(len("output"), *(len(key) for key in result.outputs))
+    lines = [
+        f"Free run, {len(result.predictions)} record(s), {result.scored} samples scored",
+        f"{'output':<{wide}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
+    ]
+    rows = zip(result.outputs, result.rmse, result.nrmse, result.fit, result.units, strict=True)
+    lines += [
+        f"{key:<{wide}}  {rmse:>11.5g}  {nrmse:>8.4f}  {fit:>8.2f}  {unit}".rstrip()
+        for key, rmse, nrmse, fit, unit in rows
+    ]
+    return "\n".join([*lines, *(f"Note: {note}" for note in result.notes)])
+
+
+def profile_text(result: Profile) -> str:
+    """Interval and effective number of samples; then notes."""
+    low, high = result.interval
+    lines = [
+        f"{result.name}: {result.estimate:.6g}, {100 * result.level:.4g} % interval "
+        f"{low:.6g} … {high:.6g} {result.unit}".rstrip(),
+        f"profile of {len(result.values)} points, {result.samples:.3g} effective samples",
+    ]
+    return "\n".join([*lines, *(f"- {note}" for note in result.notes)])

@@ -15,9 +15,9 @@ from eoi_jax import build, config, effects
 from eoi_jax.augment import augmented, place
 from eoi_jax.compilation import jit
 from eoi_jax.effects.effect import internal_names
+from eoi_jax.equations.display import equation_latex, equation_text
 from eoi_jax.equations.expression import FUNCTIONS
 from eoi_jax.equations.model import ModelTable, plant_of
-from eoi_jax.report.equation import equation_latex, equation_text
 from eoi_jax.schema import struct
 
 PENDULUM = {

@@ -10,10 +10,10 @@ from report_runs import discovered
 
 import eoi_jax as eoi
 from eoi_jax.checks import FigureWarning
+from eoi_jax.equations.display import equation_latex
+from eoi_jax.equations.printer import name_latex
 from eoi_jax.report import discovery_figures
 from eoi_jax.report.drawn import drawn, save_drawn
-from eoi_jax.report.equation import equation_latex
-from eoi_jax.report.expression import name_latex
 
 NAMES = r"y_{$x} % ^2", r"volt $\frac{a}"
 

@@ -19,9 +19,7 @@ import numpy as np
 
 from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.effects.effect import internal_names
-from eoi_jax.equations.system import TextDynamics, TextInternal
-from eoi_jax.plants.plant import Plant, State, velocity_rows
-from eoi_jax.report.expression import (
+from eoi_jax.equations.printer import (
     Call,
     Expression,
     Number,
@@ -32,6 +30,8 @@ from eoi_jax.report.expression import (
     name_latex,
     text,
 )
+from eoi_jax.equations.system import TextDynamics, TextInternal
+from eoi_jax.plants.plant import Plant, State, velocity_rows
 
 
 def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
