@@ -166,16 +166,20 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     verbose: Callable[..., None]
     most: Int[Host, ""]
     watch: Watch | None
+    patient: bool
 
     def step(
         self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
     ) -> tuple[Any, Any, Any]:
-        """One step; none is poor after which the trust region is wider than it ever was.
+        """One step; to the patient none is poor that leaves the trust region wider than ever.
 
         Along a narrow valley the first damping allows next to no progress, and the region must
-        widen by orders of magnitude before there is any.
+        widen by orders of magnitude before there is any. Of many searches side by side most are
+        lost anyway, and all would wait for them.
         """
         y, new, aux = super().step(fn, y, args, options, state, tags)
+        if not self.patient:
+            return y, new, aux
         reduced, size = new.descent_state, new.search_state.step_size
         poor = jnp.where(size > reduced.widest, 0, reduced.poor)
         widest = jnp.maximum(size, reduced.widest)
@@ -246,23 +250,28 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
 
 @jit(static=())
 def _solve_many(problem: Problem, unknowns: Unknowns, most: Int[Host, ""]) -> Outcome:
-    return jax.vmap(lambda one: _search(problem, one, most, None))(unknowns)
+    return jax.vmap(lambda one: _search(problem, one, most, None, patient=False))(unknowns)
 
 
 @jit(static=("watch",))
 def _solve(
     problem: Problem, unknowns: Unknowns, most: Int[Host, ""], watch: Watch | None
 ) -> Outcome:
-    return _search(problem, unknowns, most, watch)
+    return _search(problem, unknowns, most, watch, patient=True)
 
 
 def _search(
-    problem: Problem, unknowns: Unknowns, most: Int[Host, ""], watch: Watch | None
+    problem: Problem,
+    unknowns: Unknowns,
+    most: Int[Host, ""],
+    watch: Watch | None,
+    patient: bool,
 ) -> Outcome:
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm,
         _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
         optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, most, watch,
+        patient,
     )  # fmt: skip
     found = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
     steps = found.stats["num_steps"]
