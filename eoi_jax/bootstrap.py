@@ -12,7 +12,7 @@ import numpy as np
 from eoi_jax.checks import check, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.identify import Identification
-from eoi_jax.prepare import check_records
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.sweep import sweep
 from eoi_jax.uncertainty import Uncertainty, uncertainty
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from eoi_jax import observers, plants
 from eoi_jax.augment import Placed, augmented
-from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_choice
 from eoi_jax.config import (
     ChirpTable,
@@ -35,6 +34,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.effects import AbstractEffect, standard
 from eoi_jax.equations.model import plant_of
 from eoi_jax.lowpass import LowPass
+from eoi_jax.placements import placements
 from eoi_jax.plants.plant import Plant
 from eoi_jax.simulate import simulate
 
@@ -339,7 +339,7 @@ def _with_hidden(table: SimulateTable, model: Plant) -> Plant:
     values: dict[str, float] = {}
     for name, given in table.effects.items():
         forms = _forms("simulate.effects", name)
-        fitting = candidates(model, forms)
+        fitting = placements(model, forms)
         field = f"simulate.effects.{name}"
         check(len(fitting) > 0, field, "must be an effect that fits the plant", model.name)
         parts = given if isinstance(given, dict) else {"": given}

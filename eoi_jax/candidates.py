@@ -6,7 +6,6 @@ effect of an input or of an internal state replaces the declared part of the mod
 effect.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,17 +13,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from eoi_jax.along import Values, input_slopes
-from eoi_jax.augment import Placed, augmented, own_states, place
+from eoi_jax.augment import Placed, augmented
 from eoi_jax.compilation import jit
 from eoi_jax.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
-    AbstractInternalEffect,
     AbstractTerm,
     At,
     Grid,
@@ -66,51 +64,6 @@ class Atom:
         """Kind and channel: two atoms of one key are never in one model."""
         one = self.placed
         return one.effect.kind, one.on_state, one.channel, one.against, one.through
-
-
-def candidates(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
-    """Every effect at every channel that it fits."""
-    placed, coupled = [], plant.coupled
-    for effect in effects:
-        if isinstance(effect, INPUT_EFFECTS):
-            placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
-        else:
-            inner = isinstance(effect, AbstractInternalEffect)
-            count = own_states(plant) if inner else len(plant.outputs)
-            placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
-            placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
-            placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
-    return placed
-
-
-def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
-    """Pairs of outputs of one kind between which an effect may act, each way round.
-
-    It pushes both apart; how hard depends on the mass of each, so each has a gain of its own.
-    """
-    if not (isinstance(effect, AbstractTerm) and effect.joins):
-        return []
-    kinds = [
-        (degree, plant.units.get(name))
-        for degree, name in zip(plant.degrees, plant.outputs, strict=True)
-    ]
-    return [
-        (i, j)
-        for i, j in itertools.permutations(range(len(kinds)), 2)
-        if kinds[i] == kinds[j] and effect.fits(plant, i)
-    ]
-
-
-def _forces(
-    plant: Plant, effect: AbstractEffect, coupled: Bool[np.ndarray, "ny nu"]
-) -> list[tuple[int, int]]:
-    """Outputs and inputs beside which an effect may act as a force that inertia passes on.
-
-    Of masses that are coupled by inertia an input pushes several, and so does friction of one.
-    """
-    if not isinstance(effect, AbstractTerm):
-        return []
-    return [(j, i) for j, i in np.argwhere(coupled).tolist() if effect.fits(plant, j)]
 
 
 def seen_at(

@@ -19,8 +19,9 @@ from eoi_jax.comparators import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
 from eoi_jax.held_out import INITIAL, held_out
 from eoi_jax.identify import estimate
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records, ready
+from eoi_jax.prepare import ready
 from eoi_jax.results import Status
 from eoi_jax.tuning import default_observer
 from eoi_jax.validate import validate

@@ -26,8 +26,8 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.saturation import saturations
 from eoi_jax.diagnosis import Confounded, Cross, Diagnosis, Line, Map, PerOutput, Window
 from eoi_jax.identify import Identification
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records
 from eoi_jax.regression.coloured import (
     FEWEST,
     LAGS,

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 from eoi_jax.augment import Placed
 from eoi_jax.blas import one_thread
-from eoi_jax.candidates import candidates
 from eoi_jax.certainty import Certainty
 from eoi_jax.checks import check, check_choice, check_count, check_kind, real
 from eoi_jax.confirm import as_good, beyond_noise, confirmed, holds
@@ -30,9 +29,11 @@ from eoi_jax.held_out import check_runs, held_out, resting
 from eoi_jax.identify import Identification, estimate
 from eoi_jax.lowpass import LowPass
 from eoi_jax.parsimony import simpler
+from eoi_jax.placements import placements
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant
 from eoi_jax.polish import polished
-from eoi_jax.prepare import Ready, check_records, ready
+from eoi_jax.prepare import Ready, ready
 from eoi_jax.ranking import ends, ranking
 from eoi_jax.refit import SEARCHED, free_runs, not_simulated, on_bounds, refitted, window_of
 from eoi_jax.results import Status
@@ -174,7 +175,7 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
         found = _answer(task, steps, rounds, before())
     if found.status.code != "unexplained":
         return found
-    if candidates(task.plant, spare):
+    if placements(task.plant, spare):
         wider = replace(task, effects=(*task.effects, *spare))
         more = _answer(wider, *_searched(wider, told, rounds[0]), before())
         named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
@@ -284,7 +285,7 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
 def _fitting(plant: Plant, tried: Sequence[AbstractEffect]) -> set[str]:
     """Names of the effects that have a place in a plant."""
     names = dict.fromkeys(one.name for one in tried)
-    fitting = {one.effect.name for one in candidates(plant, tried)}
+    fitting = {one.effect.name for one in placements(plant, tried)}
     degrees = ", ".join(
         f"{key} of relative degree {one}"
         for key, one in zip(plant.outputs, plant.degrees, strict=True)

@@ -6,8 +6,9 @@ import numpy as np
 
 from eoi_jax.checks import check, check_kind, check_positive
 from eoi_jax.data.record import Record
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant
-from eoi_jax.prepare import check_records, constant
+from eoi_jax.prepare import constant
 from eoi_jax.windows import late_starts, plan, window_length
 
 INITIAL = 50  # samples from which a free run is started; they are not scored

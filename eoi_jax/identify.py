@@ -25,13 +25,13 @@ from eoi_jax.iteration import Iterations, Pass, by_sample, iterate, mean, sample
 from eoi_jax.lowpass import DiscreteFilter, LowPass
 from eoi_jax.observers.observer import AbstractObserver
 from eoi_jax.passes import Steps, Sums, Trace
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import (
     TAPER,
     Ready,
     check_observer,
     check_preparation,
-    check_records,
     constant,
     prepare,
     ready,

@@ -38,8 +38,8 @@ from eoi_jax.output_error import (
     used_window,
     weighed,
 )
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import check_records
 from eoi_jax.refinement import Refinement, Start
 from eoi_jax.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.regression.long_run import long_run

@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from eoi_jax._display import Result
 from eoi_jax.augment import augmented
-from eoi_jax.candidates import candidates
 from eoi_jax.checks import check, check_kind, real
 from eoi_jax.data.record import Record
 from eoi_jax.effects import rare, standard
@@ -28,6 +27,7 @@ from eoi_jax.effects.effect import (
 from eoi_jax.held_out import check_judges, held_out
 from eoi_jax.linearised import Along, Candidate, Try
 from eoi_jax.output_error import spans_of
+from eoi_jax.placements import placements
 from eoi_jax.plants.plant import Plant
 from eoi_jax.refine import refine
 from eoi_jax.refinement import Refinement
@@ -165,7 +165,7 @@ def remaining(
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
     along = Along.of(refinement, records, spans, substeps)
-    several = [one for one in candidates(plant, chosen) if _tried(one.effect)]
+    several = [one for one in placements(plant, chosen) if _tried(one.effect)]
     tries = [one for placed in several for one in along.tries(placed)]
     alone = [along.share((one,)) for one in tries]
     ranking = [along.candidate((one,), len(tries)) for one in _best(tries, alone)]

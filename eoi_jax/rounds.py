@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.augment import Placed, augmented, own_states, place
-from eoi_jax.candidates import Atom, atoms, candidates, seen_at
+from eoi_jax.candidates import Atom, atoms, seen_at
 from eoi_jax.data.record import Record
 from eoi_jax.effects import (
     AsymmetricFriction,
@@ -25,6 +25,7 @@ from eoi_jax.identify import Identification
 from eoi_jax.lags import Peak, lags, strongest
 from eoi_jax.modes import Stretch, model_rows, stretch, telling_band
 from eoi_jax.noise_model import fitted_power, known_power, local_power
+from eoi_jax.placements import placements
 from eoi_jax.plants.plant import Plant
 from eoi_jax.prepare import Ready
 from eoi_jax.search import Search
@@ -114,7 +115,7 @@ class Round:
         present = {one.site for one in self.placed}
         constants = [
             atom
-            for one in candidates(self.model, [ConstantOffset()])
+            for one in placements(self.model, [ConstantOffset()])
             if one.site not in present
             for atom in self._make(one, np.zeros((1, 0)))
         ]
@@ -134,7 +135,7 @@ class Round:
         cutoff = task.declared.lowpass.cutoff
         looked = {
             one: seen_at(model, one, self.stretches, cutoff, peaks, self._lags(one))
-            for one in candidates(model, task.effects)
+            for one in placements(model, task.effects)
             if one.site not in present and not (one.on_state and one.effect.name in spilling)
         }
         self.candidates = [one for one, seen in looked.items() if one.effect.shows(seen)]

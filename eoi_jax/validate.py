@@ -20,8 +20,8 @@ from eoi_jax.blas import one_thread
 from eoi_jax.checks import check, check_count, check_positive
 from eoi_jax.compilation import jit
 from eoi_jax.data.record import Record
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import check_records
 from eoi_jax.simulate import acted, drive
 from eoi_jax.trajectory import Drive, chained, frictional, trajectory
 from eoi_jax.windows import joined, late_starts, plan

@@ -11,7 +11,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import Placed, augmented, place, unit
-from eoi_jax.candidates import atoms, candidates
+from eoi_jax.candidates import atoms
 from eoi_jax.compilation import jit
 from eoi_jax.effects.effect import (
     AbstractActuator,
@@ -24,6 +24,7 @@ from eoi_jax.effects.effect import (
 )
 from eoi_jax.fit import fitted
 from eoi_jax.modes import stretch
+from eoi_jax.placements import placements
 from eoi_jax.rounds import base_of
 
 # Gravity in degrees is checked against that in radians: its grid is empty over a few degrees.
@@ -474,10 +475,10 @@ def test_gravity_of_an_angle_in_degrees_is_that_in_radians(unit_of_angle):
         assert turned.term(at, (2.0,), ()) == pytest.approx(float(plain.term(same, (2.0,), ())))
     for degrees, tried in ((40.0, 0), (60.0, 1)):
         assert len(turned.grid(replace(seen(), y=degrees * np.tanh(seen().y)))) == tried
-    fitting = [one.effect for one in candidates(swinging(unit_of_angle), forms)]
+    fitting = [one.effect for one in placements(swinging(unit_of_angle), forms)]
     assert fitting == [turned]
-    assert [one.effect for one in candidates(MASS, effects.standard())].count(plain) == 1
-    assert turned not in [one.effect for one in candidates(MASS, effects.standard())]
+    assert [one.effect for one in placements(MASS, effects.standard())].count(plain) == 1
+    assert turned not in [one.effect for one in placements(MASS, effects.standard())]
 
 
 def test_end_stop_below_pushes_up():

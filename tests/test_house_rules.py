@@ -33,6 +33,7 @@ LAYERS = (
     ("plants",),
     ("along", "effects"),
     ("augment",),
+    ("placements",),
     ("equations",),
     ("complementarity",),
     ("trajectory",),

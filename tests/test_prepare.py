@@ -6,7 +6,8 @@ from problems import SWAY, grid
 
 from eoi_jax.data.record import Record
 from eoi_jax.plants import Plant, mass_spring_damper, pendulum
-from eoi_jax.prepare import check_records, moving, prepare, step_inputs
+from eoi_jax.plants.check_records import check_records
+from eoi_jax.prepare import moving, prepare, step_inputs
 
 H = 0.01
 ROUGH, SMOOTH = pendulum(), mass_spring_damper()

@@ -10,11 +10,12 @@ from scipy.stats import chi2
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.augment import Placed
-from eoi_jax.candidates import Atom, atoms, candidates, seen_at
+from eoi_jax.candidates import Atom, atoms, seen_at
 from eoi_jax.effects.effect import AbstractEffect
 from eoi_jax.fit import Base, Fit, Span, fitted, refined, solve, within_bounds
 from eoi_jax.modes import stretch
 from eoi_jax.noise_model import fitted_power, known_power, local_power
+from eoi_jax.placements import placements
 from eoi_jax.search import Search, _span
 
 ROWS = 600
@@ -428,7 +429,7 @@ TWO = eoi.Plant(
 
 
 def test_every_effect_is_tried_at_every_channel_that_it_fits():
-    tried = candidates(TWO, [effects.CoulombFriction(), effects.Leak(), effects.InputDelay()])
+    tried = placements(TWO, [effects.CoulombFriction(), effects.Leak(), effects.InputDelay()])
     # Input a pushes both carts: friction of each is tried beside it, too.
     assert [(one.effect.name, one.channel, one.through) for one in tried] == [
         ("coulomb_friction", 0, None),
@@ -442,7 +443,7 @@ def test_every_effect_is_tried_at_every_channel_that_it_fits():
 
 def alone(plant, effect):
     """Where an effect is tried without inertia passing it on."""
-    return [one for one in candidates(plant, [effect]) if one.through is None]
+    return [one for one in placements(plant, [effect]) if one.through is None]
 
 
 def test_springs_are_tried_between_outputs_of_one_kind_each_way_round():
@@ -457,7 +458,7 @@ def test_springs_are_tried_between_outputs_of_one_kind_each_way_round():
         carts, {"k": 20.0, "c": 0.4}, relative_degree=(2, 1), inputs=("a", "b"),
         outputs=("y1", "y2"),
     )  # fmt: skip
-    assert [one.against for one in candidates(unlike, [effects.CubicStiffness()])] == [None]
+    assert [one.against for one in placements(unlike, [effects.CubicStiffness()])] == [None]
 
 
 def test_columns_of_a_term_are_those_of_its_own_output():

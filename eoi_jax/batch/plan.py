@@ -24,8 +24,9 @@ from eoi_jax.data.record import Record
 from eoi_jax.jax_private import jaxprs_within
 from eoi_jax.lowpass import LowPass
 from eoi_jax.observers.gain_sets import GainSets, gain_sets
+from eoi_jax.plants.check_records import check_records
 from eoi_jax.plants.plant import Plant, State
-from eoi_jax.prepare import check_observer, check_preparation, check_records, starting_points
+from eoi_jax.prepare import check_observer, check_preparation, starting_points
 
 DIMENSIONS = ("record", "lowpass", "observer", "start", "resample")
 PRECISIONS = ("float64", "float32")

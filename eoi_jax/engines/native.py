@@ -24,7 +24,8 @@ from eoi_jax.engines.compiled import (
     translated,
 )
 from eoi_jax.engines.engine import AbstractEngine, Lanes
-from eoi_jax.engines.lane_program import Pass, shapes_of
+from eoi_jax.engines.lane_program import shapes_of
+from eoi_jax.engines.pass_loop import Pass
 from eoi_jax.engines.scalars import Untranslatable, evaluated
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import Step, Steps, Sums

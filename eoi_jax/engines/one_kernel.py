@@ -26,7 +26,8 @@ from jax.experimental import pallas as pl
 from eoi_jax.checks import check
 from eoi_jax.compilation import jit
 from eoi_jax.engines.engine import AbstractEngine, Lanes, in_precision
-from eoi_jax.engines.lane_program import BLOCK, CARRY, LaneProgram, Pass, lane_program, shapes_of
+from eoi_jax.engines.lane_program import BLOCK, CARRY, LaneProgram, lane_program, shapes_of
+from eoi_jax.engines.pass_loop import Pass
 from eoi_jax.engines.scalars import Node, ordered
 from eoi_jax.lowpass import DiscreteFilter
 from eoi_jax.passes import Step, Steps, Sums
