@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax import build
-from eoi_jax import config as configs
+from eoi_jax.cli import build
+from eoi_jax.cli import config as configs
 
 sys.path.insert(0, str(Path(__file__).parent))
 import independent

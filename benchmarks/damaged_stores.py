@@ -23,7 +23,7 @@ import numpy as np
 from common import Report, arguments, table
 
 import eoi_jax as eoi
-from eoi_jax.observers import SecondOrder, gains
+from eoi_jax.estimation.observers import SecondOrder, gains
 
 LANES = ("parameters", "standard_error", "index", "common_index", "sliding_fraction", "status",
          "blocks", "best_pass", "passes")  # fmt: skip

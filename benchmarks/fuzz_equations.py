@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from common import Report, arguments, table
 
-from eoi_jax.equations.expression import FUNCTIONS, Symbol, value_of
-from eoi_jax.equations.grammar import parse
-from eoi_jax.equations.system import Equations
+from eoi_jax.models.equations.expression import FUNCTIONS, Symbol, value_of
+from eoi_jax.models.equations.grammar import parse
+from eoi_jax.models.equations.system import Equations
 
 NAMES = ("angle", "rate", "voltage", "a", "b", "c", "d", "x1", "α")
 SYMBOLS = {name: Symbol(name) for name in NAMES}

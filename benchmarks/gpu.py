@@ -16,9 +16,9 @@ import numpy as np
 from common import Report, percent, table
 
 import eoi_jax as eoi
-from eoi_jax.engines import AbstractEngine, Lanes, Native, OneKernel, Scan
-from eoi_jax.observers import SecondOrder
-from eoi_jax.passes import Steps
+from eoi_jax.estimation.engines import AbstractEngine, Lanes, Native, OneKernel, Scan
+from eoi_jax.estimation.kernel import Steps
+from eoi_jax.estimation.observers import SecondOrder
 
 PLANT = eoi.plants.pendulum()
 H = 1e-3

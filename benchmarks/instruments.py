@@ -17,7 +17,7 @@ from common import Report, arguments, table
 from comparator_cases import Case, cases
 
 import eoi_jax as eoi
-from eoi_jax.comparators import StateVariableInstruments
+from eoi_jax.comparison.methods import StateVariableInstruments
 
 LEVELS = (1e-4, 1e-3, 1e-2)  # of rms(y), output by output
 SEEDS = {1e-4: 20, 1e-3: 50, 1e-2: 20}

@@ -24,7 +24,7 @@ from common import Report, arguments, percent, table
 
 import eoi_jax as eoi
 from eoi_jax import excitation
-from eoi_jax.tuning import default_substeps
+from eoi_jax.estimation.defaults import default_substeps
 
 LEVEL = 0.95
 SAMPLES = 1500  # a dozen decay times of the pendulum and of the three masses, no more

@@ -58,9 +58,9 @@ from common import Report, arguments, table
 
 import eoi_jax as eoi
 from eoi_jax import excitation
-from eoi_jax.effects import InputDelay
-from eoi_jax.prepare import ready
-from eoi_jax.tuning import default_transient
+from eoi_jax.estimation.defaults import default_transient
+from eoi_jax.estimation.preparation import ready
+from eoi_jax.models.effects import InputDelay
 
 PLANTS = 200
 DISCOVERED = 15  # every so many plants also by `discover`

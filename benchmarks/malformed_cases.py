@@ -625,11 +625,11 @@ def jsons(good: bytes, draw: random.Random) -> Iterator[tuple[str, bytes]]:
 
 ODD = (None, True, 3, -1.5, 1e999, float("nan"), "", "x", ESCAPE, [], {}, [[]], {"a": {}}, 10**30,
        {"array": "a0"}, {"array": "none"}, {"class": "os:system", "fields": {}},
-       {"class": "eoi_jax.cli:main", "fields": {}}, {"function": "os:system"},
+       {"class": "eoi_jax.cli.commands:main", "fields": {}}, {"function": "os:system"},
        {"path": "/etc/passwd"},
        {"effect": "x:y", "name": "x", "fields": {}}, {"tuple": [1, 2]}, {"list": 3}, {"dict": []},
-       {"class": "eoi_jax.results:Status", "fields": {}},
-       {"class": "eoi_jax.results:Status", "fields": {"code": 1, "message": []}})  # fmt: skip
+       {"class": "eoi_jax._status:Status", "fields": {}},
+       {"class": "eoi_jax._status:Status", "fields": {"code": 1, "message": []}})  # fmt: skip
 
 
 def mutated(tree: object, draw: random.Random) -> object:

@@ -33,7 +33,7 @@ from common import ROOT, Report, table
 from malformed_cases import Case
 
 import eoi_jax as eoi
-from eoi_jax.checks import FigureWarning, RecordWarning
+from eoi_jax._checks import FigureWarning, RecordWarning
 
 MEMORY = 2.0e9  # [bytes] above what the process has before
 SECONDS = 60.0  # of processor time
@@ -70,12 +70,13 @@ def use(case: Case, path: Path) -> None:
     elif case.use == "data":
         read(case, path)
     elif case.use == "config":
-        from eoi_jax import config, runs
+        from eoi_jax.cli import config
+        from eoi_jax.cli import run_folder as runs
 
         runs.job(config.load(path), path.parent, None)
     else:
-        from eoi_jax.finished import export_run
-        from eoi_jax.pages import write_report
+        from eoi_jax.cli.finished import export_run
+        from eoi_jax.cli.html_report import write_report
 
         try:
             write_report(path.parent)
@@ -85,8 +86,8 @@ def use(case: Case, path: Path) -> None:
 
 def read(case: Case, path: Path) -> None:
     """Inspect a table, read its first columns, and draft a config for it."""
+    from eoi_jax.cli.template import draft
     from eoi_jax.data.readers import read_table
-    from eoi_jax.draft import draft
 
     table = read_table(path, case.max_gigabytes)
     names = list(table.columns)

@@ -21,9 +21,9 @@ import wiener_hammerstein
 from common import ROOT, Report, arguments, data_directory, percent, table
 
 import eoi_jax as eoi
-from eoi_jax import build
-from eoi_jax import config as configs
-from eoi_jax.validate import Validation, validate
+from eoi_jax.cli import build
+from eoi_jax.cli import config as configs
+from eoi_jax.simulation.validate import Validation, validate
 
 FOLDER = ROOT / "configs"
 DEGREES = np.pi / 180.0

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from measured_cases import CASES, Case
 
 import eoi_jax as eoi
-from eoi_jax.validate import Validation, validate
+from eoi_jax.simulation.validate import Validation, validate
 
 _QUICK = 6000  # samples of each record in a quick run
 

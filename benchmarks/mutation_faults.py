@@ -17,24 +17,20 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("eoi_jax", "eoi_command")
 
-# Rooms of the package: its folders, and the flat modules by subject.
+# Rooms of the package: its folders; the files at its root are the ground.
 ROOMS = {
-    "command": "eoi_command cli config build draft runs finished summaries pages",
+    "command": "eoi_command cli",
     "report": "report",
-    "discovery": "discover discovery rounds search candidates lags modes thinning projections fit "
-    "noise_model verdict confirm rivals parsimony ranking refit polish diagnose diagnosis residual "
-    "side_by_side",
-    "comparison": "compare comparators",
-    "uncertainty": "uncertainty bootstrap profile",
-    "refinement": "refine refinement output_error levenberg_marquardt multistart linearised "
-    "remaining",
-    "estimation": "identify iteration passes prepare tuning instruments pairs certainty held_out "
-    "lowpass observers regression sweep batch",
-    "simulation": "trajectory complementarity directed simulate sensitivity response validate",
-    "models": "plants along augment effects equations export",
-    "data": "data windows inspection",
-    "engines": "engines",
-    "ground": "checks types results backend store blas unfinished schema",
+    "discovery": "discovery",
+    "comparison": "comparison",
+    "uncertainty": "uncertainty",
+    "refinement": "refinement",
+    "estimation": "estimation",
+    "simulation": "simulation",
+    "models": "models",
+    "data": "data",
+    "compiler": "compiler",
+    "ground": "",
 }
 REST = "ground"
 ROOM = {name: room for room, names in ROOMS.items() for name in names.split()}

@@ -24,9 +24,9 @@ import numpy as np
 
 import eoi_jax as eoi
 from eoi_jax import comparators
-from eoi_jax.comparators import Estimate
-from eoi_jax.results import Status
-from eoi_jax.tuning import default_lowpass
+from eoi_jax._status import Status
+from eoi_jax.comparison.methods import Estimate
+from eoi_jax.estimation.defaults import default_lowpass
 
 GRAVITY = 9.81
 SUBSTEPS = 4  # steps a sample, as `eoi.refine` takes (CasADi and jax-sysid: on coarse records)

@@ -23,8 +23,8 @@ import refine_cases
 from common import Report, arguments, data_directory, percent, table
 
 import eoi_jax as eoi
-from eoi_jax.levenberg_marquardt import solve_many
-from eoi_jax.output_error import Unknowns, guessed_starts, problem_of, spans_of
+from eoi_jax.refinement.levenberg_marquardt import solve_many
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, spans_of
 
 NOISE = 1e-3  # of the simulated records, over rms(y)
 REACH = 2.0  # of the starts, in sizes of each parameter

@@ -7,7 +7,7 @@ import measured_cases
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
+from eoi_jax.models.augmented import augmented, place
 
 
 def hardening_circuit(t: Any, x: eoi.State, u: Any, p: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax.simulate import drive
+from eoi_jax.simulation.simulate import drive
 
 # Method and relative change of the cost at which to stop: scipy's own, and one nearer to ours.
 SETTINGS = (("trf", 1e-8), ("lm", 1e-8), ("trf", 1e-6), ("lm", 1e-6))

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import common
 
 import eoi_jax as eoi
-from eoi_jax.observers import SecondOrder, gains
+from eoi_jax.estimation.observers import SecondOrder, gains
 
 LANES = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000]
 SAMPLES = [1_000, 10_000, 100_000, 1_000_000, 10_000_000]

@@ -14,7 +14,7 @@ import numpy as np
 
 import eoi_jax as eoi
 from eoi_jax import comparators
-from eoi_jax.compare import common_index
+from eoi_jax.comparison.compare import common_index
 
 PERIOD, DURATION, SAMPLE = 6.0, 12.0, 1e-3  # of the square wave, of an experiment, of the clock [s]
 EXPERIMENTS = 6  # that the paper merges for the toolbox

@@ -29,11 +29,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax.engines import Lanes, Native, Scan
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import SecondOrder
-from eoi_jax.plants import pendulum
-from eoi_jax.prepare import prepare, step_inputs
+from eoi_jax.estimation.engines import Lanes, Native, Scan
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import SecondOrder
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.models.library import pendulum
 
 sys.path.insert(0, str(Path(__file__).parent))
 import common
@@ -297,8 +297,8 @@ class Plain:
 
 def plain_worker(path: str) -> None:
     """Read numbers of lanes, write seconds; the first time of each compiles."""
-    from eoi_jax.lowpass import DiscreteFilter
-    from eoi_jax.passes import Steps
+    from eoi_jax.estimation.kernel import Steps
+    from eoi_jax.estimation.lowpass import DiscreteFilter
 
     with open(path, "rb") as file:
         steps, lowpass, leaves = pickle.load(file)

@@ -34,7 +34,7 @@ from common import RESULTS, ROOT, Report, _commit
 from undeclared_tables import Answer, Row
 
 import eoi_jax as eoi
-from eoi_jax.plants.level_tank import square_root
+from eoi_jax.models.library.level_tank import square_root
 
 NOISES = (0.0, 1e-4, 1e-3, 1e-2, 5e-2)
 LOOPS = ("open", "feedback")

@@ -1,7 +1,7 @@
 """The command ``eoi``: what may be asked, and how the answer is shown.
 
 A package of its own, for importing any part of `eoi_jax` imports JAX, and neither help nor a shell
-that completes a word should wait for that. What a command does is in `eoi_jax.cli`.
+that completes a word should wait for that. What a command does is in `eoi_jax.cli.commands`.
 """
 
 import contextlib

@@ -47,10 +47,10 @@ def _examples(*lines: tuple[str, str]) -> str:
 
 
 def _answer(as_json: bool, quiet: bool, work: Callable[[Any, Shown | None], Any]) -> None:
-    """Do a command's work, given `eoi_jax.cli` and what shows its progress, and show its end."""
+    """Do a command's work, given `eoi_jax.cli.commands` and what shows progress; show its end."""
     with failures(as_json):
         with progress(not quiet) as shown:
-            from eoi_jax import cli
+            from eoi_jax.cli import commands as cli
 
             ending = work(cli, shown)
         show(ending, as_json, quiet)
@@ -157,7 +157,7 @@ def sweep(
 ) -> None:
     """Try many gains, filters, starts and resamples; interrupted, the same command goes on."""
     with failures(as_json):
-        from eoi_jax import cli
+        from eoi_jax.cli import commands as cli
 
         with heard():
             ending = cli.sweep(config, data, output, part, not quiet and sys.stderr.isatty())
@@ -219,7 +219,7 @@ def report(
 ) -> None:
     """Make the report of a run anew: one HTML page, from the run's folder alone."""
     with failures(as_json):
-        from eoi_jax import cli
+        from eoi_jax.cli import commands as cli
 
         ending = cli.report(run)
         show(ending, as_json, quiet)
@@ -253,7 +253,7 @@ def export(
 ) -> None:
     """Write the model of a run, with the effects that were found, for another tool."""
     with failures(as_json):
-        from eoi_jax import cli
+        from eoi_jax.cli import commands as cli
 
         ending = cli.export(run, language, output, trust)
         show(ending, as_json, quiet)

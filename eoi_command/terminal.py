@@ -122,7 +122,7 @@ def _leave(as_json: bool) -> None:
     with contextlib.suppress(Exception):  # the terminal may be closed
         for bar in _BARS:
             bar.stop()
-    unfinished = sys.modules.get("eoi_jax.unfinished")
+    unfinished = sys.modules.get("eoi_jax._atomic")
     if unfinished is not None and hasattr(unfinished, "tidy"):
         unfinished.tidy()
     with contextlib.suppress(typer.Exit):

@@ -23,17 +23,17 @@ if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
 _REPOSITORY = Path(__file__).resolve().parents[1]
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
 # would take longer than all else.
-_SCALAR = {"scalars", "jaxprs", "lane_program", "llvm_text", "machine_code", "one_vector"}
+_SCALAR = {"graph", "trace", "loop", "llvm", "instructions", "one_vector"}
 _MODULES = [
     ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
     for path in (_REPOSITORY / "eoi_jax").rglob("*.py")
-    # `stored` checks shapes itself, across calls; the hook would give each a context of its own.
-    if path.stem not in {"__init__", "stored", *_SCALAR}
+    # It checks shapes itself, across calls; the hook would give each call a context of its own.
+    if path.stem not in {"__init__", "stored_classes", *_SCALAR}
 ]
 
 with install_import_hook(_MODULES, "beartype.beartype"):
     import eoi_jax  # noqa: F401
-    from eoi_jax.backend import configure
+    from eoi_jax._jax_setup import configure
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", RuntimeWarning)  # the backend may run already under plugins
@@ -42,7 +42,7 @@ with warnings.catch_warnings():
 
 def pytest_configure(config: pytest.Config) -> None:
     """A record that was changed says so; named here, for pytest would import it before the hook."""
-    config.addinivalue_line("filterwarnings", "default::eoi_jax.checks.RecordWarning")
+    config.addinivalue_line("filterwarnings", "default::eoi_jax._checks.RecordWarning")
 
 
 @pytest.fixture(autouse=True)

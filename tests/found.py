@@ -6,8 +6,8 @@ import numpy as np
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.discovery import Added, Discovery, Evidence
+from eoi_jax.discovery.result import Added, Discovery, Evidence
+from eoi_jax.models.augmented import augmented, place
 
 
 def mass_on_spring(t, x, u, p):

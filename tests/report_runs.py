@@ -7,9 +7,11 @@ import numpy as np
 from found import DECLARED, HELD_OUT, discovery, record
 
 import eoi_jax as eoi
-from eoi_jax import config as configs
-from eoi_jax import pages, runs, summaries
-from eoi_jax.drafts import write_folder
+from eoi_jax._atomic import write_folder
+from eoi_jax.cli import config as configs
+from eoi_jax.cli import html_report as pages
+from eoi_jax.cli import run_folder as runs
+from eoi_jax.cli import summary as summaries
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "hidden_friction.toml"
 HOSTILE = "<script>hacked=1</script>"

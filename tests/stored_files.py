@@ -17,9 +17,9 @@ import control
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax.augment import augmented, place
 from eoi_jax.data.saturation import Saturation
-from eoi_jax.store import save
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.storage import save
 
 NOISE = 1e-4
 LIBRARY = (

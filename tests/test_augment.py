@@ -7,8 +7,8 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, own_states, place, unit
-from eoi_jax.effects.effect import AbstractTerm, Parameter
+from eoi_jax.models.augmented import augmented, own_states, place, unit
+from eoi_jax.models.effects.effect import AbstractTerm, Parameter
 
 
 def spring(t, x, u, p):

@@ -35,7 +35,7 @@ import eoi_jax
 after = dict(jax.config.values)
 assert before == {key: after[key] for key in before}, "jax.config"
 assert os.environ.get("XLA_FLAGS") == flags, "XLA_FLAGS"
-from eoi_jax.jax_private import backend_runs
+from eoi_jax._jax_private import backend_runs
 assert not backend_runs(), "backend"
 """
     assert fresh(code) == ("", "")
@@ -130,8 +130,8 @@ import numpy as np
 import eoi_jax as eoi
 eoi.configure(cache=False, devices=2)
 import jax
-from eoi_jax.engines import Scan
-from eoi_jax.observers import SecondOrder, gains
+from eoi_jax.estimation.engines import Scan
+from eoi_jax.estimation.observers import SecondOrder, gains
 assert len(jax.devices()) == 2
 plant = eoi.plants.mass_spring_damper(true=True)
 t = 4e-3 * np.arange(600)

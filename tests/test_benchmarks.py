@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.validate import validate
+from eoi_jax.simulation.validate import validate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import common  # pyright: ignore[reportMissingImports]
@@ -103,7 +103,7 @@ def test_explicit_form_stops_at_the_chatter_that_its_gains_predict():
 
 
 def _read(name: str, folder: Path) -> tuple[eoi.Plant, list, list]:
-    from eoi_jax import build, config
+    from eoi_jax.cli import build, config
 
     configs = common.ROOT / "configs"
     settings = config.load(configs / f"{name}.toml")

@@ -7,7 +7,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import eoi_jax as eoi
-from eoi_jax.blas import one_thread
+from eoi_jax._blas import one_thread
 
 
 class EnoughError(Exception):

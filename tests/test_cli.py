@@ -13,11 +13,14 @@ import typer
 from typer.testing import CliRunner
 
 from eoi_command.commands import app
-from eoi_jax import backend, build, cli, drafts
-from eoi_jax import config as configs
+from eoi_jax import _atomic as drafts
+from eoi_jax import _jax_setup as backend
+from eoi_jax._atomic import write_folder
+from eoi_jax._status import Status
+from eoi_jax.cli import build
+from eoi_jax.cli import commands as cli
+from eoi_jax.cli import config as configs
 from eoi_jax.data.record import Record
-from eoi_jax.drafts import write_folder
-from eoi_jax.results import Status
 
 SHORT = """
 name = "short"

@@ -11,9 +11,12 @@ from typer.testing import CliRunner
 
 import eoi_jax as eoi
 from eoi_command.commands import app
-from eoi_jax import backend, build, cli, runs
-from eoi_jax import config as configs
-from eoi_jax.equations.display import equation_lines
+from eoi_jax import _jax_setup as backend
+from eoi_jax.cli import build
+from eoi_jax.cli import commands as cli
+from eoi_jax.cli import config as configs
+from eoi_jax.cli import run_folder as runs
+from eoi_jax.models.equations.display import equation_lines
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 

@@ -12,8 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 from eoi_command.commands import app
-from eoi_jax import backend, cli
-from eoi_jax.results import Status
+from eoi_jax import _jax_setup as backend
+from eoi_jax._status import Status
+from eoi_jax.cli import commands as cli
 
 SHORT = """
 name = "short"

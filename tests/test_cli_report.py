@@ -11,8 +11,8 @@ from test_report_discovery import Jerk
 from typer.testing import CliRunner
 
 from eoi_command.commands import app
-from eoi_jax import pages
-from eoi_jax.discovery import Added
+from eoi_jax.cli import html_report as pages
+from eoi_jax.discovery.result import Added
 
 
 def eoi_command(*arguments: object):

@@ -13,11 +13,13 @@ from typer.testing import CliRunner
 
 import eoi_jax as eoi
 from eoi_command.commands import app
-from eoi_jax import backend, build, cli
-from eoi_jax import config as configs
-from eoi_jax.engines import Scan
+from eoi_jax import _jax_setup as backend
+from eoi_jax.cli import build
+from eoi_jax.cli import commands as cli
+from eoi_jax.cli import config as configs
+from eoi_jax.estimation.engines import Scan
+from eoi_jax.estimation.sweep.sweep import sweep
 from eoi_jax.report.sweep import sweep_figure
-from eoi_jax.sweep import sweep
 
 SMALL = """
 name = "small"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eoi_jax.regression.combinations import _product, in_weights, told
+from eoi_jax.estimation.regression.combinations import _product, in_weights, told
 
 THETA = np.asarray([3.7, 0.21, 58.0, -1.3])
 NAMES = ("a", "b", "c", "d")

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from eoi_command.commands import app
 from eoi_command.options import complete_config, complete_data
 from eoi_command.terminal import progress, say
-from eoi_jax import cli
+from eoi_jax.cli import commands as cli
 
 START = [sys.executable, "-c", "from eoi_command import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -326,7 +326,7 @@ def test_inspect_tells_what_is_in_a_file_and_draws_it(tmp_path: Path):
 def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("EOI_DATA", raising=False)
-    monkeypatch.setattr("eoi_jax.backend.configure", lambda: None)
+    monkeypatch.setattr("eoi_jax._jax_setup.configure", lambda: None)
     motor(tmp_path / "motor.csv")
     done = CliRunner().invoke(app, ["init", "motor.csv"])
     assert done.exit_code == 0, done.output

@@ -5,8 +5,8 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import comparators
-from eoi_jax.compare import common_index
-from eoi_jax.results import Status
+from eoi_jax._status import Status
+from eoi_jax.comparison.compare import common_index
 
 TIME = np.arange(0.0, 12.0, 2e-3)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import compilation
-from eoi_jax.compilation import fingerprint, jit
+from eoi_jax import _compilation as compilation
+from eoi_jax._compilation import fingerprint, jit
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from eoi_jax import build, config, observers
+from eoi_jax import observers
+from eoi_jax.cli import build, config
 from eoi_jax.data.record import Record
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from eoi_jax import build, config
-from eoi_jax.identify import identify
+from eoi_jax.cli import build, config
+from eoi_jax.estimation.identify import identify
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 SAMPLES = 12_000

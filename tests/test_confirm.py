@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from eoi_jax import Plant, Record, discover, validate
-from eoi_jax.confirm import beyond_noise
-from eoi_jax.results import Status
+from eoi_jax._status import Status
+from eoi_jax.discovery.confirm import beyond_noise
 from tests import problems
 
 H, NOISE = 5e-3, 2e-4
@@ -51,7 +51,7 @@ def test_free_runs_beyond_the_noise_are_told(records):
 def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(
     records, monkeypatch, refine
 ):
-    module = importlib.import_module("eoi_jax.discover")
+    module = importlib.import_module("eoi_jax.discovery.discover")
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
     monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "_polished", lambda _, found, __: found)

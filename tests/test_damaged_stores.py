@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.batch.marks import digest
-from eoi_jax.checks import StoreWarning
+from eoi_jax._checks import StoreWarning
+from eoi_jax.estimation.sweep.marks import digest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import damaged_stores as campaign  # pyright: ignore[reportMissingImports]
@@ -82,7 +82,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import damaged_stores as campaign
-from eoi_jax.batch import store
+from eoi_jax.estimation.sweep import store
 
 def kill(*_): os.kill(os.getpid(), signal.SIGKILL)
 

@@ -11,12 +11,12 @@ from scipy.signal import butter, sosfilt
 
 import eoi_jax as eoi
 from eoi_jax.data.saturation import saturations
-from eoi_jax.diagnose import diagnose
-from eoi_jax.diagnosis import Diagnosis
-from eoi_jax.regression.coloured import ljung_box, prediction_from, whitened
+from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.diagnosis import Diagnosis
+from eoi_jax.discovery.residual import views_of
+from eoi_jax.estimation.regression.coloured import ljung_box, prediction_from, whitened
 from eoi_jax.report.diagnosis import findings
 from eoi_jax.report.health import health
-from eoi_jax.residual import views_of
 
 TRUE = {"k": 900.0, "d": 12.0, "b": 50.0}
 NOMINAL = {"k": 800.0, "d": 10.0, "b": 40.0}

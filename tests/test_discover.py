@@ -10,14 +10,14 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.candidates import Atom
-from eoi_jax.discovery import Added
-from eoi_jax.effects.effect import AbstractTerm, Parameter
-from eoi_jax.fit import Base, Fit
-from eoi_jax.rivals import akin, ambiguous
-from eoi_jax.rounds import Round
-from eoi_jax.search import Search
+from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.regression import Base, Fit
+from eoi_jax.discovery.result import Added
+from eoi_jax.discovery.rivals import akin, ambiguous
+from eoi_jax.discovery.round import Round
+from eoi_jax.discovery.search import Search
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects.effect import AbstractTerm, Parameter
 
 mpl.use("Agg")
 
@@ -699,7 +699,7 @@ def test_an_effect_of_unknown_size_is_said(errors, told):
         effects.Overflow(), "level", dict(zip(names, (1.0, -2.0), strict=True)),
         dict(zip(names, errors, strict=True)), "an overflow",
     )  # fmt: skip
-    notes = import_module("eoi_jax.discover")._vague([one])
+    notes = import_module("eoi_jax.discovery.discover")._vague([one])
     assert len(notes) == told
     assert all("overflow" in note and "half" in note for note in notes)
 

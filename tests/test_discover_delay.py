@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.lags import lags
-from eoi_jax.modes import model_rows, stretch
-from eoi_jax.noise_model import fitted_power, local_power
+from eoi_jax.discovery.cosine_modes import model_rows, stretch
+from eoi_jax.discovery.lags import lags
+from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
 
 PERIOD, FINE = 5e-3, 5
 

@@ -11,12 +11,12 @@ from problems import noisy, stiff_response
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.confirm import as_good
-from eoi_jax.equations.display import equation_latex, equation_text
-from eoi_jax.linearised import Along
-from eoi_jax.output_error import spans_of
-from eoi_jax.plants.plant import State
+from eoi_jax.discovery.confirm import as_good
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.equations.display import equation_latex, equation_text
+from eoi_jax.models.plant import State
+from eoi_jax.refinement.problem import spans_of
+from eoi_jax.refinement.score_test import Along
 from eoi_jax.report.discovery import candidate_rows, phrase
 
 mpl.use("Agg")

@@ -8,7 +8,7 @@ from problems import noisy
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.equations.display import equation_latex, equation_text
+from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.report.discovery import phrase
 
 mpl.use("Agg")

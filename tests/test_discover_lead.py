@@ -8,7 +8,7 @@ import pytest
 from report_runs import job
 
 import eoi_jax as eoi
-from eoi_jax import summaries
+from eoi_jax.cli import summary as summaries
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import lead
 

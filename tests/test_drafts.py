@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from eoi_jax import drafts
-from eoi_jax.drafts import make_draft, sweep_up, write_file, write_files, write_folder
+from eoi_jax import _atomic as drafts
+from eoi_jax._atomic import make_draft, sweep_up, write_file, write_files, write_folder
 
 
 def put(text: str):
@@ -110,7 +110,7 @@ def test_files_beside_others_come_one_by_one_and_the_last_one_last(tmp_path: Pat
 
 def test_what_a_living_process_writes_is_left_alone(tmp_path: Path):
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom eoi_jax.drafts import write_file\n"
+        "import sys, time\nfrom pathlib import Path\nfrom eoi_jax._atomic import write_file\n"
         "def fill(new):\n    new.write_text('x')\n    print('writes', flush=True)\n    input()\n"
         "write_file(Path(sys.argv[1]), fill)"
     )

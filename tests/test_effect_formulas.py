@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eoi_jax import effects
-from eoi_jax.effects.effect import (
+from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
@@ -17,7 +17,7 @@ from eoi_jax.effects.effect import (
     AbstractTerm,
     At,
 )
-from eoi_jax.effects.products import ModulatedSinusoid, Product
+from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 
 ALL = (*effects.standard(), *effects.rare(), effects.Drift(start=2.5))
 TERMS = [one for one in ALL if isinstance(one, AbstractTerm)]

@@ -10,10 +10,13 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import Placed, augmented, place, unit
-from eoi_jax.candidates import atoms
-from eoi_jax.compilation import jit
-from eoi_jax.effects.effect import (
+from eoi_jax._compilation import jit
+from eoi_jax.discovery.candidates import atoms
+from eoi_jax.discovery.cosine_modes import stretch
+from eoi_jax.discovery.regression import fitted
+from eoi_jax.discovery.round import base_of
+from eoi_jax.models.augmented import Placed, augmented, place, unit
+from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
@@ -22,10 +25,7 @@ from eoi_jax.effects.effect import (
     At,
     Seen,
 )
-from eoi_jax.fit import fitted
-from eoi_jax.modes import stretch
-from eoi_jax.placements import placements
-from eoi_jax.rounds import base_of
+from eoi_jax.models.placements import placements
 
 # Gravity in degrees is checked against that in radians: its grid is empty over a few degrees.
 EFFECTS = (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.held_out import INITIAL, _common, check_runs, held_out
+from eoi_jax.estimation.holdout import INITIAL, _common, check_runs, held_out
 
 TIME = 0.01 * np.arange(1000)
 

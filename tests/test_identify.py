@@ -22,22 +22,28 @@ from problems import (
 )
 from scipy.integrate import solve_ivp
 
+from eoi_jax._jax_private import Tracer
 from eoi_jax.data.record import Record
-from eoi_jax.identify import Identification, estimate
-from eoi_jax.identify import identify as identify_by_default
-from eoi_jax.jax_private import Tracer
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder, SuperTwisting
-from eoi_jax.plants import (
+from eoi_jax.estimation.identify import Identification, estimate
+from eoi_jax.estimation.identify import identify as identify_by_default
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import (
+    FirstOrder,
+    HighOrder,
+    PerOutput,
+    SecondOrder,
+    SuperTwisting,
+)
+from eoi_jax.estimation.preparation import ready
+from eoi_jax.models.library import (
     Plant,
     level_tank,
     mass_spring_damper,
     pendulum,
     three_mass_spring_damper,
 )
-from eoi_jax.prepare import ready
-from eoi_jax.simulate import simulate
-from eoi_jax.uncertainty import uncertainty
+from eoi_jax.simulation.simulate import simulate
+from eoi_jax.uncertainty.uncertainty import uncertainty
 
 H = 2e-3
 SAMPLES = 2001
@@ -358,7 +364,7 @@ def test_injection_and_residual_are_nan_where_nothing_is_scored(swung):
 
 def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung):
     """Then passes in between store nothing, and the best one is run once more."""
-    monkeypatch.setattr(import_module("eoi_jax.identify"), "_SHORT", 0)
+    monkeypatch.setattr(import_module("eoi_jax.estimation.identify"), "_SHORT", 0)
     got, want = identify(NOMINAL, swung.record, OBSERVER, LOWPASS), swung.got
     assert want.best_pass > 0
     for name in ("index", "injection", "first_injection", "residual", "covariance", "information"):
@@ -370,7 +376,9 @@ def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung
 
 def test_a_regressor_without_bound_where_nothing_is_scored_costs_no_standard_error():
     weights = np.array([[0.0, 1.0, 2.0]]).T
-    got = import_module("eoi_jax.identify")._counted(weights, np.array([[np.inf, 3.0, np.nan]]).T)
+    got = import_module("eoi_jax.estimation.identify")._counted(
+        weights, np.array([[np.inf, 3.0, np.nan]]).T
+    )
     np.testing.assert_array_equal(got[:, 0], [0.0, 3.0, np.nan])  # where it counts it stays
 
 
@@ -685,7 +693,7 @@ def test_wrong_calls_name_field_rule_and_value(change, message):
 
 def test_errors_are_worked_out_once_and_where_somebody_asks(monkeypatch):
     """An estimate is often but the start of another one."""
-    module, calls = import_module("eoi_jax.identify"), []
+    module, calls = import_module("eoi_jax.estimation.identify"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
     result = identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
@@ -697,7 +705,7 @@ def test_errors_are_worked_out_once_and_where_somebody_asks(monkeypatch):
 
 
 def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
-    module, calls = import_module("eoi_jax.identify"), []
+    module, calls = import_module("eoi_jax.estimation.identify"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
     monkeypatch.setattr(module, "_KEPT", 100)

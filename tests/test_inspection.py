@@ -10,11 +10,11 @@ import pytest
 from scipy.io import savemat
 
 import eoi_jax as eoi
-from eoi_jax import build
-from eoi_jax import config as configs
-from eoi_jax.checks import RecordWarning
-from eoi_jax.draft import checked, draft
-from eoi_jax.inspection import Inspection, _band, inspect
+from eoi_jax._checks import RecordWarning
+from eoi_jax.cli import build
+from eoi_jax.cli import config as configs
+from eoi_jax.cli.template import checked, draft
+from eoi_jax.data.inspection import Inspection, _band, inspect
 
 N = 600
 H = 0.01

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from problems import grid
 
-from eoi_jax import instruments as module
-from eoi_jax import pairs
 from eoi_jax.data.record import Record
-from eoi_jax.directed import directed, turn
-from eoi_jax.identify import identify
-from eoi_jax.instruments import noise_in_residual
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import SecondOrder
-from eoi_jax.pairs import Simulated, run_pairs, together
-from eoi_jax.plants import Plant, mass_spring_damper, pendulum
-from eoi_jax.plants.plant import State
-from eoi_jax.prepare import prepare, ready, step_inputs
-from eoi_jax.regression.instrumental import instrumental_variables, within_bounds
-from eoi_jax.simulate import simulate
-from eoi_jax.uncertainty import uncertainty
+from eoi_jax.estimation import instrument_kernel as pairs
+from eoi_jax.estimation import instrumental_variables as module
+from eoi_jax.estimation.identify import identify
+from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, together
+from eoi_jax.estimation.instrumental_variables import noise_in_residual
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import SecondOrder
+from eoi_jax.estimation.preparation import prepare, ready, step_inputs
+from eoi_jax.estimation.regression.instrumental import instrumental_variables, within_bounds
+from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
+from eoi_jax.models.plant import State
+from eoi_jax.simulation.known_direction import directed, turn
+from eoi_jax.simulation.simulate import simulate
+from eoi_jax.uncertainty.uncertainty import uncertainty
 
 H = 2e-3
 TRUTH = mass_spring_damper(true=True)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from eoi_jax.data.record import Record
-from eoi_jax.lowpass import LowPass
-from eoi_jax.modes import integrated
-from eoi_jax.observers import FirstOrder
-from eoi_jax.passes import run_pass
-from eoi_jax.plants import Plant
-from eoi_jax.prepare import prepare, step_inputs
-from eoi_jax.simulate import simulate
+from eoi_jax.discovery.cosine_modes import integrated
+from eoi_jax.estimation.kernel import run_pass
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import FirstOrder
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.models.library import Plant
+from eoi_jax.simulation.simulate import simulate
 
 DURATION = 2.0
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import integrate, stats
 
 import eoi_jax as eoi
-from eoi_jax.lags import Peak, strongest
+from eoi_jax.discovery.lags import Peak, strongest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 invariances = importlib.import_module("invariances")

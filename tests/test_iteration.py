@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import eoi_jax as eoi
-from eoi_jax.iteration import _solve, iterate
-from eoi_jax.passes import Sums
+from eoi_jax.estimation.iteration import _solve, iterate
+from eoi_jax.estimation.kernel import Sums
 
 PLANT = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0] + p.b * u, {"k": 1.0, "b": 2.0}, 1)
 

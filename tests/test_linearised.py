@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.linearised import Along, _stages
-from eoi_jax.output_error import problem_of, spans_of
+from eoi_jax.refinement.problem import problem_of, spans_of
+from eoi_jax.refinement.score_test import Along, _stages
 
 
 @pytest.mark.parametrize("outputs", [1, 2])

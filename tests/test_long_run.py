@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from eoi_jax.regression.long_run import correlation_time, long_run
-from eoi_jax.uncertainty import student
+from eoi_jax.estimation.regression.long_run import correlation_time, long_run
+from eoi_jax.uncertainty.uncertainty import student
 
 TRIALS = 600
 SIGMA = np.sqrt(0.95 * 0.05 / TRIALS)

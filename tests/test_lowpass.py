@@ -9,7 +9,7 @@ import pytest
 from problems import grid, lag_step_response
 from scipy import signal
 
-from eoi_jax.lowpass import LowPass
+from eoi_jax.estimation.lowpass import LowPass
 
 ORDERS = range(1, 7)
 

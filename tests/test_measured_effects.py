@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.validate import validate
+from eoi_jax.simulation.validate import validate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import measured_cases  # pyright: ignore[reportMissingImports]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.modes import (
+from eoi_jax.discovery.cosine_modes import (
     Stretch,
     averaged,
     averaging,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import multistart
-from eoi_jax.multistart import _standard_steps, _varied, best
-from eoi_jax.output_error import (
+from eoi_jax.refinement import multistart
+from eoi_jax.refinement.multistart import _standard_steps, _varied, best
+from eoi_jax.refinement.problem import (
     Unknowns,
     guessed_starts,
     problem_of,
@@ -17,7 +17,7 @@ from eoi_jax.output_error import (
     spans_of,
     weighed,
 )
-from eoi_jax.refine import _rougher
+from eoi_jax.refinement.refine import _rougher
 
 PERIOD, NOISE = 0.02, 1e-3
 
@@ -187,7 +187,7 @@ def test_one_step_a_sample_is_not_made_longer():
 
 
 def test_points_take_their_first_steps_in_longer_ones_and_end_in_short_ones(problem, monkeypatch):
-    from eoi_jax import levenberg_marquardt
+    from eoi_jax.refinement import levenberg_marquardt
 
     runs, unknowns = problem
     rough, seen, solve_many = replace(runs), [], levenberg_marquardt.solve_many

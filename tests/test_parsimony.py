@@ -9,14 +9,14 @@ from problems import noisy, stiff_response
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.identify import estimate
-from eoi_jax.prepare import ready
-from eoi_jax.refit import free_runs
-from eoi_jax.rounds import Round, Task
+from eoi_jax.discovery.refit import free_runs
+from eoi_jax.discovery.round import Round, Task
+from eoi_jax.estimation.identify import estimate
+from eoi_jax.estimation.preparation import ready
+from eoi_jax.models.augmented import augmented, place
 
 STEP, DRY = 4e-3, np.array([0.8, 0.5])
-discovery = importlib.import_module("eoi_jax.discover")
+discovery = importlib.import_module("eoi_jax.discovery.discover")
 
 
 def carts(t, x, u, p):

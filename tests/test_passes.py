@@ -19,12 +19,12 @@ from problems import (
 from scipy.signal import cont2discrete
 
 from eoi_jax.data.record import Record
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import FirstOrder, SecondOrder
-from eoi_jax.passes import run_pass
-from eoi_jax.plants import Plant, level_tank, mass_spring_damper
-from eoi_jax.prepare import prepare, step_inputs
-from eoi_jax.regression import least_squares, recursive_least_squares
+from eoi_jax.estimation.kernel import run_pass
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import FirstOrder, SecondOrder
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.regression import least_squares, recursive_least_squares
+from eoi_jax.models.library import Plant, level_tank, mass_spring_damper
 
 TRUE = mass_spring_damper(true=True).parameters
 NOMINAL = mass_spring_damper()

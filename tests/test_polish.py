@@ -7,9 +7,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.polish import polished
-from eoi_jax.validate import whole_and_windows
+from eoi_jax.discovery.refined import polished
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.simulation.validate import whole_and_windows
 
 TIME = np.arange(6001) * 5e-3
 NOISE = 1e-2  # of the output's spread

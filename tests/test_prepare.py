@@ -5,9 +5,9 @@ import pytest
 from problems import SWAY, grid
 
 from eoi_jax.data.record import Record
-from eoi_jax.plants import Plant, mass_spring_damper, pendulum
-from eoi_jax.plants.check_records import check_records
-from eoi_jax.prepare import moving, prepare, step_inputs
+from eoi_jax.estimation.preparation import moving, prepare, step_inputs
+from eoi_jax.models.check_records import check_records
+from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
 
 H = 0.01
 ROUGH, SMOOTH = pendulum(), mass_spring_damper()

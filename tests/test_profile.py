@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.profile import Profile
-from eoi_jax.refinement import Refinement
+from eoi_jax._status import Status
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.estimate_figures import profile_figure
-from eoi_jax.results import Status
+from eoi_jax.uncertainty.profile_likelihood import Profile
 
 PERIOD, COUNT, NOISE = 0.02, 1000, 1e-3
 TIME = np.arange(COUNT) * PERIOD

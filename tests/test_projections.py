@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from eoi_jax.augment import place
-from eoi_jax.candidates import Atom
-from eoi_jax.effects import AsymmetricFriction, LinearStiffness
-from eoi_jax.plants import pendulum
-from eoi_jax.projections import Terms
+from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.screening import Terms
+from eoi_jax.models.augmented import place
+from eoi_jax.models.effects import AsymmetricFriction, LinearStiffness
+from eoi_jax.models.library import pendulum
 
 ROWS = 200
 

@@ -9,11 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
-from eoi_jax import effects, output_error
-from eoi_jax.augment import augmented, place
-from eoi_jax.checks import RecordWarning
-from eoi_jax.multistart import _varied, points_of
-from eoi_jax.output_error import (
+from eoi_jax import effects
+from eoi_jax._checks import RecordWarning
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement import problem as output_error
+from eoi_jax.refinement.multistart import _varied, points_of
+from eoi_jax.refinement.problem import (
     Unknowns,
     guessed_starts,
     problem_of,
@@ -21,7 +22,7 @@ from eoi_jax.output_error import (
     spans_of,
     used_window,
 )
-from eoi_jax.refine import _typical, refine
+from eoi_jax.refinement.refine import _typical, refine
 
 PERIOD = 5e-3
 TIME = np.arange(1001) * PERIOD
@@ -210,7 +211,7 @@ def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
 
 def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(monkeypatch):
     """All do as long as they are told so: the search begins where the fit has ended."""
-    module, asked = importlib.import_module("eoi_jax.refine"), []
+    module, asked = importlib.import_module("eoi_jax.refinement.refine"), []
     record, start = run(OSCILLATOR, [0.02, -0.1]), OSCILLATOR.with_parameters({"damping": 0.6})
 
     def best(problem, rough, unknowns, points, rounds):
@@ -346,7 +347,7 @@ def test_weights_that_did_not_settle_are_said(monkeypatch):
     struck = np.random.default_rng(1).random(len(record)) < 0.05
     outputs = record.outputs + 1e-2 * struck[:, None]
     spoilt = eoi.Record(record.time, record.inputs, outputs, hold="linear")
-    monkeypatch.setattr(importlib.import_module("eoi_jax.refine"), "_ROUNDS", 0)
+    monkeypatch.setattr(importlib.import_module("eoi_jax.refinement.refine"), "_ROUNDS", 0)
     (note,) = refine(OSCILLATOR, spoilt, huber=1.345).notes
     # From the spread of the struck samples to that of the others, which is a hundredth.
     assert "the weights of the outputs still changed by" in note

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.identify import estimate
-from eoi_jax.prepare import ready
-from eoi_jax.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
-from eoi_jax.rounds import Task
+from eoi_jax.discovery.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
+from eoi_jax.discovery.round import Task
+from eoi_jax.estimation.identify import estimate
+from eoi_jax.estimation.preparation import ready
 
 TRUTH = {"stiffness": 20.0, "damping": 0.8, "gain": 2.0}
 

@@ -8,11 +8,11 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.linearised import Candidate
-from eoi_jax.refine import refine
-from eoi_jax.remaining import Remaining, remaining
-from eoi_jax.results import Status
+from eoi_jax._status import Status
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement.refine import refine
+from eoi_jax.refinement.remaining import Remaining, remaining
+from eoi_jax.refinement.score_test import Candidate
 
 PERIOD = 5e-3
 TIME = np.arange(4001) * PERIOD

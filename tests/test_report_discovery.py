@@ -9,14 +9,14 @@ from found import DECLARED, HELD_OUT, HIDDEN, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects, plants
-from eoi_jax.diagnose import diagnose
-from eoi_jax.discovery import Added
-from eoi_jax.equations.display import equation_latex, equation_text
-from eoi_jax.equations.printer import name_latex
+from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.result import Added
+from eoi_jax.models.equations.display import equation_latex, equation_text
+from eoi_jax.models.equations.printer import name_latex
+from eoi_jax.models.storage import save
 from eoi_jax.report import discovery_figures, tables
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import answer, discovery_text
-from eoi_jax.store import save
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.plants.plant import State
-from eoi_jax.response import response_of
-from eoi_jax.simulate import drive, free_run
-from eoi_jax.trajectory import frictional
+from eoi_jax.models.plant import State
+from eoi_jax.simulation.integrator import frictional
+from eoi_jax.simulation.linear_response import response_of
+from eoi_jax.simulation.simulate import drive, free_run
 
 PERIOD, SAMPLES = 0.01, 400
 TIME = np.arange(SAMPLES + 1) * PERIOD

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import effects, rounds
-from eoi_jax.augment import place
-from eoi_jax.candidates import Atom
-from eoi_jax.fit import Fit
-from eoi_jax.modes import Stretch, stretch
-from eoi_jax.noise_model import known_power
-from eoi_jax.rounds import in_step, read_friction
+from eoi_jax import effects
+from eoi_jax.discovery import round as rounds
+from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.cosine_modes import Stretch, stretch
+from eoi_jax.discovery.noise_spectrum import known_power
+from eoi_jax.discovery.regression import Fit
+from eoi_jax.discovery.round import in_step, read_friction
+from eoi_jax.models.augmented import place
 
 TIME = np.arange(0.0, 40.0, 0.01)
 

@@ -9,14 +9,22 @@ from scipy.stats import chi2
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import Placed
-from eoi_jax.candidates import Atom, atoms, seen_at
-from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base, Fit, Span, fitted, refined, solve, within_bounds
-from eoi_jax.modes import stretch
-from eoi_jax.noise_model import fitted_power, known_power, local_power
-from eoi_jax.placements import placements
-from eoi_jax.search import Search, _span
+from eoi_jax.discovery.candidates import Atom, atoms, seen_at
+from eoi_jax.discovery.cosine_modes import stretch
+from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
+from eoi_jax.discovery.regression import (
+    Base,
+    Fit,
+    Span,
+    fitted,
+    refined,
+    solve,
+    within_bounds,
+)
+from eoi_jax.discovery.search import Search, _span
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.placements import placements
 
 ROWS = 600
 NOISE = 0.1  # of each row, standard deviation

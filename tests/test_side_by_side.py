@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.side_by_side import aside, each, waits
+from eoi_jax.discovery.side_by_side import aside, each, waits
 
 
 def arm(t, x, u, p):

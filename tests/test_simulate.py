@@ -7,8 +7,8 @@ import pytest
 from problems import stiff_response
 from scipy.integrate import solve_ivp
 
-from eoi_jax.compilation import jit
-from eoi_jax.plants import (
+from eoi_jax._compilation import jit
+from eoi_jax.models.library import (
     Plant,
     State,
     cascaded_tanks,
@@ -16,8 +16,15 @@ from eoi_jax.plants import (
     pendulum,
     three_mass_spring_damper,
 )
-from eoi_jax.simulate import drive, free_run, simulate
-from eoi_jax.trajectory import REACHES, Drive, _first_zero, chained, frictional, trajectory
+from eoi_jax.simulation.integrator import (
+    REACHES,
+    Drive,
+    _first_zero,
+    chained,
+    frictional,
+    trajectory,
+)
+from eoi_jax.simulation.simulate import drive, free_run, simulate
 
 
 def block_dynamics(t, x, u, p):

@@ -10,15 +10,15 @@ from scipy.stats import chi2, norm
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import Placed
-from eoi_jax.candidates import Atom
-from eoi_jax.confirm import as_good, confirmed, holds, only_short
-from eoi_jax.effects.effect import AbstractEffect
-from eoi_jax.fit import Base
-from eoi_jax.search import Search
-from eoi_jax.sensitivity import added_up
-from eoi_jax.validate import FreeRuns
-from eoi_jax.windows import plan
+from eoi_jax.data.windows import plan
+from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.confirm import as_good, confirmed, holds, only_short
+from eoi_jax.discovery.regression import Base
+from eoi_jax.discovery.search import Search
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.simulation.sensitivity import added_up
+from eoi_jax.simulation.validate import FreeRuns
 
 ROWS = 600
 

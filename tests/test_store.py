@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.augment import augmented, place
-from eoi_jax.store import _Arrays, _encode
-from eoi_jax.stored import CLASSES, FUNCTIONS, class_named, function_named, tag_of
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.storage import _Arrays, _encode
+from eoi_jax.models.stored_classes import CLASSES, FUNCTIONS, class_named, function_named, tag_of
 
 FORMER = Path(__file__).parent / "stored" / "format_3"
 
@@ -249,7 +249,7 @@ def test_an_unwritable_place_leaves_nothing(result, tmp_path):
 
 
 def test_jax_arrays_are_stored_as_arrays(tmp_path):
-    from eoi_jax.store import save
+    from eoi_jax.models.storage import save
 
     save({"a": jnp.arange(3.0), "b": (1, [2.5, None])}, tmp_path / "x.npz")
     back = eoi.load(tmp_path / "x.npz")
@@ -331,7 +331,7 @@ def test_every_class_that_a_result_may_hold_has_a_tag():
         waiting |= inside - seen
     assert len(seen) > 60
     # Certainty stands in the place of what works it out.
-    for kind in seen - {importlib.import_module("eoi_jax.certainty").Deferred}:
+    for kind in seen - {importlib.import_module("eoi_jax.estimation.covariance").Deferred}:
         if not inspect.isabstract(kind):
             assert class_named(tag_of(kind)) is kind
 
@@ -439,7 +439,7 @@ def test_a_damaged_archive_is_refused_wherever_it_is_cut(result, tmp_path):
 def test_no_module_is_imported_because_a_file_says_so(tmp_path):
     code = (
         "import sys, eoi_jax; before = set(sys.modules)\n"
-        "from eoi_jax.stored import class_named, function_named\n"
+        "from eoi_jax.models.stored_classes import class_named, function_named\n"
         "assert class_named('eoi_jax.cli:Ending') is None\n"
         "assert class_named('eoi_jax.results:EngineUsed') is not None\n"
         "assert function_named('eoi_jax.plants.pendulum:jnp') is None\n"

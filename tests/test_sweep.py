@@ -11,9 +11,9 @@ import pytest
 from problems import Motion, grid, moved_mass_spring
 
 import eoi_jax as eoi
-from eoi_jax.engines import AbstractEngine, Automatic, Scan
-from eoi_jax.observers import FirstOrder, HighOrder, SecondOrder, SuperTwisting, gains
-from eoi_jax.sweep import sweep
+from eoi_jax.estimation.engines import AbstractEngine, Automatic, Scan
+from eoi_jax.estimation.observers import FirstOrder, HighOrder, SecondOrder, SuperTwisting, gains
+from eoi_jax.estimation.sweep.sweep import sweep
 
 TRUE = {"alpha": 40.0, "beta": 1.2, "rho": 3.0}
 H = 2e-3
@@ -418,7 +418,7 @@ def test_a_store_that_cannot_be_written_is_known_before_work_starts(tmp_path):
 
 
 def test_a_full_disk_stops_the_sweep_and_keeps_what_landed(tmp_path, monkeypatch):
-    from eoi_jax.batch.store import Store
+    from eoi_jax.estimation.sweep.store import Store
 
     write, count = Store.write, iter(range(100))
 

@@ -15,8 +15,8 @@ import pytest
 from problems import grid, moved_mass_spring
 
 import eoi_jax as eoi
-from eoi_jax.batch.store import Store
-from eoi_jax.observers import SecondOrder, gains
+from eoi_jax.estimation.observers import SecondOrder, gains
+from eoi_jax.estimation.sweep.store import Store
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of dask and of forks, not ours
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eoi_jax.engines import Native
+from eoi_jax.estimation.engines import Native
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import throughput  # pyright: ignore[reportMissingImports]

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from problems import SWAY, Motion, grid, moved_mass_spring
 
-from eoi_jax.checks import RecordWarning
+from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
-from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
-from eoi_jax.plants import Plant, level_tank, mass_spring_damper
-from eoi_jax.tuning import (
+from eoi_jax.estimation.defaults import (
     Spectrum,
     brief_notes,
     check_runs_of_samples,
@@ -24,6 +22,8 @@ from eoi_jax.tuning import (
     spectrum,
     too_short,
 )
+from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
+from eoi_jax.models.library import Plant, level_tank, mass_spring_damper
 
 H = 2e-3
 TRUE = mass_spring_damper(true=True).parameters

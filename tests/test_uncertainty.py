@@ -7,11 +7,18 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.refinement import Refinement, Start
+from eoi_jax._status import Status
+from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.report import estimate_figures
 from eoi_jax.report.estimate_figures import refinement_figure
-from eoi_jax.results import Status
-from eoi_jax.uncertainty import Uncertainty, _groups, _on_bounds, _precision, student, uncertainty
+from eoi_jax.uncertainty.uncertainty import (
+    Uncertainty,
+    _groups,
+    _on_bounds,
+    _precision,
+    student,
+    uncertainty,
+)
 
 VALUES = {"inverse_mass": 2.0, "stiffness": 80.0, "damping": 3.0}
 COVARIANCE = np.asarray([[0.01, 0.1, 0.0], [0.1, 4.0, 0.0], [0.0, 0.0, 0.09]])

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.checks import RecordWarning
+from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
-from eoi_jax.plants import (
+from eoi_jax.data.windows import plan
+from eoi_jax.models.library import (
     Plant,
     cascaded_tanks,
     duffing_oscillator,
@@ -16,9 +17,8 @@ from eoi_jax.plants import (
     pendulum,
     three_mass_spring_damper,
 )
-from eoi_jax.simulate import simulate
-from eoi_jax.validate import _descend, _record, validate
-from eoi_jax.windows import plan
+from eoi_jax.simulation.simulate import simulate
+from eoi_jax.simulation.validate import _descend, _record, validate
 
 TIME = np.arange(1001) * 5e-3
 FORCE = np.sin(2.0 * TIME) + np.cos(7.0 * TIME)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check
+from eoi_jax._checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import Real
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check, check_count, check_positive
+from eoi_jax._checks import check, check_count, check_positive
+from eoi_jax._types import TimeAxis
 from eoi_jax.data.resample import Real
-from eoi_jax.types import TimeAxis
 
 
 def square(

@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax._checks import check, check_choice
+from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resample import (
     GAP,
@@ -23,7 +24,6 @@ from eoi_jax.data.resample import (
     sample_segments,
     spline,
 )
-from eoi_jax.types import Mask, Signals, TimeAxis
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 _LARGEST = 1e150

@@ -3,7 +3,7 @@
 from pathlib import Path
 from zipfile import ZipFile
 
-from eoi_jax.checks import check_positive
+from eoi_jax._checks import check_positive
 from eoi_jax.data.resample import Real
 
 MAX_GIGABYTES = 4.0

@@ -8,7 +8,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from eoi_jax.checks import check, check_choice, check_positive
+from eoi_jax._checks import check, check_choice, check_positive
 from eoi_jax.data.ingest import choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import HOLDS

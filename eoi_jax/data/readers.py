@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
 from eoi_jax.data.archive import read_arrays
 from eoi_jax.data.excel_file import read_excel
 from eoi_jax.data.hdf5_file import read_hdf5

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
 from eoi_jax._display import Result
-from eoi_jax.checks import RecordWarning, check, check_choice, check_positive
+from eoi_jax._types import Mask, TimeAxis
 from eoi_jax.data.ingest import (
     SHORTEST,
     Inputs,
@@ -47,7 +48,6 @@ from eoi_jax.data.resample import (
     sub_stepped_inputs,
     uniform_grid,
 )
-from eoi_jax.types import Mask, TimeAxis
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

@@ -11,9 +11,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.checks import check, check_choice
+from eoi_jax._checks import check, check_choice
+from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.data.uniform_spline import within_steps
-from eoi_jax.types import Mask, Signals, TimeAxis
 
 # A number as a caller writes it: an integer is as good as a float.
 Real: TypeAlias = float | int | np.number

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.compare import Comparison, Entry
+from eoi_jax.comparison.compare import Comparison, Entry
 from eoi_jax.report.style import WIDE, finished, logarithmic, new, series, styled, with_unit
 from eoi_jax.report.tables import columns, with_error
 

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.diagnosis import Diagnosis
-from eoi_jax.discovery import Discovery
-from eoi_jax.identify import Identification
-from eoi_jax.refinement import Refinement
+from eoi_jax.discovery.diagnosis import Diagnosis
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.identify import Identification
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report import discovery as discoveries
 from eoi_jax.report import discovery_figures, estimate_figures, figures
 from eoi_jax.report.health import Check, health
 from eoi_jax.report.tables import parameter_rows, quantity, refined_rows, validation_rows
-from eoi_jax.uncertainty import Uncertainty, uncertainty
-from eoi_jax.validate import Validation
+from eoi_jax.simulation.validate import Validation
+from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 _MOST = 3  # outputs whose maps and tiles are shown one by one
 

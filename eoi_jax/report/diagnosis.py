@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.diagnosis import Cross, Diagnosis, Map
+from eoi_jax._status import Status
+from eoi_jax.discovery.diagnosis import Cross, Diagnosis, Map
 from eoi_jax.report.style import (
     AFTER,
     BEFORE,
@@ -21,7 +22,6 @@ from eoi_jax.report.style import (
     with_unit,
 )
 from eoi_jax.report.tables import columns
-from eoi_jax.results import Status
 
 _BELOW_NOISE = 0.5  # of the noise is quantisation: the noise is called that
 

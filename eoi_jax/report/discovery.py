@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.confirm import only_short
-from eoi_jax.discovery import Added, Discovery, Evidence, Lead, Texts
-from eoi_jax.effects import INPUT_EFFECTS, AbstractInternalEffect
-from eoi_jax.equations.display import equation_text
-from eoi_jax.plants.plant import Plant, State
+from eoi_jax.discovery.acceptance import DENIED
+from eoi_jax.discovery.confirm import only_short
+from eoi_jax.discovery.result import Added, Discovery, Evidence, Lead, Texts
+from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
+from eoi_jax.models.equations.display import equation_text
+from eoi_jax.models.plant import Plant, State
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
-from eoi_jax.validate import Validation
-from eoi_jax.verdict import DENIED
+from eoi_jax.simulation.validate import Validation
 
 _DRIFT = " (whole records drift away in free run)"
 # So many of the candidates that were not added are shown.

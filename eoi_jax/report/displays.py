@@ -4,15 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from eoi_jax._display import figure, findings, text
-from eoi_jax.compare import Comparison
+from eoi_jax.comparison.compare import Comparison
+from eoi_jax.data.inspection import Inspection
 from eoi_jax.data.record import Record
-from eoi_jax.diagnosis import Diagnosis
-from eoi_jax.discovery import Discovery
-from eoi_jax.identify import Identification
-from eoi_jax.inspection import Inspection
-from eoi_jax.profile import Profile
-from eoi_jax.refinement import Refinement
-from eoi_jax.remaining import Remaining
+from eoi_jax.discovery.diagnosis import Diagnosis
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.identify import Identification
+from eoi_jax.models.stored_classes import stored_form
+from eoi_jax.refinement.remaining import Remaining
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report.comparison import comparison_figure, comparison_text
 from eoi_jax.report.discovery import discovery_text, texts
@@ -28,9 +28,9 @@ from eoi_jax.report.tables import (
     uncertainty_text,
     validation_text,
 )
-from eoi_jax.stored import stored_form
-from eoi_jax.uncertainty import Uncertainty
-from eoi_jax.validate import Validation
+from eoi_jax.simulation.validate import Validation
+from eoi_jax.uncertainty.profile_likelihood import Profile
+from eoi_jax.uncertainty.uncertainty import Uncertainty
 
 TABLES: dict[type, Callable] = {
     Inspection: inspection_text,

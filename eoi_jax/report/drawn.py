@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from eoi_jax.checks import FigureWarning
+from eoi_jax._checks import FigureWarning
 
 _T = TypeVar("_T")
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.profile import Profile
-from eoi_jax.refinement import Refinement
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.figures import draw_free_runs, free_run_height
 from eoi_jax.report.style import (
     AFTER,
@@ -21,7 +20,8 @@ from eoi_jax.report.style import (
     styled,
     with_unit,
 )
-from eoi_jax.uncertainty import Uncertainty, uncertainty
+from eoi_jax.uncertainty.profile_likelihood import Profile
+from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 _PER_ROW = 6  # parameters, in a figure that stands alone
 _NEAR = 4.0  # half widths of the interval within which the starting value is drawn to scale

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.data.record import Record
-from eoi_jax.identify import Identification
+from eoi_jax.estimation.identify import Identification
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.style import (
     AFTER,
@@ -25,7 +25,7 @@ from eoi_jax.report.style import (
     styled,
     with_unit,
 )
-from eoi_jax.validate import Validation
+from eoi_jax.simulation.validate import Validation
 
 _REACH = 3.0  # half ranges of the measurement that are shown of a free run
 

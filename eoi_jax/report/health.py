@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eoi_jax.diagnosis import Diagnosis
+from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.report import diagnosis as said
 from eoi_jax.report.tables import quantity
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.checks import printable
-from eoi_jax.inspection import Channel, Inspection
+from eoi_jax._checks import printable
+from eoi_jax.data.inspection import Channel, Inspection
 from eoi_jax.report.figures import decimate
 from eoi_jax.report.tables import columns
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.remaining import Remaining
+from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.report.style import (
     AFTER,
     WIDTH,

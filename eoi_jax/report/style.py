@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.plants.plant import Plant, derivative_unit
+from eoi_jax.models.plant import Plant, derivative_unit
 
 _LONGEST = 34  # characters of a name in a figure
 _DARK = 0.5  # mean of a page's red, green and blue below which it is a dark one

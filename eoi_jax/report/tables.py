@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.identify import Identification
-from eoi_jax.profile import Profile
-from eoi_jax.refinement import Refinement
-from eoi_jax.uncertainty import Uncertainty, uncertainty
-from eoi_jax.validate import Validation
+from eoi_jax.estimation.identify import Identification
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.validate import Validation
+from eoi_jax.uncertainty.profile_likelihood import Profile
+from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 
 def identification_text(result: Identification) -> str:

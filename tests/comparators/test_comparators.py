@@ -6,11 +6,18 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import comparators
-from eoi_jax.comparators import vss_direct
-from eoi_jax.comparators.filtered import Rows, default_filters, equation, linearised, motion, usable
-from eoi_jax.comparators.plain import explicit_form
-from eoi_jax.comparators.svf import _change, least_squares_on
-from eoi_jax.comparators.weighed import covariance, solve
+from eoi_jax.comparison.methods import vss_direct
+from eoi_jax.comparison.methods.filtered import (
+    Rows,
+    default_filters,
+    equation,
+    linearised,
+    motion,
+    usable,
+)
+from eoi_jax.comparison.methods.plain import explicit_form
+from eoi_jax.comparison.methods.svf import _change, least_squares_on
+from eoi_jax.comparison.methods.weighed import covariance, solve
 
 
 def mass(**options) -> eoi.Plant:

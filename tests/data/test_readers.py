@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from eoi_jax.checks import RecordWarning
+from eoi_jax._checks import RecordWarning
 from eoi_jax.data.readers import read_record
 
 N = 50

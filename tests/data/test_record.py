@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import expm
 
-from eoi_jax.checks import RecordWarning
+from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
 
 N = 400

@@ -9,13 +9,13 @@ import pytest
 from problems import LEVEL, SWAY, grid
 
 from eoi_jax import effects, plants
-from eoi_jax.augment import augmented, place
 from eoi_jax.data.record import Record
-from eoi_jax.engines.alone import alone
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import FirstOrder, SecondOrder, SuperTwisting
-from eoi_jax.passes import run_pass
-from eoi_jax.prepare import prepare, step_inputs
+from eoi_jax.estimation.engines.single import alone
+from eoi_jax.estimation.kernel import run_pass
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import FirstOrder, SecondOrder, SuperTwisting
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.models.augmented import augmented, place
 
 PERIOD = 5e-3
 MASS = plants.mass_spring_damper()

@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from eoi_jax.engines import code_cache
+from eoi_jax.compiler import code_cache
 
 RUN = """
 import sys, warnings
 import numpy as np
 import eoi_jax as eoi
-from eoi_jax.engines import compiled
+from eoi_jax.estimation.engines import compiled
 eoi.configure()
 made = []
 translate = compiled._translate

@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from eoi_jax import plants
-from eoi_jax.engines import Lanes, alone, free_runs, one_vector
-from eoi_jax.engines.few_lanes import few_lanes
-from eoi_jax.engines.native import pass_of
-from eoi_jax.engines.scalars import Untranslatable
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import SecondOrder
-from eoi_jax.output_error import kernel_of
-from eoi_jax.passes import Steps
-from eoi_jax.plants.plant import Plant
-from eoi_jax.sensitivity import RunLane, RunRow
+from eoi_jax.compiler import one_vector
+from eoi_jax.compiler.graph import Untranslatable
+from eoi_jax.compiler.runtime import few_lanes
+from eoi_jax.estimation.engines import Lanes
+from eoi_jax.estimation.engines import single as alone
+from eoi_jax.estimation.engines.native import pass_of
+from eoi_jax.estimation.kernel import Steps
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import SecondOrder
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.problem import kernel_of
+from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation.sensitivity import RunLane, RunRow
 
 PERIOD, COUNT = 5e-3, 700
 TIME = np.arange(COUNT) * PERIOD

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from eoi_jax import plants
-from eoi_jax.engines import free_runs
-from eoi_jax.engines.subnormals import ARCHITECTURES
-from eoi_jax.output_error import kernel_of
-from eoi_jax.plants.plant import Plant, State
-from eoi_jax.sensitivity import RunLane, RunRow
-from eoi_jax.simulate import drive
-from eoi_jax.trajectory import frictional, trajectory
+from eoi_jax.compiler.subnormals import ARCHITECTURES
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.refinement.problem import kernel_of
+from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation.integrator import frictional, trajectory
+from eoi_jax.simulation.sensitivity import RunLane, RunRow
+from eoi_jax.simulation.simulate import drive
 
 PERIOD = 2e-3
 TIME = np.arange(1201) * PERIOD

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.engines.host import on_host
+from eoi_jax.compiler.callback import on_host
 
 
 def scaled(pair, factor):

@@ -9,14 +9,22 @@ import pytest
 from problems import LEVEL, SWAY, grid
 
 from eoi_jax import plants
+from eoi_jax.compiler import jit as compiled_code
+from eoi_jax.compiler import llvm as llvm_text
+from eoi_jax.compiler import loop as lane_program
+from eoi_jax.compiler.graph import Untranslatable, ordered
 from eoi_jax.data.record import Record
-from eoi_jax.engines import Lanes, Native, Scan, lane_program, llvm_text, native
-from eoi_jax.engines import compiled as compiled_code
-from eoi_jax.engines.scalars import Untranslatable, ordered
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder, SuperTwisting
-from eoi_jax.plants import Plant
-from eoi_jax.prepare import prepare, step_inputs
+from eoi_jax.estimation.engines import Lanes, Native, Scan, native
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import (
+    FirstOrder,
+    HighOrder,
+    PerOutput,
+    SecondOrder,
+    SuperTwisting,
+)
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.models.library import Plant
 
 SAMPLES, PERIOD = 300, 5e-3
 PENDULUM = plants.pendulum()

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.engines import Lanes, OneKernel, Scan
-from eoi_jax.engines.scalars import Untranslatable
-from eoi_jax.lowpass import LowPass
-from eoi_jax.observers import FirstOrder, SecondOrder
-from eoi_jax.passes import Steps
-from eoi_jax.plants import Plant, cascaded_tanks, level_tank, pendulum
+from eoi_jax.compiler.graph import Untranslatable
+from eoi_jax.estimation.engines import Lanes, OneKernel, Scan
+from eoi_jax.estimation.kernel import Steps
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import FirstOrder, SecondOrder
+from eoi_jax.models.library import Plant, cascaded_tanks, level_tank, pendulum
 
 H, S, BLOCKS = 5e-3, 240, 4
 FILTER = LowPass(15.0).discretise(H)

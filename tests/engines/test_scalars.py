@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.compilation import jit
-from eoi_jax.engines.jaxprs import translated
-from eoi_jax.engines.scalars import Graph, Untranslatable, evaluated, ordered
+from eoi_jax._compilation import jit
+from eoi_jax.compiler.graph import Graph, Untranslatable, evaluated, ordered
+from eoi_jax.compiler.trace import translated
 
 DRAW = np.random.default_rng(3)
 X = DRAW.uniform(0.2, 0.9, (3, 4))

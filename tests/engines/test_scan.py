@@ -6,10 +6,10 @@ import pytest
 from problems import grid, moved_pendulum
 
 import eoi_jax as eoi
-from eoi_jax.engines import Lanes, Scan
-from eoi_jax.observers import SecondOrder
-from eoi_jax.passes import run_pass
-from eoi_jax.prepare import prepare, step_inputs
+from eoi_jax.estimation.engines import Lanes, Scan
+from eoi_jax.estimation.kernel import run_pass
+from eoi_jax.estimation.observers import SecondOrder
+from eoi_jax.estimation.preparation import prepare, step_inputs
 
 H = 2e-3
 PLANT = eoi.plants.pendulum()

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.engines import compiled, few_lanes, jaxprs
-from eoi_jax.engines.scalars import Untranslatable
-from eoi_jax.engines.translation import kept_translation
-from eoi_jax.results import NATIVE, EngineUsed
+from eoi_jax._status import NATIVE, EngineUsed
+from eoi_jax.compiler import jit as compiled
+from eoi_jax.compiler import runtime as few_lanes
+from eoi_jax.compiler import trace as jaxprs
+from eoi_jax.compiler.graph import Untranslatable
+from eoi_jax.compiler.translation import kept_translation
 
 
 def oscillator(t, x, u, p):

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eoi_jax.equations.expression import FUNCTIONS, Symbol, value_of
-from eoi_jax.equations.grammar import DEEPEST, MOST_BRACKETS, MOST_CHARACTERS, MOST_TOKENS, parse
+from eoi_jax.models.equations.expression import FUNCTIONS, Symbol, value_of
+from eoi_jax.models.equations.grammar import (
+    DEEPEST,
+    MOST_BRACKETS,
+    MOST_CHARACTERS,
+    MOST_TOKENS,
+    parse,
+)
 
 NAMES = {name: Symbol(name) for name in ("x", "y", "rate", "α")}
 VALUES = {Symbol("x"): 0.7, Symbol("y"): -1.3, Symbol("rate"): 0.2, Symbol("α"): 2.5,

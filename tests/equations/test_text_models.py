@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import build, config, effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.compilation import jit
-from eoi_jax.effects.effect import internal_names
-from eoi_jax.equations.display import equation_latex, equation_text
-from eoi_jax.equations.expression import FUNCTIONS
-from eoi_jax.equations.model import ModelTable, plant_of
-from eoi_jax.schema import struct
+from eoi_jax import effects
+from eoi_jax._compilation import jit
+from eoi_jax._schema import struct
+from eoi_jax.cli import build, config
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects.effect import internal_names
+from eoi_jax.models.equations.display import equation_latex, equation_text
+from eoi_jax.models.equations.expression import FUNCTIONS
+from eoi_jax.models.equations.model import ModelTable, plant_of
 
 PENDULUM = {
     "derivatives": {"angle": "rate", "rate": "-a*sin(angle) - b*rate - c*sign(rate) + d*voltage"},

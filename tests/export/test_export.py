@@ -14,10 +14,10 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import augmented, place
-from eoi_jax.effects.library import standard
-from eoi_jax.export.names import comment, identifier
-from eoi_jax.export.program import program
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects.library import standard
+from eoi_jax.models.export.names import comment, identifier
+from eoi_jax.models.export.program import program
 
 POINTS = 40
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 import eoi_jax as eoi
 from eoi_command.commands import app
-from eoi_jax import backend
+from eoi_jax import _jax_setup as backend
 
 CONFIG = """
 name = "rig"

@@ -6,8 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eoi_jax.observers import FirstOrder, HighOrder, PerOutput, SecondOrder, SuperTwisting, gains
-from eoi_jax.observers.gain_sets import gain_sets
+from eoi_jax.estimation.observers import (
+    FirstOrder,
+    HighOrder,
+    PerOutput,
+    SecondOrder,
+    SuperTwisting,
+    gains,
+)
+from eoi_jax.estimation.observers.gain_sets import gain_sets
 
 
 def test_a_grid_is_every_combination_the_last_gain_fastest():

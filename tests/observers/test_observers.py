@@ -23,8 +23,8 @@ from problems import (
 from scipy.interpolate import BSpline
 
 from eoi_jax import observers
-from eoi_jax.compilation import jit
-from eoi_jax.observers import (
+from eoi_jax._compilation import jit
+from eoi_jax.estimation.observers import (
     AbstractObserver,
     FirstOrder,
     HighOrder,

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.compilation import jit
+from eoi_jax._compilation import jit
 from eoi_jax.data.record import Record
-from eoi_jax.plants import (
+from eoi_jax.models.library import (
     State,
     cascaded_tanks,
     duffing_oscillator,
@@ -18,10 +18,10 @@ from eoi_jax.plants import (
     propeller_arm,
     three_mass_spring_damper,
 )
-from eoi_jax.plants.level_tank import square_root
-from eoi_jax.simulate import drive, simulate
-from eoi_jax.trajectory import trajectory
-from eoi_jax.validate import validate
+from eoi_jax.models.library.level_tank import square_root
+from eoi_jax.simulation.integrator import trajectory
+from eoi_jax.simulation.simulate import drive, simulate
+from eoi_jax.simulation.validate import validate
 
 PAPER = (level_tank, mass_spring_damper, three_mass_spring_damper, pendulum)
 RIGS = (positioning_system, duffing_oscillator, cascaded_tanks, propeller_arm)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.plants import Plant, State
-from eoi_jax.plants.plant import derivative_unit
+from eoi_jax.models.library import Plant, State
+from eoi_jax.models.plant import derivative_unit
 
 POINT = (jnp.asarray(0.4), State(jnp.array([[0.3], [-0.7]]), jnp.zeros(0)), jnp.array([1.2]))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from eoi_jax.regression.bounded import bounded, outside
+from eoi_jax.estimation.regression.bounded import bounded, outside
 
 LANES, SIZE = 200, 5
 

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.regression import index, least_squares, recursive_least_squares, untraced
-from eoi_jax.regression import recursive as rls
+from eoi_jax.estimation.regression import index, least_squares, recursive_least_squares, untraced
+from eoi_jax.estimation.regression import recursive as rls
 
 NAMES = ("a", "b", "c", "d")
 TRUE = np.array([1.5, -0.7, 20.0, 0.3])

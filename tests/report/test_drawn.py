@@ -9,9 +9,9 @@ from found import discovery
 from report_runs import discovered
 
 import eoi_jax as eoi
-from eoi_jax.checks import FigureWarning
-from eoi_jax.equations.display import equation_latex
-from eoi_jax.equations.printer import name_latex
+from eoi_jax._checks import FigureWarning
+from eoi_jax.models.equations.display import equation_latex
+from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.report import discovery_figures
 from eoi_jax.report.drawn import drawn, save_drawn
 

@@ -10,11 +10,11 @@ from found import DECLARED, HELD_OUT, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import place
 from eoi_jax.data.saturation import Saturation
-from eoi_jax.diagnosis import Confounded, Cross, Diagnosis
-from eoi_jax.discovery import Discovery
-from eoi_jax.remaining import Candidate, Remaining
+from eoi_jax.discovery.diagnosis import Confounded, Cross, Diagnosis
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.models.augmented import place
+from eoi_jax.refinement.remaining import Candidate, Remaining
 from eoi_jax.report.health import health
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from eoi_jax.data import excitation
-from eoi_jax.identify import Identification, identify
-from eoi_jax.plants import mass_spring_damper, three_mass_spring_damper
+from eoi_jax.estimation.identify import Identification, identify
+from eoi_jax.models.library import mass_spring_damper, three_mass_spring_damper
 from eoi_jax.report import figures, tables
-from eoi_jax.simulate import simulate
+from eoi_jax.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def result() -> Identification:
 def partly_fixed() -> Identification:
     plant = mass_spring_damper()
     nominal = {**plant.parameters, "beta": 0.0}
-    from eoi_jax.plants import Plant
+    from eoi_jax.models.library import Plant
 
     model = Plant(plant.dynamics, nominal, 2, fixed=("rho",), outputs=("y",))
     time = 0.002 * np.arange(3000)

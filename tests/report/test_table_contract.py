@@ -17,22 +17,22 @@ from found import DECLARED, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.augment import place
-from eoi_jax.certainty import Certainty, settled
-from eoi_jax.compare import Comparison, Entry
+from eoi_jax._status import Status
+from eoi_jax.comparison.compare import Comparison, Entry
 from eoi_jax.data.clock import Clock
-from eoi_jax.inspection import Channel, Inspection
-from eoi_jax.linearised import Candidate
-from eoi_jax.profile import Profile
-from eoi_jax.remaining import Remaining, Trial
+from eoi_jax.data.inspection import Channel, Inspection
+from eoi_jax.estimation.covariance import Certainty, settled
+from eoi_jax.models.augmented import place
+from eoi_jax.refinement.remaining import Remaining, Trial
+from eoi_jax.refinement.score_test import Candidate
 from eoi_jax.report import comparison as comparisons
 from eoi_jax.report import contents, tables
 from eoi_jax.report import discovery as discoveries
 from eoi_jax.report.diagnosis import diagnosis_text
 from eoi_jax.report.inspection import inspection_text
 from eoi_jax.report.sweep import sweep_text
-from eoi_jax.results import Status
-from eoi_jax.uncertainty import Uncertainty
+from eoi_jax.uncertainty.profile_likelihood import Profile
+from eoi_jax.uncertainty.uncertainty import Uncertainty
 
 Row = Sequence[Any]
 

@@ -1,0 +1,105 @@
+"""A mapping from a TOML or JSON file as a msgspec Struct, with errors that name the field.
+
+msgspec alone would do it, but its messages know neither the key of a dictionary nor the value.
+"""
+
+import re
+from collections.abc import Sequence
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+import msgspec
+
+from eoi_jax._checks import check, check_choice
+
+
+def struct(kind: type[msgspec.Struct], table: Any, name: str = "") -> Any:
+    """The Struct that a table stands for, built field by field.
+
+    Args:
+        kind: of Struct.
+        table: what the file holds.
+        name: of the table in the file, ahead of its keys in messages; "" for a whole file.
+
+    Raises:
+        ValueError: a key is unknown (the known ones are listed), a value is missing, of the wrong
+            type or out of range.
+    """
+    return _table((kind,), table, name)
+
+
+def _table(kinds: Sequence[Any], table: Any, name: str) -> Any:
+    """The Struct among `kinds` that a table stands for."""
+    check(isinstance(table, dict), name, "must be a table", table)
+    kind, table = kinds[0], dict(table)
+    if kind.__struct_config__.tag is not None:
+        by_tag = {each.__struct_config__.tag: each for each in kinds}
+        tag = table.pop("kind", None)
+        check(tag is not None, f"{name}.kind", f"must be one of {', '.join(by_tag)}", "nothing")
+        check_choice(f"{name}.kind", str(tag), by_tag)
+        kind = by_tag[tag]
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    known = [*(["kind"] if len(kinds) > 1 else []), *fields]
+    for key in table:
+        check_choice(f"a key of [{name}]" if name else "a key of the config", key, known)
+    values = {}
+    for key, field in fields.items():
+        where = f"{name}.{key}" if name else key
+        check(key in table or not field.required, where, "must be given", "nothing")
+        if key in table:
+            values[key] = _value(field.type, table[key], where)
+    return kind(**values)
+
+
+def _value(annotation: Any, value: Any, name: str) -> Any:
+    members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else [annotation]
+    kinds = [m for m in members if isinstance(m, type) and issubclass(m, msgspec.Struct)]
+    plain = [m for m in members if m not in kinds and m is not type(None)]
+    if kinds and (isinstance(value, dict) or not plain):
+        return _table(kinds, value, name)
+    if kinds:
+        annotation = Union[tuple(plain)]  # noqa: UP007 - of a list
+    if get_origin(annotation) is tuple and _is_table(get_args(annotation)[0]):
+        check(isinstance(value, list), name, "must be a list of tables", value)
+        item = get_args(annotation)[0]
+        return tuple(_value(item, each, f"{name}[{i}]") for i, each in enumerate(value))
+    if get_origin(annotation) is dict:
+        check(isinstance(value, dict), name, "must be a table", value)
+        item = get_args(annotation)[1]
+        return {key: _value(item, each, f"{name}.{key}") for key, each in value.items()}
+    if get_origin(annotation) is Literal:
+        check_choice(name, str(value), get_args(annotation))
+    try:
+        return msgspec.convert(value, annotation)
+    except msgspec.ValidationError as error:
+        rule, place = _in_words(str(error))
+        check(False, name + place, rule, repr(value))
+
+
+def _is_table(annotation: Any) -> bool:
+    if get_origin(annotation) is dict:
+        return True
+    return isinstance(annotation, type) and issubclass(annotation, msgspec.Struct)
+
+
+_WORDS = {
+    "`str`": "a text",
+    "`float`": "a number",
+    "`int`": "a whole number",
+    "`array`": "a list",
+    "`float | array`": "a number or a list of numbers",
+    "`float | object`": "a number or a table of numbers",
+    "`str | null`": "a text",
+    "`int | null`": "a whole number",
+    "`float | null`": "a number",
+    "`array | null`": "a list",
+}
+
+
+def _in_words(message: str) -> tuple[str, str]:
+    """Say msgspec's "Expected `float` > 0.0 - at `$[1]`" as a rule and the place in the value."""
+    message, _, place = message.partition(" - at `$")
+    expected = re.sub(r"^Expected |, got .*$", "", message)
+    for word, plain in _WORDS.items():
+        expected = expected.replace(word, plain)
+    return f"must be {expected}", place.rstrip("`")

@@ -1,0 +1,1 @@
+"""The command line: configs, folders of runs, summaries, the page."""

@@ -1,0 +1,402 @@
+"""From a config's tables to the plant, gains and records that `identify` takes."""
+
+import contextlib
+import functools
+import importlib.util
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from eoi_jax._checks import check, check_choice
+from eoi_jax.cli.config import (
+    ChirpTable,
+    Config,
+    DataTable,
+    MultisineTable,
+    PrbsTable,
+    RandomStepsTable,
+    RangeTable,
+    SimulateTable,
+    SquareTable,
+    StepsTable,
+    SweepTable,
+)
+from eoi_jax.data import excitation
+from eoi_jax.data.readers import read_record
+from eoi_jax.data.record import Record
+from eoi_jax.estimation import observers
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.models import library as plants
+from eoi_jax.models.augmented import Placed, augmented
+from eoi_jax.models.effects import AbstractEffect, standard
+from eoi_jax.models.equations.model import plant_of
+from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.simulate import simulate
+
+DATA_VARIABLE = "EOI_DATA"
+
+_PLANTS: dict[str, Callable[[], Plant]] = {
+    factory.__name__: factory
+    for factory in (
+        plants.level_tank,
+        plants.mass_spring_damper,
+        plants.three_mass_spring_damper,
+        plants.pendulum,
+        plants.positioning_system,
+        plants.duffing_oscillator,
+        plants.cascaded_tanks,
+        plants.propeller_arm,
+    )
+}
+
+
+def plant(config: Config, folder: Path) -> Plant:
+    """The model with its nominal parameters, bounds and fixed names.
+
+    Args:
+        config: what was loaded.
+        folder: of the config; a plant's own file is relative to it.
+
+    Raises:
+        ValueError: an unknown plant or parameter, a value outside its bounds, a file that fails.
+    """
+    base = _base(config, folder)
+    table = config.parameters
+    for field in ("nominal", "bounds"):
+        for key in getattr(table, field):
+            check_choice(f"parameters.{field}", key, base.names)
+    return base.declared_anew(table.nominal, table.bounds, table.fixed)
+
+
+def _base(config: Config, folder: Path) -> Plant:
+    """The plant as it is declared: in the config, in a file beside it, or in the library."""
+    if config.model is not None:
+        return plant_of(config.model, config.name)
+    assert config.plant is not None
+    if ":" in config.plant:
+        return _plant_from_file(config.plant, folder)
+    check_choice("plant", config.plant, _PLANTS)
+    return _PLANTS[config.plant]()
+
+
+def _plant_from_file(reference: str, folder: Path) -> Plant:
+    file, _, name = reference.rpartition(":")
+    path = folder / file
+    rule = 'must be "file.py:object"'
+    check(path.is_file(), "plant", f"{rule} with a file that exists", path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    check(spec is not None, "plant", f"{rule} with a Python file", path)
+    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # stdout is for the answer
+            spec.loader.exec_module(module)  # type: ignore[union-attr]
+            made = getattr(module, name, None)
+            made = made() if callable(made) and not isinstance(made, Plant) else made
+    # The user's code: whatever it raises is the user's to mend, an exit too.
+    except (Exception, SystemExit) as error:
+        raise ValueError(
+            f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
+        ) from error
+    check(
+        isinstance(made, Plant),
+        "plant",
+        f"{rule} where the object is a Plant or a function that returns one",
+        reference,
+    )
+    return made  # type: ignore[return-value]
+
+
+_OBSERVERS = {
+    "first_order": observers.FirstOrder,
+    "second_order": observers.SecondOrder,
+    "super_twisting": observers.SuperTwisting,
+    "high_order": observers.HighOrder,
+}
+
+
+def observer(config: Config) -> Any:
+    """The observer of the [observer] table, or None: chosen from the records."""
+    table = config.observer
+    if table is None:
+        return None
+    kind = _OBSERVERS[str(type(table).__struct_config__.tag)]
+    return kind(**msgspec.structs.asdict(table))
+
+
+def sweep(config: Config, model: Plant) -> dict[str, Any]:
+    """The arguments of `eoi_jax.sweep` that the [sweep] table and those beside it stand for.
+
+    Raises:
+        ValueError: gains that do not fit together, an unknown parameter.
+    """
+    table, passes = config.sweep, config.identify
+    filters: Any = lowpass(config)
+    if table.cutoffs is not None:
+        filters = [LowPass(one, order=table.order) for one in _values(table.cutoffs)]
+    starts = [model.parameters, *({**model.parameters, **one} for one in table.starts)]
+    return {
+        "observers": _gain_sets(table, model) or observer(config),
+        "lowpass": filters,
+        "starts": starts,
+        "resamples": table.resamples,
+        "passes": passes.passes,
+        "transient": passes.transient,
+        "substeps": passes.substeps,
+        "smoothing": passes.smoothing,
+        "precision": table.precision,
+        "seed": table.seed,
+        "chunk": table.chunk,
+    }
+
+
+def _gain_sets(table: SweepTable, model: Plant) -> list[observers.GainSets]:
+    sets = []
+    for i, one in enumerate(table.observers):
+        kind, scheme = _OBSERVERS[one.kind], one.scheme
+        if one.kind == "high_order":
+            kind, scheme = functools.partial(kind, degree=model.relative_degree), None
+        values = {name: _values(value) for name, value in one.gains.items()}
+        try:
+            sets.append(observers.gains(kind, values, scheme, one.grid))
+        except ValueError as error:
+            raise ValueError(f"`sweep.observers[{i}].gains`: {error}") from error
+    return sets
+
+
+def _values(given: Any) -> Any:
+    """A number or a list as it is, a range as its values."""
+    if isinstance(given, RangeTable):
+        return np.geomspace(given.low, given.high, given.count)
+    return given
+
+
+def lowpass(config: Config) -> LowPass | None:
+    """The filter of the [lowpass] table, or None: chosen from the records."""
+    table = config.lowpass
+    return None if table is None else LowPass(table.cutoff, order=table.order)
+
+
+def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
+    """The effects of the [discover] table, in every form they have; None: all that fit.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    names = config.discover.effects
+    if names is None:
+        return None
+    return tuple(one for name in names for one in _forms("discover.effects", name))
+
+
+def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
+    """The records to identify from, simulated or read.
+
+    Args:
+        config: what was loaded.
+        model: the plant with its nominal parameters.
+        folder: of the config.
+        data: folder of measured files; None: `folder`, else $EOI_DATA.
+
+    Raises:
+        ValueError: what `simulate` or `read_record` object to, or a name the plant does not have.
+    """
+    if config.data is not None:
+        return _read(config.data, "data", model, folder, data)
+    assert config.simulate is not None
+    return [_simulated(config.name, config.simulate, model, "input")]
+
+
+def validation_records(
+    config: Config, model: Plant, folder: Path, data: Path | None = None
+) -> list[Record]:
+    """The held-out records; none if the config names none. Arguments as in `records`."""
+    table = config.simulate
+    if table is not None and table.held_out:
+        other = msgspec.structs.replace(table, seed=table.seed + 1)  # noise of its own
+        return [_simulated(f"{config.name}, held out", other, model, "held_out")]
+    if config.validation is None:
+        return []
+    return _read(config.validation, "validation", model, folder, data)
+
+
+def _read(
+    table: DataTable, name: str, model: Plant, folder: Path, data: Path | None
+) -> list[Record]:
+    for field, own in (("inputs", model.inputs), ("outputs", model.outputs)):
+        columns = getattr(table, field)
+        check(
+            len(columns) == len(own),
+            f"{name}.{field}",
+            f"must name {len(own)} column(s), for the plant's {', '.join(own) or 'none'}",
+            ", ".join(columns) or "none",
+        )
+    return [
+        read_record(
+            _found(file, name, folder, data),
+            time=table.time,
+            inputs=list(table.inputs),
+            outputs=list(table.outputs),
+            sample_period=table.sample_period,
+            scale=dict(table.scale),
+            units=dict(table.units),
+            hold=table.hold,
+            burn_in=table.burn_in,
+            slice=table.slice,
+            max_gigabytes=table.max_gigabytes,
+        )
+        for file in table.files
+    ]
+
+
+def _found(file: str, name: str, folder: Path, data: Path | None) -> Path:
+    """Where a file is: in the folder that was named, else beside the config, else in $EOI_DATA."""
+    variable = os.environ.get(DATA_VARIABLE)
+    roots = [data] if data else [folder, *([Path(variable)] if variable else [])]
+    for root in roots:
+        with contextlib.suppress(OSError, ValueError):  # no name of a file
+            if (root / file).is_file():
+                return root / file
+    sought = " nor ".join(str(root / file) for root in roots)
+    check(False, f"{name}.files", "must be files that exist", sought,
+          f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip
+    raise FileNotFoundError(sought)  # not reached
+
+
+# -- simulated records ------------------------------------------------------------------------
+
+_SIGNALS: dict[type, Callable[..., Any]] = {
+    SquareTable: excitation.square,
+    PrbsTable: excitation.prbs,
+    ChirpTable: excitation.chirp,
+    MultisineTable: excitation.multisine,
+    StepsTable: excitation.steps,
+    RandomStepsTable: excitation.random_steps,
+}
+
+
+def _simulated(name: str, table: SimulateTable, model: Plant, field: str) -> Record:
+    """The record that the signals of one field of [simulate] make."""
+    drive = getattr(table, field)
+    count = table.duration / table.sample_period
+    check(
+        count < 1e8,
+        "simulate.duration",
+        "must be less than 1e8 samples long",
+        table.duration,
+        "Choose a longer sample period.",
+    )
+    time = np.arange(round(count) + 1) * table.sample_period
+    check(
+        set(drive) == set(model.inputs),
+        f"simulate.{field}",
+        f"must have one table for each of the inputs {', '.join(model.inputs)}",
+        ", ".join(drive) or "none",
+    )
+    signals = [_signal(drive[key], time, f"{field}.{key}") for key in model.inputs]
+    record = simulate(
+        _with_hidden(table, model.with_parameters(_truth(table, model))),
+        time,
+        np.stack(signals, axis=1),
+        initial=_initial(table, model),
+        name=name,
+    )
+    return _measured(record, table, model)
+
+
+def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
+    arguments = msgspec.structs.asdict(table)
+    offset = arguments.pop("offset", 0.0)
+    try:
+        return offset + _SIGNALS[type(table)](time, **arguments)
+    except ValueError as error:
+        raise ValueError(f"[simulate.{name}] {error}") from None
+
+
+def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
+    # With effects the declared parameters may be right: something is hidden all the same.
+    neither = not table.effects and not table.truth and not table.increments
+    check(
+        not neither and not (table.truth and table.increments),
+        "simulate",
+        "must have one of the tables `truth` and `increments`",
+        "neither" if neither else "both",
+    )
+    for field in ("truth", "increments"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.names)
+    nominal = model.parameters
+    return table.truth or {key: nominal[key] + add for key, add in table.increments.items()}
+
+
+def _with_hidden(table: SimulateTable, model: Plant) -> Plant:
+    """The plant with what [simulate] `effects` adds to it."""
+    placed: list[Placed] = []
+    values: dict[str, float] = {}
+    for name, given in table.effects.items():
+        forms = _forms("simulate.effects", name)
+        fitting = placements(model, forms)
+        field = f"simulate.effects.{name}"
+        check(len(fitting) > 0, field, "must be an effect that fits the plant", model.name)
+        parts = given if isinstance(given, dict) else {"": given}
+        own = [parameter.name for parameter in fitting[0].effect.parameters]
+        rule = "must be a number" if own == [""] else f"must be a table of {', '.join(own)}"
+        check(set(parts) == set(own), field, rule, given)
+        placed.append(fitting[0])
+        values |= {key: parts[part] for key, part in zip(fitting[0].names, own, strict=True)}
+    return augmented(model, placed, values)
+
+
+def _forms(field: str, name: str) -> list[AbstractEffect]:
+    """All effects of one canonical name."""
+    known = standard()
+    check_choice(field, name, dict.fromkeys(one.name for one in known))
+    return [one for one in known if one.name == name]
+
+
+def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
+    """Outputs and their derivatives at the start, shape (r, ny)."""
+    start = np.zeros((model.relative_degree, len(model.outputs)))
+    for name, given in table.initial.items():
+        check_choice("simulate.initial", name, model.outputs)
+        values = np.atleast_1d(given)
+        j = model.outputs.index(name)
+        check(
+            len(values) <= model.degrees[j],
+            f"simulate.initial.{name}",
+            f"must have at most {model.degrees[j]} value(s): the output and its derivatives",
+            list(values),
+        )
+        start[: len(values), j] = values
+    return start
+
+
+def _measured(record: Record, table: SimulateTable, model: Plant) -> Record:
+    """The record as a sensor gives it: white noise added, then rounded to the sensor's step."""
+    if not table.noise and not table.quantisation:
+        return record
+    for field in ("noise", "quantisation"):
+        for key in getattr(table, field):
+            check_choice(f"simulate.{field}", key, model.outputs)
+    draw = np.random.default_rng(table.seed)
+    outputs = np.array(record.outputs)
+    for j, name in enumerate(model.outputs):
+        outputs[:, j] += table.noise.get(name, 0.0) * draw.standard_normal(len(outputs))
+        step = table.quantisation.get(name, 0.0)
+        if step > 0:
+            outputs[:, j] = step * np.round(outputs[:, j] / step)
+    return Record(
+        record.time,
+        record.inputs,
+        outputs,
+        name=record.name,
+        input_names=record.input_names,
+        output_names=record.output_names,
+        units=record.units,
+        hold=record.hold,
+    )

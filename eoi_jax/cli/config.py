@@ -1,0 +1,392 @@
+"""A run as a TOML file: what its tables may hold.
+
+`load` reads and checks a file; `build` makes the objects it stands for. A mistake in the file is
+a `ValueError` that names the field with its table, the rule and the value.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from eoi_jax._checks import check, is_shallow, printable
+from eoi_jax._schema import struct
+from eoi_jax.data.limits import MAX_GIGABYTES
+from eoi_jax.models.equations.model import ModelTable
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Gain = Positive | tuple[Positive, ...]
+# The name becomes a folder under runs/: nothing that could leave it or hide in it.
+FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
+
+
+class ParameterTable(msgspec.Struct, frozen=True):
+    """[parameters]: changes to the plant's own declaration.
+
+    Attributes:
+        nominal: starting values θ_0 by name; the others keep the plant's.
+        fixed: names that are not estimated.
+        bounds: ``[lower, upper]`` by name.
+    """
+
+    nominal: dict[str, float] = {}
+    fixed: tuple[str, ...] = ()
+    bounds: dict[str, tuple[float, float]] = {}
+
+
+class FirstOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="first_order"):
+    """[observer] of eq. (5): a gain for all outputs or one for each."""
+
+    delta: Gain
+    leak: Gain = 1.0
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SecondOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="second_order"):
+    """[observer] of eq. (9): a gain for all outputs or one for each."""
+
+    c1: Gain
+    c2: Gain
+    c3: Gain
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SuperTwistingTable(msgspec.Struct, frozen=True, tag_field="kind", tag="super_twisting"):
+    """[observer] of Davila, Fridman, Poznyak (2006): a gain for all outputs or one for each."""
+
+    alpha: Gain
+    lambda1: Gain | None = None
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class HighOrderTable(msgspec.Struct, frozen=True, tag_field="kind", tag="high_order"):
+    """[observer] of Levant (2003) for relative degree `degree`; implicit only."""
+
+    bound: Gain
+    degree: Count
+    lambdas: tuple[Positive, ...] | None = None
+
+
+ObserverTable = FirstOrderTable | SecondOrderTable | SuperTwistingTable | HighOrderTable
+
+
+class LowPassTable(msgspec.Struct, frozen=True):
+    """[lowpass] of eq. (19): cut-off [rad/s] and order."""
+
+    cutoff: Positive
+    order: Count = 2
+
+
+class IdentifyTable(msgspec.Struct, frozen=True):
+    """[identify]: how the passes run.
+
+    Attributes:
+        passes: the most passes to make.
+        transient: not scored at the start of each record [s]; absent: ten time constants of the
+            filter.
+        substeps: observer steps per sample; absent: chosen from the filter and the sampling.
+        smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
+            absent: decided from the record's noise.
+        instruments: passes with instrumental variables at the end; absent: decided from the noise.
+    """
+
+    passes: Count = 10
+    transient: NotNegative | None = None
+    substeps: Count | None = None
+    smoothing: Positive | bool | None = None
+    instruments: bool | None = None
+
+    def __post_init__(self) -> None:
+        rule = "must be a cut-off [rad/s], or false"
+        check(self.smoothing is not True, "identify.smoothing", rule, "true")
+
+
+class DiscoverTable(msgspec.Struct, frozen=True):
+    """[discover]: what is tried, and when it is believed.
+
+    Of the other tables [lowpass] counts; [observer] and [identify] are chosen for every model that
+    is tried, and a note of the answer says so where they are set.
+
+    Attributes:
+        effects: canonical names; absent: all that fit the plant.
+        alpha: level of false alarms, over all candidates together.
+        most: the most effects to add.
+        window: length of the re-initialised free runs [s]; absent: chosen from the records.
+        refine: whether the answer is refined by output error, with what only free runs show.
+    """
+
+    effects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] | None = None
+    alpha: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.01
+    most: Count = 3
+    window: Positive | None = None
+    refine: bool = False
+
+
+class RefineTable(msgspec.Struct, frozen=True):
+    """[refine]: how the free runs are fitted.
+
+    Attributes:
+        window: length of each run [s]; absent: whole records.
+        substeps: steps of the simulation per sample; absent: as many as their error asks for.
+        max_steps: of the solver.
+        starts: so many further points to start from, drawn around the estimate of the passes, or
+            around the nominal values where the passes have none; absent: none.
+        rounds: how often so many are drawn, from the second time on around the best so far, and
+            anew where that stands still.
+    """
+
+    window: Positive | None = None
+    substeps: Count | None = None
+    max_steps: Count = 50
+    starts: Count | None = None
+    rounds: Count = 1
+
+
+class RangeTable(msgspec.Struct, frozen=True):
+    """Values from low to high at equal ratios, both ends included."""
+
+    low: Positive
+    high: Positive
+    count: Count
+
+
+class GainTable(msgspec.Struct, frozen=True):
+    """[[sweep.observers]]: gain sets of one kind of observer.
+
+    Attributes:
+        kind: as of [observer].
+        gains: by name: a number, a list, or a range.
+        grid: every combination of them; else the first of each, the second, ….
+        scheme: implicit or explicit.
+    """
+
+    kind: Literal["first_order", "second_order", "super_twisting", "high_order"]
+    gains: dict[str, float | tuple[float, ...] | RangeTable]
+    grid: bool = True
+    scheme: Literal["implicit", "explicit"] = "implicit"
+
+
+class SweepTable(msgspec.Struct, frozen=True):
+    """[sweep]: what is tried; absent parts are those of the other tables.
+
+    Attributes:
+        observers: gain sets; absent: that of [observer].
+        cutoffs: of the filter [rad/s]: a list or a range; absent: that of [lowpass].
+        order: of all these filters.
+        starts: θ_0 by name, one table each, beside the nominal values; absent: these only.
+        resamples: block-bootstrap resamples of each record.
+        seed: of the resamples.
+        precision: of the loop.
+        chunk: lanes at a time.
+    """
+
+    observers: tuple[GainTable, ...] = ()
+    cutoffs: tuple[Positive, ...] | RangeTable | None = None
+    order: Count = 2
+    starts: tuple[dict[str, float], ...] = ()
+    resamples: Annotated[int, msgspec.Meta(ge=0)] = 0
+    seed: int = 0
+    precision: Literal["float64", "float32"] = "float64"
+    chunk: Count = 4096
+
+
+class SquareTable(msgspec.Struct, frozen=True, tag_field="kind", tag="square"):
+    """A square wave offset ± amplitude; frequency [Hz]."""
+
+    amplitude: float
+    frequency: Positive
+    offset: float = 0.0
+    duty: Positive = 0.5
+
+
+class PrbsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="prbs"):
+    """A pseudo-random binary sequence offset ± amplitude that may switch every period [s]."""
+
+    amplitude: float
+    switching_period: Positive
+    seed: int = 0
+    offset: float = 0.0
+
+
+class ChirpTable(msgspec.Struct, frozen=True, tag_field="kind", tag="chirp"):
+    """A sine whose frequency runs from start to stop [Hz] over the record."""
+
+    amplitude: float
+    start: Positive
+    stop: Positive
+    offset: float = 0.0
+
+
+class MultisineTable(msgspec.Struct, frozen=True, tag_field="kind", tag="multisine"):
+    """Cosines of equal size and random phase between two frequencies [Hz]; amplitude is the rms."""
+
+    amplitude: float
+    frequencies: tuple[Positive, Positive]
+    components: Count = 20
+    seed: int = 0
+    offset: float = 0.0
+
+
+class RandomStepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="random_steps"):
+    """Levels drawn from [low, high], each held for a while [s]."""
+
+    low: float
+    high: float
+    holding_time: Positive
+    seed: int = 0
+
+
+class StepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="steps"):
+    """Levels one after the other, each held for a while [s]."""
+
+    levels: tuple[float, ...]
+    holding_time: Positive
+
+
+SignalTable = SquareTable | PrbsTable | ChirpTable | MultisineTable | StepsTable | RandomStepsTable
+
+
+class SimulateTable(msgspec.Struct, frozen=True):
+    """[simulate]: a record made by the plant itself, with other parameters.
+
+    Attributes:
+        sample_period, duration: [s].
+        input: one signal for each input of the plant.
+        held_out: the same for a second record, which the fit does not see.
+        truth: parameter values that make the record; the others keep the nominal value.
+        increments: the same, as what is added to the nominal values (Δθ of the paper).
+        effects: what the record has and the model lacks, by canonical name: the value of its
+            parameter, or a table where it has several; at the first channel that it fits.
+        initial: for each output its value, or [value, rate, …], at the start; absent: zero.
+        noise: standard deviation of white noise for each output [its unit].
+        quantisation: step of each output's sensor [its unit].
+        seed: of the noise.
+    """
+
+    sample_period: Positive
+    duration: Positive
+    input: dict[str, SignalTable]
+    held_out: dict[str, SignalTable] = {}
+    truth: dict[str, float] = {}
+    increments: dict[str, float] = {}
+    effects: dict[str, float | dict[str, float]] = {}
+    initial: dict[str, float | tuple[float, ...]] = {}
+    noise: dict[str, NotNegative] = {}
+    quantisation: dict[str, NotNegative] = {}
+    seed: int = 0
+
+
+class DataTable(msgspec.Struct, frozen=True):
+    """[data] and [validation]: measured files, all read the same way.
+
+    Attributes:
+        files: one record each; relative to ``--data``; else to the config, else to $EOI_DATA.
+        inputs, outputs: columns, in the order of the plant's inputs and outputs.
+        time: column of time [s]; absent where `sample_period` [s] is given.
+        scale: factor by column, to convert units.
+        units: unit by column, after scaling.
+        slice: first and last (excluded) sample used.
+        hold: what the input did between samples: zero, linear, smooth, or auto.
+        burn_in: not scored at the start [s].
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
+    """
+
+    files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    time: str | None = None
+    sample_period: Positive | None = None
+    scale: dict[str, float] = {}
+    units: dict[str, str] = {}
+    slice: tuple[int, int] | None = None
+    hold: Literal["auto", "zero", "linear", "smooth"] = "auto"
+    burn_in: NotNegative = 0.0
+    max_gigabytes: Positive = MAX_GIGABYTES
+
+
+class Config(msgspec.Struct, frozen=True):
+    """A whole run.
+
+    Attributes:
+        name: of the run, and of its folder.
+        plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
+            the object is a `Plant` or a function that returns one.
+        model: instead of `plant`: the equations themselves, as text.
+        observer, lowpass: absent: chosen from the records.
+        identify, discover, refine, sweep: how the verbs of these names run.
+        simulate, data: where the records come from; exactly one of the two.
+        validation: held-out files; what the table leaves out is as in [data].
+    """
+
+    name: FolderName
+    plant: str | None = None
+    model: ModelTable | None = None
+    parameters: ParameterTable = ParameterTable()
+    observer: ObserverTable | None = None
+    lowpass: LowPassTable | None = None
+    identify: IdentifyTable = IdentifyTable()
+    discover: DiscoverTable = DiscoverTable()
+    refine: RefineTable = RefineTable()
+    sweep: SweepTable = SweepTable()
+    simulate: SimulateTable | None = None
+    data: DataTable | None = None
+    validation: DataTable | None = None
+
+
+# -- from text to tables ----------------------------------------------------------------------
+
+_DEEPEST = 20  # tables and lists inside each other; a config has five
+
+
+def _check_finite(value: Any, place: tuple[str, ...]) -> None:
+    """TOML has infinity and nan: only a bound may be infinite, where there is none."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            if key != "bounds":
+                _check_finite(part, (*place, key))
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            _check_finite(part, (*place[:-1], f"{place[-1]}[{i}]"))
+    elif isinstance(value, float):
+        check(math.isfinite(value), ".".join(place), "must be a finite number", value)
+
+
+def load(path: Path) -> Config:
+    """Read and check a TOML file.
+
+    Raises:
+        ValueError: the file is missing or no TOML, a key is unknown (the known ones are listed),
+            a value is missing, of the wrong type or out of range.
+    """
+    check(path.is_file(), "config", "must be a file that exists", path)
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows mark it
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        deep = isinstance(error, RecursionError)
+        said = "it is nested too deeply" if deep else printable(str(error))
+        check(False, "config", "must be a TOML file", path, f"The reader says: {said}.")
+        raise
+    rule = f"must have at most {_DEEPEST} tables and lists inside each other"
+    check(is_shallow(tables, _DEEPEST), "config", rule, path)
+    _check_finite(tables, ())
+    data, validation = tables.get("data"), tables.get("validation")
+    if isinstance(data, dict) and isinstance(validation, dict):
+        tables["validation"] = {**data, **validation}
+    config = struct(Config, tables)
+    check(
+        (config.plant is None) != (config.model is None),
+        "config",
+        "must have exactly one of `plant` and the table [model]",
+        "none" if config.plant is None else "both",
+    )
+    check(
+        (config.simulate is None) != (config.data is None),
+        "config",
+        "must have exactly one of the tables [simulate] and [data]",
+        "none" if config.data is None else "both",
+    )
+    return config

@@ -1,0 +1,13 @@
+"""Methods that `eoi_jax.compare` puts beside each other, and what one of your own must be."""
+
+from eoi_jax.comparison.methods.comparator import AbstractComparator as AbstractComparator
+from eoi_jax.comparison.methods.comparator import Estimate as Estimate
+from eoi_jax.comparison.methods.instruments import Instruments as Instruments
+from eoi_jax.comparison.methods.library import standard as standard
+from eoi_jax.comparison.methods.output_error import OutputError as OutputError
+from eoi_jax.comparison.methods.plain import PlainExplicit as PlainExplicit
+from eoi_jax.comparison.methods.plain import PlainImplicit as PlainImplicit
+from eoi_jax.comparison.methods.refined import Refined as Refined
+from eoi_jax.comparison.methods.svf import StateVariableFilter as StateVariableFilter
+from eoi_jax.comparison.methods.svf_iv import StateVariableInstruments as StateVariableInstruments
+from eoi_jax.comparison.methods.vss_direct import VSSDirect as VSSDirect

@@ -1,0 +1,67 @@
+"""What a comparator is: one way to estimate a plant's parameters from records, with a name."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax._status import Status
+from eoi_jax.data.record import Record
+from eoi_jax.models.plant import Plant
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a comparator says.
+
+    Attributes:
+        parameters: estimate by name; None where there is no answer.
+        standard_errors: by name; None where the method has none.
+        status: how it ended.
+    """
+
+    parameters: dict[str, float] | None
+    standard_errors: dict[str, float] | None
+    status: Status
+
+
+class AbstractComparator(ABC):
+    """Interface of every method that `compare` puts beside others.
+
+    Attributes:
+        name: one word for tables.
+        description: one sentence.
+    """
+
+    name: ClassVar[str]
+    description: ClassVar[str]
+
+    @abstractmethod
+    def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
+        """Estimate the free parameters of a plant.
+
+        Args:
+            plant: with its nominal parameters.
+            records: one or several, checked against the plant; all enter one estimate.
+
+        Returns:
+            The estimate; without parameters where the method has no answer, or is not made for
+            such a plant. It may raise: `compare` makes a status of that.
+        """
+
+
+def not_applicable(reason: str) -> Estimate:
+    """No answer, because the method is not made for such a plant or record.
+
+    Args:
+        reason: in a sentence, without a full stop.
+    """
+    return Estimate(None, None, Status("not_applicable", reason))
+
+
+def named(plant: Plant, values: Float[np.ndarray, " np"]) -> dict[str, float]:
+    """Values in the order of the plant's parameters, by name."""
+    return {name: float(one) for name, one in zip(plant.names, values, strict=True)}

@@ -1,0 +1,298 @@
+r"""The model's equation between filtered signals: what a state-variable filter makes of a record.
+
+Offline a filter needs no phase, so that derivatives stay aligned with y. Two of them are used:
+
+1. a wide one, W, on y and u alike; splines through W[y] give y, ẏ, …, y^(r), the arguments of f;
+2. a narrow one, L, on both sides of the equation: L[m y^(r)] = L[m f(W y, …; θ)].
+
+For a plant that is linear in y and u, W commutes with it and nothing is lost; for any other W must
+be wide against the plant's own motion. m is 0 where the equation says nothing (gaps, ends of a
+segment, dry friction near rest), and rises smoothly beside: any m that stands on both sides of a
+regression keeps it exact. L is a zero-phase Butterworth filter, or the plant itself, linearised
+(Young's refined method): residuals are then those of y.
+
+Source: H. Garnier, P. Young (eds), *Identification of Continuous-time Models from Sampled Data*,
+2008, chapters 1 and 4; M. Gautier, A. Janot, P.-O. Vandanjon, IEEE Trans. Control Systems
+Technology 21 (2013) 428, for both filters on robots.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax._compilation import jit
+from eoi_jax.data.record import Record
+from eoi_jax.data.resample import low_pass
+from eoi_jax.estimation.defaults import check_runs_of_samples, default_lowpass, velocity_noise
+from eoi_jax.estimation.preparation import TAPER, constant, moving, tapered
+from eoi_jax.models.jacobians import state_slopes
+from eoi_jax.models.plant import Plant, State
+
+_WIDE = 5.0  # cut-off of W over that of L: there it is flat to 1e-5
+_MOST = 0.5  # of the Nyquist frequency, with sub-steps, for W
+_ENDS = 4.0  # time constants of W beside the ends of a segment, where it sees no data
+_DECAY = 5.0  # the linearised plant must forget by so many factors of e over a record
+
+Samples = Float[np.ndarray, "time ny"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One record behind W.
+
+    Attributes:
+        time: of the samples [s].
+        y: outputs and derivatives below their own degree, the arguments of f.
+        highest: y^(r) of each output.
+        u: inputs.
+    """
+
+    time: Float[np.ndarray, " time"]
+    y: Float[np.ndarray, "time r ny"]
+    highest: Samples
+    u: Float[np.ndarray, "time nu"]
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Cut-offs of L and W [rad/s], and steps a sample that W needs, chosen from the records."""
+
+    narrow: float
+    wide: float
+    substeps: int
+
+
+def default_filters(plant: Plant, records: Sequence[Record]) -> Filters:
+    """L as the paper's F would be chosen, W five times as wide.
+
+    Records that are too coarse for W get sub-steps: harmonics of a nonlinear motion lie beyond
+    their own Nyquist frequency, and a filter that cuts them off bends f.
+    """
+    check_runs_of_samples(records)
+    narrow = default_lowpass(plant, records)[0].cutoff
+    wide = _WIDE * narrow
+    nyquist = np.pi / max(record.sample_period for record in records)
+    return Filters(narrow, wide, int(np.ceil(wide / (_MOST * nyquist))))
+
+
+def motion(plant: Plant, record: Record, wide: float) -> Motion:
+    """Outputs with their derivatives, and inputs, behind the zero-phase filter W.
+
+    Args:
+        plant: whose relative degrees count.
+        record: measured, or a simulation of one.
+        wide: cut-off of W [rad/s].
+    """
+    from scipy.interpolate import make_interp_spline
+
+    smooth = record.smooth(wide)
+    degrees = np.asarray(plant.degrees)
+    rows = np.zeros((plant.relative_degree + 1, *record.outputs.shape))
+    for start, stop in record.segments():
+        degree = max(k for k in (1, 3, 5) if k < max(stop - start, 2))
+        if stop - start < 2:
+            continue
+        index = np.arange(stop - start, dtype=float)
+        spline = make_interp_spline(index, smooth.outputs[start:stop], k=degree)
+        for i in range(len(rows)):
+            if i <= degree:
+                rows[i, start:stop] = spline(index, nu=i) / record.sample_period**i
+    highest = np.take_along_axis(rows, degrees[None, None, :], axis=0)[0]
+    owned = np.arange(plant.relative_degree)[:, None, None] < degrees
+    y = np.moveaxis(np.where(owned, rows[:-1], 0.0), 0, 1)
+    return Motion(np.asarray(record.time), y, highest, np.asarray(smooth.inputs))
+
+
+def usable(plant: Plant, record: Record, now: Motion, filters: Filters) -> Samples:
+    """m: 1 where the equation holds, 0 where not, with smooth edges."""
+    h = record.sample_period
+    noise = velocity_noise(plant.degrees, record, filters.wide)
+    resting = ~moving(plant.degrees, now.y[:, 0], h, noise)
+    resting = np.concatenate([resting[:1], resting]) | np.concatenate([resting, resting[-1:]])
+    good = np.repeat(record.valid[:, None], record.outputs.shape[1], axis=1)
+    good &= ~(resting @ plant.jumps.T) & ~constant(record)
+    margin = round(_ENDS / (filters.wide * h))
+    for start, stop in record.segments():
+        good[start : start + margin] = good[max(stop - margin, 0) : stop] = False
+    return tapered(good.astype(float), TAPER / (filters.narrow * h))
+
+
+@jit
+def along(
+    plant: Plant,
+    time: Float[Array, " time"],
+    y: Float[Array, "time r ny"],
+    u: Float[Array, "time nu"],
+    theta: Float[Array, " np"],
+) -> tuple[Float[Array, "time ny"], Float[Array, "time ny np"]]:
+    """f and ∂f/∂θ at every sample; internal states are not known here.
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        time: of the samples [s].
+        y: outputs and their derivatives.
+        u: inputs, before any actuator.
+        theta: parameter values.
+    """
+
+    def f(theta: Float[Array, " np"]) -> Float[Array, "time ny"]:
+        driven = plant.driven(time, u, theta)
+        none = jnp.zeros(0, theta.dtype)
+        return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, none), u, theta))(
+            time, y, driven
+        )
+
+    return f(theta), jax.jacfwd(f)(theta)
+
+
+# -- both sides of the regression ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Both sides of L[m (y^(r) - f)] = L[m φ] Δθ, all samples of each record.
+
+    Attributes:
+        phi: L[m φ], one array (N, ny, np) per record.
+        error: L[m (y^(r) - f)], one array (N, ny) per record.
+        highest: rms of L[m y^(r)], shape (ny,).
+    """
+
+    phi: list[np.ndarray]
+    error: list[np.ndarray]
+    highest: Float[np.ndarray, " ny"]
+
+
+@dataclass(frozen=True)
+class Equation:
+    """A plant's equation along records with sub-steps; what θ does not change is made once."""
+
+    plant: Plant
+    records: tuple[Record, ...]
+    filters: Filters
+    motions: list[Motion]
+    masks: list[np.ndarray]
+
+    @property
+    def memory(self) -> float:
+        """Time after which L has forgotten [s]."""
+        return 10.0 / self.filters.narrow
+
+    def rows(
+        self,
+        theta: Float[np.ndarray, " np"],
+        motions: Sequence[Motion] | None = None,
+        response: "Response | None" = None,
+    ) -> Rows:
+        """Both sides at θ.
+
+        Args:
+            theta: parameter values.
+            motions: of each record; of the measured ones if left out.
+            response: in place of the narrow filter.
+        """
+        phi, error, highest = [], [], []
+        for i, now in enumerate(motions or self.motions):
+            arrays = (jnp.asarray(one) for one in (now.time, now.y, now.u, theta))
+            f, slope = (np.asarray(one) for one in along(self.plant, *arrays))
+            sides = np.concatenate(
+                [slope, (now.highest - f)[..., None], now.highest[..., None]], axis=2
+            )
+            sides = self._filtered(i, self.masks[i][:, :, None] * sides, response)
+            phi.append(sides[..., :-2])
+            error.append(sides[..., -2])
+            highest.append(sides[..., -1])
+        power = np.mean(np.concatenate(highest) ** 2, axis=0)
+        return Rows(phi, error, np.sqrt(power))
+
+    def _filtered(
+        self, i: int, sides: Float[np.ndarray, "time ny columns"], response: "Response | None"
+    ) -> Float[np.ndarray, "time ny columns"]:
+        record = self.records[i]
+        if response is not None:
+            return response.applied(sides, record.sample_period)
+        share = self.filters.narrow * record.sample_period / np.pi
+        flat = low_pass(sides.reshape(len(sides), -1), share)
+        return flat.reshape(sides.shape)
+
+
+def equation(plant: Plant, records: Sequence[Record]) -> Equation:
+    """The equation along records, with filters by default.
+
+    Args:
+        plant: without internal states.
+        records: checked against the plant.
+    """
+    filters = default_filters(plant, records)
+    records = [record.resample(filters.substeps) for record in records]
+    motions = [motion(plant, record, filters.wide) for record in records]
+    masks = [
+        usable(plant, record, now, filters) for record, now in zip(records, motions, strict=True)
+    ]
+    return Equation(plant, tuple(records), filters, motions, masks)
+
+
+# -- the plant, linearised, as a filter ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Response:
+    r"""$C (sI - A)^{-1} B$ from y^(r) to y of a plant linearised at the mean of its slopes.
+
+    Attributes:
+        transition: A, shape (n, n); states are outputs and their derivatives, output by output.
+        degrees: of the outputs.
+    """
+
+    transition: Float[np.ndarray, "n n"]
+    degrees: tuple[int, ...]
+
+    def applied(
+        self, sides: Float[np.ndarray, "time ny columns"], sample_period: float
+    ) -> Float[np.ndarray, "time ny columns"]:
+        """Causal, from rest, without the wrap of the Fourier transform."""
+        from scipy.fft import next_fast_len
+
+        count, n = len(sides), len(self.transition)
+        length = int(next_fast_len(2 * count, real=True) or 2 * count)
+        ends = np.cumsum(self.degrees)
+        omega = 2.0 * np.pi * np.fft.rfftfreq(length, sample_period)
+        entry = np.zeros((n, len(ends)))
+        entry[ends - 1, np.arange(len(ends))] = 1.0
+        system = 1j * omega[:, None, None] * np.eye(n) - self.transition
+        gain = np.linalg.solve(system, np.broadcast_to(entry, (len(omega), *entry.shape)))
+        gain = gain[:, ends - np.asarray(self.degrees)]
+        spectrum = gain @ np.fft.rfft(sides, length, axis=0)
+        return np.fft.irfft(spectrum, length, axis=0)[:count]
+
+
+def linearised(
+    plant: Plant, theta: Float[np.ndarray, " np"], motions: Sequence[Motion], duration: float
+) -> Response | None:
+    """The plant as a filter, at the mean of ∂f/∂x along its motion.
+
+    Args:
+        plant: the equations.
+        theta: parameter values.
+        motions: along which the mean is taken.
+        duration: of the shortest record [s].
+
+    Returns:
+        None where it does not forget within a record: an integrator would add up offsets.
+    """
+    model = plant.with_parameters(theta)
+    slopes = [np.mean(state_slopes(model, m.time, m.y, m.u), axis=0) for m in motions]
+    pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
+    transition = np.eye(len(pairs), k=1)
+    last = np.cumsum(plant.degrees) - 1
+    mean = np.mean(slopes, axis=0)
+    for j, row in enumerate(last):
+        transition[row] = [mean[j, i, k] for i, k in pairs]
+    if not np.all(np.isfinite(transition)):
+        return None
+    slowest = -np.max(np.linalg.eigvals(transition).real)
+    return Response(transition, plant.degrees) if slowest * duration > _DECAY else None

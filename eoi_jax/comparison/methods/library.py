@@ -1,0 +1,28 @@
+"""The methods that `compare` knows."""
+
+from eoi_jax.comparison.methods.comparator import AbstractComparator
+from eoi_jax.comparison.methods.instruments import Instruments
+from eoi_jax.comparison.methods.output_error import OutputError
+from eoi_jax.comparison.methods.plain import PlainExplicit, PlainImplicit
+from eoi_jax.comparison.methods.refined import Refined
+from eoi_jax.comparison.methods.svf import StateVariableFilter
+from eoi_jax.comparison.methods.svf_iv import StateVariableInstruments
+from eoi_jax.comparison.methods.vss_direct import VSSDirect
+
+
+def standard() -> tuple[AbstractComparator, ...]:
+    """Every method of the library, one of each kind: the paper's, its refinement, then others.
+
+    Returns:
+        Comparators in the order of a table.
+    """
+    return (
+        PlainExplicit(),
+        PlainImplicit(),
+        Instruments(),
+        Refined(),
+        OutputError(),
+        StateVariableFilter(),
+        StateVariableInstruments(),
+        VSSDirect(),
+    )

@@ -1,0 +1,116 @@
+"""The method of the paper as it stands: `identify`, with the observer in either form."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from eoi_jax.comparison.methods.comparator import AbstractComparator, Estimate, not_applicable
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.identify import Identification, identify
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
+from eoi_jax.estimation.observers.observer import AbstractObserver
+from eoi_jax.models.plant import Plant
+
+_RELAY = 2.0  # gain over the largest injection, or rate of it, that the explicit relay has to cover
+_APART = 4.0  # frequency of its limit cycle over the cut-off of F; 4.6 in the paper
+
+
+class PlainImplicit(AbstractComparator):
+    """`identify` as it chooses for itself: implicit observer, filter and sub-steps by default."""
+
+    name = "plain_implicit"
+    description = "the paper's passes, observer in implicit form, gains and filter by default"
+
+    def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
+        """`identify` with nothing chosen."""
+        return answer(plain(plant, records))
+
+
+class PlainExplicit(AbstractComparator):
+    """`identify` with the observer discretised by Euler's rule, as published.
+
+    A relay that is set high only adds chatter in this form. It is set to twice the largest filtered
+    injection that a first pass of the implicit form shows at the nominal parameters; for an output
+    of relative degree one, twice the fastest change of that. The sampled relay of degree two cycles
+    at √(c₁/h), c₁ being 1.4 cut-offs: the cut-off is a quarter of that at most.
+    """
+
+    name = "plain_explicit"
+    description = "the paper's passes, observer in explicit (Euler) form as published"
+
+    def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
+        """A first pass sets the gains, then `identify`."""
+        first = plain(plant, records, passes=1)
+        period = max(record.sample_period for record in records)
+        cutoff = 1.4 / (_APART**2 * period)
+        if plant.relative_degree > 1 and first.lowpass.cutoff > cutoff:
+            first = plain(plant, records, None, LowPass(cutoff, first.lowpass.order), passes=1)
+        if not first.status.ok:
+            return answer(first)
+        observer = explicit_form(first)
+        if observer is None:
+            degrees = ", ".join(str(one) for one in plant.degrees)
+            reason = "there is no explicit observer for outputs of relative degree three or more"
+            return not_applicable(f"{reason}, and the plant has {degrees}")
+        return answer(plain(plant, records, observer, first.lowpass))
+
+
+def plain(
+    plant: Plant,
+    records: Sequence[Record],
+    observer: AbstractObserver | None = None,
+    lowpass: LowPass | None = None,
+    passes: int = 10,
+) -> Identification:
+    """`identify` as the paper has it: the one place to switch off what is added to that.
+
+    Args:
+        plant: with its nominal parameters.
+        records: of the estimate.
+        observer: chosen if left out.
+        lowpass: F, chosen if left out.
+        passes: how many at most.
+    """
+    return identify(plant, records, observer, lowpass, passes, instruments=False)
+
+
+def answer(result: Identification) -> Estimate:
+    """An identification as a comparator's answer."""
+    if not result.status.ok:
+        return Estimate(None, None, result.status)
+    return Estimate(result.parameters, result.standard_errors, result.status)
+
+
+def explicit_form(first: Identification) -> AbstractObserver | None:
+    """The observer of a first pass in explicit form, with gains for the injection that it showed.
+
+    None if one of its parts has no explicit form.
+    """
+    size, speed = _largest(first)
+
+    def one(part: AbstractObserver, which: slice) -> AbstractObserver | None:
+        if isinstance(part, FirstOrder):
+            return FirstOrder(_RELAY * speed[which], part.leak, "explicit")
+        if isinstance(part, SecondOrder):
+            return SecondOrder(part.c1, part.c2, _RELAY * size[which], "explicit")
+        assert isinstance(part, HighOrder)
+        return None
+
+    observer = first.observer
+    if not isinstance(observer, PerOutput):
+        return one(observer, slice(None))
+    parts = [one(part, slice(j, j + 1)) for j, part in enumerate(observer.observers)]
+    known = [part for part in parts if part is not None]
+    return PerOutput(tuple(known)) if len(known) == len(parts) else None
+
+
+def _largest(first: Identification) -> tuple[np.ndarray, np.ndarray]:
+    """Largest filtered injection of each output, and its fastest change [per s], both positive."""
+    floor = np.finfo(float).tiny ** 0.5
+    sizes, speeds = [], []
+    for record, injection in zip(first.records, first.first_injection, strict=True):
+        sizes.append(np.nanmax(np.abs(injection), axis=0, initial=floor))
+        change = np.abs(np.diff(injection, axis=0)) / record.sample_period
+        speeds.append(np.nanmax(change, axis=0, initial=floor))
+    return np.max(sizes, axis=0), np.max(speeds, axis=0)

@@ -1,0 +1,33 @@
+"""A function of the host in the middle of code that JAX compiles."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from eoi_jax._jax_private import BUFFER_CALLBACK
+
+
+def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:
+    """What a function of NumPy arrays gives, which must not keep them.
+
+    Args:
+        function: under `vmap` all arrays of its arguments, and what it gives, have one more leading
+            axis; it is of length one where an argument does not differ.
+        result: what it gives.
+        args: trees of arrays.
+    """
+
+    def given(*parts: Any) -> np.ndarray:
+        return function(*jax.tree.map(np.asarray, parts))
+
+    def written(context: Any, out: Any, *parts: Any) -> None:
+        del context
+        with np.errstate(over="ignore"):  # in single precision, of what diverges
+            np.asarray(out)[...] = given(*parts)
+
+    # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
+    if BUFFER_CALLBACK is not None and jax.default_backend() == "cpu":
+        return BUFFER_CALLBACK(written, result, vmap_method="expand_dims")(*args)
+    return jax.pure_callback(given, result, *args, vmap_method="expand_dims")

@@ -1,0 +1,257 @@
+"""Functions in LLVM's language: lines, loops, and operations of a scalar program."""
+
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from eoi_jax.compiler.graph import Node, Untranslatable
+from eoi_jax.compiler.subnormals import flushing
+
+# Contraction (a b + c rounded once) is what makes C fast too. Nothing here assumes finite numbers.
+_FLAGS = "contract nsz"
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
+_LOGIC = {"and": "and", "or": "or", "xor": "xor"}
+_INTRINSICS = {
+    "abs": "fabs",
+    "sqrt": "sqrt",
+    "floor": "floor",
+    "ceil": "ceil",
+    "trunc": "trunc",
+    "round_even": "rint",
+}
+# Functions of the C library, by its names in double precision; a further f for single.
+LIBRARY = {
+    **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")},
+    **{name: name for name in ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")},
+    **{name: name for name in ("exp", "exp2", "expm1", "log", "log1p", "cbrt", "pow")},
+    "rem": "fmod",
+}
+
+
+def register_bytes() -> int:
+    """Size of the widest register of this machine."""
+    features = llvm.get_host_cpu_features()
+    return 64 if features.get("avx512f") else 32 if features.get("avx") else 16
+
+
+class Text:
+    """Lines of a function, with fresh names."""
+
+    def __init__(self, real: str):
+        self.lines: list[str] = []
+        self.real = real
+        self.declared: set[str] = set()
+        self._count = 0
+
+    def let(self, right: str) -> str:
+        """A line that defines a name."""
+        self._count += 1
+        self.lines.append(f"  %t{self._count} = {right}")
+        return f"%t{self._count}"
+
+    def add(self, *lines: str) -> None:
+        """Lines as they are."""
+        self.lines.extend(lines)
+
+    def number(self, value: float) -> str:
+        """A constant as LLVM reads it: the bits of a double, exact in single precision too."""
+        rounded = np.float64(np.float32(value)) if self.real == "float" else np.float64(value)
+        return f"0x{rounded.view(np.uint64):016X}"
+
+    def load(self, pointer: str, index: str | int, kind: str = "") -> str:
+        """The number, or whole vector, at a place."""
+        place = self.place(pointer, index)
+        align = 4 if self.real == "float" else 8
+        return self.let(f"load {kind or self.real}, ptr {place}, align {align}")
+
+    def store(self, value: str, pointer: str, index: str | int, kind: str = "") -> None:
+        """Write a number or vector at a place."""
+        place = self.place(pointer, index)
+        align = 4 if self.real == "float" else 8
+        self.add(f"  store {kind or self.real} {value}, ptr {place}, align {align}")
+
+    def place(self, pointer: str, index: str | int) -> str:
+        """A place, counted in numbers."""
+        return self.let(f"getelementptr {self.real}, ptr {pointer}, i64 {index}")
+
+
+class Scope:
+    """Operations on scalars (width 1) or vectors; `outside` gives what is not computed here."""
+
+    def __init__(
+        self,
+        text: Text,
+        width: int,
+        outside: Callable[[Node], str | None],
+        never_nan: Callable[[Node], bool],
+    ):
+        self._text, self._width, self._outside = text, width, outside
+        self._never_nan = never_nan
+        self._names: dict[Node, str] = {}
+        self.real = self._kind(text.real)
+        self.flag = self._kind("i1")
+
+    def _kind(self, one: str) -> str:
+        return one if self._width == 1 else f"<{self._width} x {one}>"
+
+    def constant(self, value: Any) -> str:
+        """A constant in every lane."""
+        flag = isinstance(value, bool)
+        one = str(value).lower() if flag else self._text.number(value)
+        if self._width == 1:
+            return one
+        kind = "i1" if flag else self._text.real
+        return "<" + ", ".join([f"{kind} {one}"] * self._width) + ">"
+
+    def spread(self, one: str, kind: str) -> str:
+        """A scalar in every lane."""
+        if self._width == 1:
+            return one
+        vector = f"<{self._width} x {kind}>"
+        first = self._text.let(f"insertelement {vector} poison, {kind} {one}, i64 0")
+        zeros = f"<{self._width} x i32> zeroinitializer"
+        return self._text.let(f"shufflevector {vector} {first}, {vector} poison, {zeros}")
+
+    def value(self, wanted: Node) -> str:
+        """The name of a node's value; computes it where that has not been done."""
+        waiting = [wanted]
+        while waiting:
+            node = waiting[-1]
+            if node not in self._names:
+                name = self.constant(node.value) if node.op == "constant" else self._outside(node)
+                if name is None:
+                    missing = [arg for arg in node.args if arg not in self._names]
+                    if missing:
+                        waiting.extend(reversed(missing))
+                        continue
+                    name = self._operation(node)
+                self._names[node] = name
+            waiting.pop()
+        return self._names[wanted]
+
+    def _operation(self, node: Node) -> str:
+        let, op, real = self._text.let, node.op, self.real
+        args = [self._names[arg] for arg in node.args]
+        if op in _ARITHMETIC:
+            return let(f"{_ARITHMETIC[op]} {_FLAGS} {real} {args[0]}, {args[1]}")
+        if op in _COMPARISONS:
+            return let(f"fcmp {_COMPARISONS[op]} {real} {args[0]}, {args[1]}")
+        if op in _LOGIC:
+            return let(f"{_LOGIC[op]} {self.flag} {args[0]}, {args[1]}")
+        if op == "not":
+            return let(f"xor {self.flag} {args[0]}, {self.constant(True)}")
+        if op == "neg":
+            return let(f"fneg {_FLAGS} {real} {args[0]}")
+        if op == "select":
+            kind = self.flag if node.is_bool else real
+            return let(f"select {self.flag} {args[0]}, {kind} {args[1]}, {kind} {args[2]}")
+        if op in _INTRINSICS:
+            return self._intrinsic(_INTRINSICS[op], args)
+        if op in ("max", "min"):
+            return self._extreme(node, args)
+        if op == "sign":
+            return self._sign(args[0])
+        if op in LIBRARY:
+            return self._library(op, args)
+        raise Untranslatable(op)
+
+    def _intrinsic(self, name: str, args: list[str]) -> str:
+        real = self.real
+        short = "f32" if self._text.real == "float" else "f64"
+        short = short if self._width == 1 else f"v{self._width}{short}"
+        kinds = ", ".join([real] * len(args))
+        self._text.declared.add(f"declare {real} @llvm.{name}.{short}({kinds})")
+        given = ", ".join(f"{real} {arg}" for arg in args)
+        return self._text.let(f"call {_FLAGS} {real} @llvm.{name}.{short}({given})")
+
+    def _extreme(self, node: Node, args: list[str]) -> str:
+        """The larger or smaller; NaN if either is."""
+        for one, other in ((0, 1), (1, 0)):
+            if self._never_nan(node.args[one]):  # a comparison with NaN fails: NaN is taken
+                order = "ogt" if node.op == "max" else "olt"
+                which = self._text.let(f"fcmp {order} {self.real} {args[one]}, {args[other]}")
+                pair = f"{self.real} {args[one]}, {self.real} {args[other]}"
+                return self._text.let(f"select {self.flag} {which}, {pair}")
+        return self._intrinsic("maximum" if node.op == "max" else "minimum", args)
+
+    def _sign(self, x: str) -> str:
+        one = self._intrinsic("copysign", [self.constant(1.0), x])
+        away = self._text.let(f"fcmp one {self.real} {x}, {self.constant(0.0)}")
+        # Neither above nor below: zero or NaN, which stay.
+        return self._text.let(f"select {self.flag} {away}, {self.real} {one}, {self.real} {x}")
+
+    def _library(self, op: str, args: list[str]) -> str:
+        one = self._text.real
+        name = LIBRARY[op] + ("f" if one == "float" else "")
+        kinds = ", ".join([one] * len(args))
+        self._text.declared.add(f"declare {one} @{name}({kinds}) nounwind willreturn memory(none)")
+        if self._width == 1:
+            return self._text.let(f"call {one} @{name}({', '.join(f'{one} {x}' for x in args)})")
+        out = "poison"
+        for i in range(self._width):
+            each = [self._text.let(f"extractelement {self.real} {x}, i64 {i}") for x in args]
+            done = self._text.let(f"call {one} @{name}({', '.join(f'{one} {x}' for x in each)})")
+            out = self._text.let(f"insertelement {self.real} {out}, {one} {done}, i64 {i}")
+        return out
+
+
+def begin(text: Text, definition: str) -> None:
+    """The head of a function."""
+    text.add(definition, "entry:", flushing().begin)
+
+
+def end(text: Text) -> None:
+    """Its last lines."""
+    text.add(flushing().end, "  ret void", "}")
+
+
+def loop(text: Text, name: str, before: str, count: str) -> None:
+    """The head of a loop over %name.k from 0, which is entered from the block `before`."""
+    text.add(
+        f"{name}:",
+        f"  %{name}.k = phi i64 [ 0, %{before} ], [ %{name}.next, %{name}.end ]",
+        f"  %{name}.more = icmp slt i64 %{name}.k, {count}",
+        f"  br i1 %{name}.more, label %{name}.body, label %{name}.out",
+        f"{name}.body:",
+    )
+
+
+def loop_end(text: Text, name: str) -> None:
+    """Its end; what follows is behind it."""
+    text.add(
+        f"  br label %{name}.end",
+        f"{name}.end:",
+        f"  %{name}.next = add i64 %{name}.k, 1",
+        f"  br label %{name}",
+        f"{name}.out:",
+    )
+
+
+def as_flag(scope: Scope, text: Text, node: Node, number: str) -> str:
+    """Flags lie in memory as numbers."""
+    if not node.is_bool:
+        return number
+    return text.let(f"fcmp une {scope.real} {number}, {scope.constant(0.0)}")
+
+
+def as_number(scope: Scope, text: Text, node: Node, value: str) -> str:
+    """And in registers as flags."""
+    if not node.is_bool:
+        return value
+    pair = f"{scope.real} {scope.constant(1.0)}, {scope.real} {scope.constant(0.0)}"
+    return text.let(f"select {scope.flag} {value}, {pair}")
+
+
+def module(text: Text) -> str:
+    """All functions of a text, with what they call."""
+    declared = sorted(text.declared | set(flushing().declarations))
+    bits = 8 * register_bytes()
+    # The stack aligned to whole registers: what spills to it is read often.
+    attributes = (
+        f'nounwind alignstack={register_bytes()} "prefer-vector-width"="{bits}" '
+        f'"min-legal-vector-width"="{bits}"'
+    )
+    return "\n".join([*text.lines, *declared, f"attributes #0 = {{ {attributes} }}", ""])

@@ -1,0 +1,462 @@
+r"""A function of arrays, traced by JAX, as a scalar program.
+
+Its jaxpr is evaluated on NumPy arrays of nodes: arithmetic makes nodes, component by component,
+and whatever only moves components (slices, reshapes, concatenations) moves nodes and leaves no
+trace. A loop of known length is written out; one whose length depends on the data cannot be.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from eoi_jax._jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
+from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
+
+MOST_UNROLLED = 64  # turns of a loop
+
+
+def nodes_of(graph: Graph, value: Any) -> np.ndarray:
+    """An array of constants."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fbiu":
+        raise Untranslatable(f"numbers of type {array.dtype}")
+    out = np.empty(array.shape, object)
+    out.ravel()[:] = [graph.constant(one) for one in array.ravel()]
+    return out
+
+
+def translated(
+    graph: Graph, function: Callable, shapes: Sequence[jax.ShapeDtypeStruct], inputs: Sequence
+) -> list[np.ndarray]:
+    """A function of arrays, traced, on nodes.
+
+    Args:
+        graph: owner of all nodes.
+        function: of as many arrays as there are shapes; returns a list of arrays.
+        shapes: of its arguments.
+        inputs: arguments as arrays of nodes.
+
+    Returns:
+        Its results as arrays of nodes.
+
+    Raises:
+        Untranslatable: an operation that is no arithmetic on components known in advance.
+    """
+    closed = jax.make_jaxpr(function)(*shapes)
+    return _run(graph, closed, inputs)
+
+
+def _run(graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    jaxpr = closed.jaxpr
+    known: dict[Any, np.ndarray] = dict(zip(jaxpr.invars, inputs, strict=True))
+    known |= {
+        var: nodes_of(graph, value)
+        for var, value in zip(jaxpr.constvars, closed.consts, strict=True)
+    }
+
+    def read(atom: Any) -> np.ndarray:
+        return nodes_of(graph, atom.val) if isinstance(atom, Literal) else known[atom]
+
+    for equation in jaxpr.eqns:
+        results = _equation(graph, equation, [read(atom) for atom in equation.invars])
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.ndarray]:
+    name, params = equation.primitive.name, equation.params
+    if (function := called(equation)) is not None:
+        return _run(graph, function, args)
+    if name in _MANY:
+        return _MANY[name](graph, params, *args)
+    shape = equation.outvars[0].aval.shape
+    if name in _MOVES:
+        moved = _MOVES[name](params, *args)
+    elif name in _INDEXED:
+        moved = _indexed(equation, args)
+    elif name in _ARRAYS:
+        moved = _ARRAYS[name](graph, equation, *args)
+    elif name in _COMPONENTS:
+        component = functools.partial(_COMPONENTS[name], graph, equation)
+        moved = np.frompyfunc(component, len(args), 1)(*args)
+    else:
+        raise Untranslatable(name)
+    out = np.empty(shape, object)
+    out[...] = moved
+    return [out]
+
+
+def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
+    """A loop of known length, written out."""
+    loop = scan_parts(params)
+    length, consts, carries = loop.length, loop.constants, loop.carries
+    if length > MOST_UNROLLED:
+        raise Untranslatable(f"scan of {length} turns (more than {MOST_UNROLLED})")
+    fixed, carry, rows = (
+        args[:consts],
+        list(args[consts : consts + carries]),
+        args[consts:][carries:],
+    )
+    turns = range(length - 1, -1, -1) if loop.reverse else range(length)
+    shown: dict[int, list[np.ndarray]] = {}
+    for k in turns:
+        row = [np.asarray(one[k], object) for one in rows]
+        out = _run(graph, loop.body, [*fixed, *carry, *row])
+        carry, shown[k] = out[:carries], out[carries:]
+    return carry + [np.stack(one) for one in zip(*(shown[k] for k in range(length)), strict=True)]
+
+
+def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
+    """All branches, and of their results the right one: branches have no other effect."""
+    chosen = _flag_of(graph, which.item())
+    outer, branches = graph.branches, []
+    for i, branch in enumerate(branches_of(params)):
+        graph.branches = None if outer is None else []
+        branches.append(_run(graph, branch, args))
+        if outer is not None and i == 1 and chosen.is_bool:
+            # Inside a branch that is not taken nothing happens.
+            inner = [graph.make("and", chosen, one) for one in graph.branches or []]
+            outer.extend([chosen, *inner])
+    graph.branches = outer
+    out = []
+    for ways in zip(*branches, strict=True):
+        array = np.empty(ways[0].shape, object)
+        for at in np.ndindex(array.shape):
+            array[at] = _choose(graph, chosen, *(way[at] for way in ways))
+        out.append(array)
+    return out
+
+
+def _flag_of(graph: Graph, which: Node) -> Node:
+    """The flag that was made a number to choose between two branches."""
+    plain = which.op == "select" and which.args[1:] == (graph.constant(1.0), graph.constant(0.0))
+    return which.args[0] if plain else which
+
+
+def _choose(graph: Graph, which: Node, *ways: Node) -> Node:
+    if which.is_bool:
+        return graph.make("select", which, ways[1], ways[0])
+    found = ways[-1]
+    for i in range(len(ways) - 2, -1, -1):
+        first = graph.make("le", which, graph.constant(i))
+        found = graph.make("select", first, ways[i], found)
+    return found
+
+
+def _split(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
+    del graph
+    ends = np.cumsum([int(size) for size in params["sizes"]])[:-1]
+    return np.split(array, ends, axis=params["axis"])
+
+
+def _unstack(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
+    del graph
+    return [np.asarray(part, object) for part in np.moveaxis(array, params["axis"], 0)]
+
+
+def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
+    """Which of several forms of a function is meant for the CPU."""
+    fits = [names is None or "cpu" in names for names in params["platforms"]]
+    return [nodes_of(graph, fits.index(True))]
+
+
+_MANY: dict[str, Callable] = {
+    "platform_index": _platform,
+    "scan": _scan,
+    "cond": _cond,
+    "split": _split,
+    "unstack": _unstack,
+}
+
+
+# -- components moved, known in advance -------------------------------------------------------
+
+
+def _broadcast(params: dict, array: np.ndarray) -> np.ndarray:
+    shape = np.ones(len(params["shape"]), int)
+    shape[list(params["broadcast_dimensions"])] = array.shape
+    return np.broadcast_to(array.reshape(shape), params["shape"])
+
+
+def _slice(params: dict, array: np.ndarray) -> np.ndarray:
+    strides = params["strides"] or (1,) * array.ndim
+    limits = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return array[tuple(slice(*limit) for limit in limits)]
+
+
+def _same(params: dict, array: np.ndarray) -> np.ndarray:
+    del params
+    return array
+
+
+_MOVES: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast,
+    "slice": _slice,
+    "reshape": lambda params, array: array.reshape(params["new_sizes"]),
+    "squeeze": lambda params, array: np.squeeze(array, tuple(params["dimensions"])),
+    "expand_dims": lambda params, array: np.expand_dims(array, tuple(params["dimensions"])),
+    "transpose": lambda params, array: array.transpose(params["permutation"]),
+    "rev": lambda params, array: np.flip(array, params["dimensions"]),
+    "stack": lambda params, *arrays: np.stack(arrays, params["axis"]),
+    "concatenate": lambda params, *arrays: np.concatenate(arrays, params["dimension"]),
+    "tile": lambda params, array: np.tile(array, params["reps"]),
+    "copy": _same,
+    "copy_p": _same,
+    "stop_gradient": _same,
+    "optimization_barrier": _same,
+}
+
+# Operands from there on say where, or are parts of the first operand's kind before it.
+_INDEXED = {
+    "gather": (0,),
+    "scatter": (0, 2),
+    "dynamic_slice": (0,),
+    "dynamic_update_slice": (0, 1),
+    "pad": (0, 1),
+}
+
+
+def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
+    """Which component ends where: asked of JAX itself, with running numbers as components."""
+    name = equation.primitive.name
+    movable = _INDEXED[name]
+    flat, operands = [], []
+    for i, (array, atom) in enumerate(zip(args, equation.invars, strict=True)):
+        if i in movable:
+            first = len(flat)
+            flat.extend(array.ravel())
+            operands.append(np.arange(first, len(flat), dtype=np.int32).reshape(array.shape))
+        else:
+            operands.append(_known(name, array, atom))
+    with jax.ensure_compile_time_eval():
+        places = np.asarray(equation.primitive.bind(*operands, **equation.params))
+    if not np.all((places >= 0) & (places < len(flat))):
+        raise Untranslatable(f"{name} beyond its array")
+    components = np.empty(len(flat), object)
+    components[:] = flat
+    return components[places]
+
+
+def _known(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
+    """Constants as the numbers that they are."""
+    if not all(node.op == "constant" for node in array.ravel()):
+        raise Untranslatable(f"{name} at places that depend on the data")
+    values = [node.value for node in array.ravel()]
+    return np.asarray(values, atom.aval.dtype).reshape(array.shape)
+
+
+def _scatter_add(
+    graph: Graph, equation: Any, array: np.ndarray, where: np.ndarray, added: np.ndarray
+) -> np.ndarray:
+    params = equation.params
+    numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
+    with jax.ensure_compile_time_eval():
+        places = jax.lax.scatter(
+            np.full(array.shape, -1, np.int32),
+            _known("scatter-add", where, equation.invars[1]),
+            numbers,
+            params["dimension_numbers"],
+            mode=params["mode"],
+        )
+    out, flat = array.copy(), added.ravel()
+    hits = np.asarray(places)
+    if np.sum(hits >= 0) != added.size:
+        raise Untranslatable("scatter-add beyond its array, or twice at one place")
+    for at in np.ndindex(hits.shape):
+        if hits[at] >= 0:
+            out[at] = graph.make("add", array.item(at), flat.item(hits[at]))
+    return out
+
+
+# -- sums and products of components ----------------------------------------------------------
+
+
+def _iota(graph: Graph, equation: Any) -> np.ndarray:
+    shape, axis = equation.params["shape"], equation.params["dimension"]
+    line = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return nodes_of(graph, np.broadcast_to(line, shape))
+
+
+def _dot_general(graph: Graph, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    (along_a, along_b), (batch_a, batch_b) = equation.params["dimension_numbers"]
+    free_a = [i for i in range(a.ndim) if i not in (*along_a, *batch_a)]
+    free_b = [i for i in range(b.ndim) if i not in (*along_b, *batch_b)]
+    batch = [a.shape[i] for i in batch_a]
+    size = math.prod(a.shape[i] for i in along_a)
+    rows = a.transpose([*batch_a, *free_a, *along_a])
+    columns = b.transpose([*batch_b, *free_b, *along_b])
+    n, m = (math.prod(x.shape[i] for i in free) for x, free in ((a, free_a), (b, free_b)))
+    rows = rows.reshape(math.prod(batch), n, 1, size)
+    columns = columns.reshape(math.prod(batch), 1, m, size)
+    products = np.empty((math.prod(batch), n, m, size), object)
+    products[...] = np.frompyfunc(functools.partial(graph.make, "mul"), 2, 1)(rows, columns)
+    shape = [*batch, *(a.shape[i] for i in free_a), *(b.shape[i] for i in free_b)]
+    return _folded(graph, "add", products, (3,), graph.constant(0.0)).reshape(shape)
+
+
+def _folded(graph: Graph, op: str, array: np.ndarray, axes: Sequence, start: Node) -> np.ndarray:
+    """Components along some axes joined by one operation."""
+    kept = [i for i in range(array.ndim) if i not in axes]
+    shape = [array.shape[i] for i in kept]
+    size = math.prod(array.shape[i] for i in axes)
+    lines = array.transpose([*kept, *axes]).reshape(math.prod(shape), size)
+    out = np.empty(len(lines), object)
+    for i, line in enumerate(lines):
+        out[i] = functools.reduce(functools.partial(graph.make, op), line) if len(line) else start
+    return out.reshape(shape)
+
+
+def _reduction(op: str, start: Any) -> Callable:
+    def reduce(graph: Graph, equation: Any, array: np.ndarray) -> np.ndarray:
+        return _folded(graph, op, array, equation.params["axes"], graph.constant(start))
+
+    return reduce
+
+
+def _running(op: str) -> Callable:
+    def run(graph: Graph, equation: Any, array: np.ndarray) -> np.ndarray:
+        axis, back = equation.params["axis"], equation.params["reverse"]
+        step = np.frompyfunc(functools.partial(graph.make, op), 2, 1)
+        array = np.flip(array, axis) if back else array
+        out = step.accumulate(array, axis=axis, dtype=object) if array.size else array
+        return np.flip(out, axis) if back else out
+
+    return run
+
+
+_ARRAYS: dict[str, Callable] = {
+    "iota": _iota,
+    "scatter-add": _scatter_add,
+    "dot_general": _dot_general,
+    "reduce_sum": _reduction("add", 0.0),
+    "reduce_prod": _reduction("mul", 1.0),
+    "reduce_max": _reduction("max", -np.inf),
+    "reduce_min": _reduction("min", np.inf),
+    "reduce_and": _reduction("and", True),
+    "reduce_or": _reduction("or", False),
+    "cumsum": _running("add"),
+    "cumprod": _running("mul"),
+    "cummax": _running("max"),
+    "cummin": _running("min"),
+}
+
+
+# -- one component ----------------------------------------------------------------------------
+
+
+def _plain(graph: Graph, equation: Any, *args: Node) -> Node:
+    name = equation.primitive.name
+    if any(arg.is_bool for arg in args) and not OPERATIONS[name].is_bool:
+        # The library's arithmetic is on numbers; of flags, only the logical operations are.
+        raise Untranslatable(f"{name} of flags")
+    kind = equation.outvars[0].aval.dtype.kind
+    if kind in "iu" and name in ("div", "rem"):
+        if not all(arg.op == "constant" for arg in args):
+            raise Untranslatable(f"{name} of integers")
+        a, b = (int(arg.value) for arg in args)
+        quotient = int(a / b) if b else -1
+        return graph.constant(quotient if name == "div" else a - b * quotient)
+    if kind in "iu" and OPERATIONS[name].is_bool:
+        raise Untranslatable(f"{name} of integers")
+    return graph.make(name, *args)
+
+
+def _converted(graph: Graph, equation: Any, node: Node) -> Node:
+    kind = np.dtype(equation.params["new_dtype"]).kind
+    was = equation.invars[0].aval.dtype.kind
+    if kind == "b":
+        return node if node.is_bool else graph.make("ne", node, graph.constant(0.0))
+    if kind not in "fiu":
+        raise Untranslatable(f"numbers of type {equation.params['new_dtype']}")
+    if node.is_bool:
+        return graph.make("select", node, graph.constant(1.0), graph.constant(0.0))
+    return graph.make("trunc", node) if kind in "iu" and was == "f" else node
+
+
+def _power(graph: Graph, equation: Any, node: Node) -> Node:
+    return power(graph, node, equation.params["y"])
+
+
+def power(graph: Graph, node: Node, exponent: int) -> Node:
+    """A whole power by products."""
+    if exponent < 0:
+        return graph.make("div", graph.constant(1.0), power(graph, node, -exponent))
+    if exponent == 0:
+        return graph.constant(1.0)
+    half = power(graph, node, exponent // 2)
+    square = graph.make("mul", half, half)
+    return graph.make("mul", square, node) if exponent % 2 else square
+
+
+def _round(graph: Graph, equation: Any, node: Node) -> Node:
+    if equation.params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
+        return graph.make("round_even", node)
+    up = graph.make("floor", graph.make("add", graph.make("abs", node), graph.constant(0.5)))
+    return graph.make("mul", graph.make("sign", node), up)
+
+
+def _polynomial(graph: Graph, equation: Any, node: Node, *coefficients: Node) -> Node:
+    """Horner's rule; the constant coefficient comes first."""
+    del equation
+    value = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = graph.make("add", coefficient, graph.make("mul", node, value))
+    return value
+
+
+def _clamp(graph: Graph, equation: Any, low: Node, node: Node, high: Node) -> Node:
+    del equation
+    return graph.make("min", graph.make("max", low, node), high)
+
+
+def _select_n(graph: Graph, equation: Any, which: Node, *ways: Node) -> Node:
+    del equation
+    return _choose(graph, which, *ways)
+
+
+def _composed(*steps: str | float) -> Callable:
+    """Operations on the one argument in turn; a number is a first operand."""
+
+    def run(graph: Graph, equation: Any, node: Node) -> Node:
+        del equation
+        first = None
+        for step in steps:
+            if isinstance(step, str):
+                node = graph.make(step, node) if first is None else graph.make(step, first, node)
+                first = None
+            else:
+                first = graph.constant(step)
+        return node
+
+    return run
+
+
+def _swapped(op: str) -> Callable:
+    return lambda graph, _, a, b: graph.make(op, b, a)
+
+
+def _finite(graph: Graph, equation: Any, node: Node) -> Node:
+    del equation
+    return graph.make("lt", graph.make("abs", node), graph.constant(np.inf))
+
+
+_COMPONENTS: dict[str, Callable] = {
+    **dict.fromkeys(set(OPERATIONS) - {"select", "trunc", "round_even"}, _plain),
+    "add_any": lambda graph, _, a, b: graph.make("add", a, b),
+    "gt": _swapped("lt"),
+    "ge": _swapped("le"),
+    "integer_pow": _power,
+    "polynomial": _polynomial,
+    "round": _round,
+    "square": lambda graph, _, a: graph.make("mul", a, a),
+    "rsqrt": _composed("sqrt", 1.0, "div"),
+    "logistic": _composed("neg", "exp", 1.0, "add", 1.0, "div"),
+    "is_finite": _finite,
+    "convert_element_type": _converted,
+    "clamp": _clamp,
+    "select_n": _select_n,
+}

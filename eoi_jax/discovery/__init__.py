@@ -1,0 +1,1 @@
+"""What a model lacks: the residual, the effects that may explain it, and what decides."""

@@ -1,0 +1,294 @@
+r"""The residual of an estimate, thinned, and what noise alone would have made of it.
+
+Under the null hypothesis (the model is right, the measurement noise n is white) the residual is
+known up to its size. It is not white: with the model linearised along the record it is
+
+    e = F[n^(r) - Σ_m (∂f/∂y^(m)) n^(m)],        spectrum |F|² |(iω)^r - Σ_m a_m (iω)^m|² σ² h
+
+Differentiated r times, white noise is negatively correlated (its spectrum rises as ω^2r), and F
+makes neighbours alike. Two samples per half period of the cut-off (a step of π/2ω_c) are kept.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from eoi_jax._compilation import jit
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.defaults import default_substeps, velocity_noise
+from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.kernel import run_pass
+from eoi_jax.estimation.lowpass import DiscreteFilter
+from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.regression.coloured import ORDER
+from eoi_jax.models.jacobians import state_slopes
+from eoi_jax.models.plant import Plant, State
+
+PerOutput = Float[np.ndarray, " ny"]
+
+_DELAYS = 32  # that are tried, up to one period of the cut-off
+_SLOPES = 400  # samples at which the model is linearised
+
+
+class View(NamedTuple):
+    """One record as the tests see it; n thinned samples of N.
+
+    Attributes:
+        residual: (N, ny), NaN where not scored.
+        Phi: F[φ], (N, ny, np).
+        thin: samples per thinned one.
+        variables: F of y, its derivatives and u, and time, thinned, (n, variables).
+        inputs: F[u], thinned, (n, nu).
+        delays: that are tried [samples].
+        late: F[f(u late) - f(u)], thinned, (n, ny, nu, delays).
+        null: autocovariance of the residual under the null hypothesis at thinned lags, (ny, lags).
+        alike: samples per independent one in its mean square, (ny,).
+    """
+
+    record: Record
+    residual: np.ndarray
+    Phi: np.ndarray
+    thin: int
+    variables: np.ndarray
+    inputs: np.ndarray
+    delays: np.ndarray
+    late: np.ndarray
+    null: np.ndarray
+    alike: np.ndarray
+
+    def thinned(self, j: int) -> Float[np.ndarray, " n"]:
+        """The residual of output j, thinned."""
+        return self.residual[:: self.thin, j]
+
+
+def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
+    """All records as the tests need them, and the floor that the discretisation sets."""
+    plant, lowpass = identification.plant, identification.lowpass
+    explicit = identification.observer.scheme == "explicit"
+    records = identification.records
+    substeps = 1 if explicit else default_substeps(records, lowpass.cutoff)[0]
+    sums, Phi = _regressors(identification, substeps)
+    observed = np.sqrt(sums.observed_square / np.maximum(sums.weight, 1e-300))
+    step = lowpass.cutoff * max(record.sample_period for record in records) / substeps
+    views = []
+    for record, residual, phi in zip(records, identification.residual, Phi, strict=True):
+        h = record.sample_period
+        thin = max(round(0.5 * np.pi / (lowpass.cutoff * h)), 1)
+        time, states, inputs = _along(plant, record)
+        null, alike = _null_covariance(
+            _noise_moments(plant, time, states, inputs),
+            raw_noise(record),
+            _gain(lowpass, record, substeps, thin),
+            thin,
+        )
+        flat = np.concatenate([*_owned(plant, states), inputs], axis=1)
+        filtered = _filtered(lowpass.discretise(h), flat - flat[0]) + flat[0]
+        kept = np.concatenate([flat[:1], filtered])[::thin]
+        furthest = max(2.0 * np.pi / (lowpass.cutoff * h), 2.0)
+        delays = np.linspace(1.0, furthest, _DELAYS).round().astype(int)
+        views.append(
+            View(
+                record,
+                np.asarray(residual),
+                phi,
+                thin,
+                np.concatenate([kept, record.time[::thin, None]], axis=1),
+                kept[:, flat.shape[1] - len(plant.inputs) :],
+                delays,
+                _late(plant, lowpass.discretise(h), time, states, inputs, delays, thin),
+                null,
+                alike,
+            )
+        )
+    return views, step**2 / 6.0 * observed
+
+
+def _regressors(
+    identification: Identification, substeps: int
+) -> tuple[Any, list[Float[np.ndarray, "time ny np"]]]:
+    """Sums of a pass at the estimate, and F[φ] at the samples of each record."""
+    plant, lowpass = identification.plant, identification.lowpass
+    observer, records = identification.observer, identification.records
+    explicit = observer.scheme == "explicit"
+    fine = tuple(record.resample(substeps) for record in records)
+    noise = [
+        velocity_noise(plant.degrees, record, min(record.smoothed, default=False))
+        / record.noise_left
+        for record in records
+    ]
+    steps = prepare(
+        plant,
+        fine,
+        [step_inputs(record, explicit) for record in fine],
+        len(np.atleast_2d(np.asarray(observer.kernel))[0]),
+        0.0,
+        lowpass.memory,
+        noise,
+        explicit,
+        2.0 / lowpass.cutoff,
+    )
+    sampled = [lowpass.discretise(record.sample_period) for record in fine]
+    filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
+    sums, trace = run_pass(
+        plant, observer, filters, steps, jnp.asarray(plant.theta), store="signals"
+    )
+    sums = jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)
+    arrays = []
+    for i, record in enumerate(records):
+        ends = slice(substeps - 1, (len(record) - 1) * substeps, substeps)
+        Phi = np.asarray(trace.Phi[i, ends])  # type: ignore[union-attr]
+        arrays.append(np.concatenate([np.full_like(Phi[:1], np.nan), Phi]))
+    return sums, arrays
+
+
+def _along(
+    plant: Plant, record: Record
+) -> tuple[
+    Float[np.ndarray, " steps"], Float[np.ndarray, "steps r ny"], Float[np.ndarray, "steps nu"]
+]:
+    """Time, measured outputs with their central differences, and inputs, mid-step."""
+    rows = [record.outputs]
+    for order in range(1, plant.relative_degree):
+        rate = np.gradient(rows[-1], record.sample_period, axis=0)
+        rows.append(rate * (np.asarray(plant.degrees) > order))
+    states = np.stack(rows, axis=1)
+    time = record.time[:-1] + 0.5 * record.sample_period
+    return time, 0.5 * (states[1:] + states[:-1]), record.midpoint_inputs()
+
+
+def _owned(
+    plant: Plant, states: Float[np.ndarray, "steps r ny"]
+) -> list[Float[np.ndarray, "steps 1"]]:
+    """Outputs and those derivatives that are states of the model."""
+    return [states[:, m, [j]] for j, degree in enumerate(plant.degrees) for m in range(degree)]
+
+
+def variable_names(plant: Plant) -> list[str]:
+    """In the order of `View.variables`."""
+    outputs = zip(plant.outputs, plant.degrees, strict=True)
+    states = [name + "′" * m for name, degree in outputs for m in range(degree)]
+    return [*states, *plant.inputs, "time"]
+
+
+@jit
+def _scan(lowpass: DiscreteFilter, columns: Float[Array, "steps c"]) -> Float[Array, "steps c"]:
+    def step(state: Any, row: Any) -> tuple[Any, Any]:
+        state = lowpass.step(state, row)
+        return state, state[0]
+
+    start = jnp.zeros((lowpass.entry.shape[0], columns.shape[1]), columns.dtype)
+    return jax.lax.scan(step, start, columns)[1]
+
+
+def _filtered(
+    lowpass: DiscreteFilter, columns: Float[np.ndarray, "steps c"]
+) -> Float[np.ndarray, "steps c"]:
+    """F of each column."""
+    return np.asarray(_scan(lowpass, jnp.asarray(columns)))
+
+
+@jit
+def _change(plant: Plant, time: Any, states: Any, inputs: Any, others: Any) -> Any:
+    """f with other inputs less f, at every step: others (variant, steps, nu)."""
+    theta = jnp.asarray(plant.theta)
+    z = plant.internal_start(theta)
+
+    def one(t: Any, y: Any, u: Any, other: Any) -> Any:
+        x = State(y, z)
+        return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
+
+    def along(u: Any) -> Any:
+        return plant.driven(jnp.asarray(time), jnp.asarray(u), theta)
+
+    given = along(inputs)
+    return jax.vmap(lambda other: jax.vmap(one)(time, states, given, along(other)))(others)
+
+
+def _late(
+    plant: Plant,
+    lowpass: DiscreteFilter,
+    time: Float[np.ndarray, " steps"],
+    states: Float[np.ndarray, "steps r ny"],
+    inputs: Float[np.ndarray, "steps nu"],
+    delays: Int[np.ndarray, " delays"],
+    thin: int,
+) -> Float[np.ndarray, "n ny nu delays"]:
+    """F of what the model would change by if one of its inputs came late."""
+    late, index = [], np.arange(len(inputs))
+    for k in range(inputs.shape[1]):
+        others = np.repeat(inputs[None], len(delays), axis=0)
+        for row, delay in zip(others, delays, strict=True):
+            row[:, k] = inputs[np.maximum(index - delay, 0), k]
+        change = np.asarray(_change(plant, time, states, inputs, others))
+        columns = np.moveaxis(np.nan_to_num(change), 0, -1).reshape(len(index), -1)
+        filtered = _filtered(lowpass, columns)
+        filtered = np.concatenate([np.zeros_like(filtered[:1]), filtered])[::thin]
+        late.append(filtered.reshape(len(filtered), -1, len(delays)))
+    empty = np.zeros((len(index) // thin + 1, len(plant.outputs), 0, len(delays)))
+    return np.stack(late, axis=2) if late else empty
+
+
+def raw_noise(record: Record) -> PerOutput:
+    """Standard deviation of the white noise, before any smoothing [unit of y]."""
+    return record.noise / record.noise_left
+
+
+def _noise_moments(
+    plant: Plant,
+    time: Float[np.ndarray, " steps"],
+    states: Float[np.ndarray, "steps r ny"],
+    inputs: Float[np.ndarray, "steps nu"],
+) -> Float[np.ndarray, "ny ny r1 r1"]:
+    """Mean of c cᵀ, where Σ_m c_m n^(m) is what noise n in output j adds to residual i.
+
+    c is one at the degree of output i = j, less ∂f_i/∂y_j^(m); taken at up to 400 samples.
+    """
+    picked = np.linspace(0, len(time) - 1, min(len(time), _SLOPES)).astype(int)
+    slopes = np.asarray(state_slopes(plant, time[picked], states[picked], inputs[picked]))
+    ny, r = len(plant.outputs), plant.relative_degree
+    c = np.zeros((len(picked), ny, ny, r + 1))
+    c[..., :r] = -np.swapaxes(np.nan_to_num(slopes, posinf=0.0, neginf=0.0), 2, 3)
+    c[:, np.arange(ny), np.arange(ny), np.asarray(plant.degrees)] += 1.0
+    return np.mean(c[..., :, None] * c[..., None, :], axis=0)
+
+
+class _Gain(NamedTuple):
+    """Derivative operator and |F|² (with smoothing) on the grid of a real FFT."""
+
+    derivative: np.ndarray
+    power: np.ndarray
+
+
+def _gain(lowpass: Any, record: Record, substeps: int, thin: int) -> _Gain:
+    h = record.sample_period
+    size = 2 ** int(np.ceil(np.log2(max(8 * thin * (ORDER + 1), 4096))))
+    omega = 2.0 * np.pi * np.fft.rfftfreq(size, h)
+    fine = h / substeps
+    sampled = lowpass.discretise(fine)
+    z = np.exp(1j * omega * fine)[:, None, None]
+    matrix = z * np.eye(lowpass.order) - np.asarray(sampled.transition)
+    response = np.linalg.solve(matrix, np.asarray(sampled.entry)[:, None])[:, 0, 0]
+    power = np.abs(response) ** 2
+    for cutoff in record.smoothed:  # Butterworth of order four, forward and backward
+        warped = np.tan(np.minimum(0.5 * omega * h, 1.55)) / np.tan(0.5 * cutoff * h)
+        power = power / (1.0 + warped**8) ** 2
+    return _Gain(2j * np.sin(0.5 * omega * fine) / fine, power)
+
+
+def _null_covariance(
+    moments: Float[np.ndarray, "ny ny r1 r1"], noise: PerOutput, gain: _Gain, thin: int
+) -> tuple[Float[np.ndarray, "ny lags"], PerOutput]:
+    """Autocovariance of the residual that white noise leaves, at thinned lags 0 … `ORDER`.
+
+    Also how many samples make one independent one in the mean square, Σ_k (R_k / R_0)².
+    """
+    mixed = np.einsum("ijab,j->iab", moments, noise**2)
+    powers = gain.derivative[:, None] ** np.arange(moments.shape[-1])
+    density = np.einsum("wa,iab,wb->iw", powers.conj(), mixed, powers).real * gain.power
+    covariance = np.fft.irfft(np.maximum(density, 0.0), axis=1)
+    zero = np.maximum(covariance[:, :1], np.finfo(float).tiny)
+    alike = np.sum((covariance / zero) ** 2, axis=1)
+    return covariance[:, : thin * (ORDER + 1) : thin], np.maximum(alike, 1.0)

@@ -1,0 +1,455 @@
+"""An engine for GPUs: the whole loop over a record is one kernel, a lane is a thread.
+
+Under `lax.scan` every step of a record launches kernels anew, and the launches take longer than
+the arithmetic. Here a Pallas kernel runs over the record with its carry in registers. What it
+computes is a lane program (`lane_program.py`), number by number, for Triton knows neither small
+arrays nor sizes that are no powers of two. A kernel of one thread goes before it: through all that
+depends on the record alone, of which it writes what the lanes need, one row a step.
+
+Experimental: compared with the scan by interpretation on a CPU, and lowered for CUDA; no speed
+has been measured on a GPU. JAX 0.12 warns that the Triton backend, which this needs, will be
+removed.
+"""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental import pallas as pl
+
+from eoi_jax._checks import check
+from eoi_jax._compilation import jit
+from eoi_jax.compiler.graph import Node, ordered
+from eoi_jax.compiler.loop import BLOCK, CARRY, LaneProgram, lane_program, shapes_of
+from eoi_jax.estimation.engines.engine import AbstractEngine, Lanes, in_precision
+from eoi_jax.estimation.engines.pass_loop import Pass
+from eoi_jax.estimation.kernel import Step, Steps, Sums
+from eoi_jax.estimation.lowpass import DiscreteFilter
+from eoi_jax.models.plant import Plant
+
+_WARP = 32  # threads
+Number = Any  # of all lanes of a tile, or one that they share
+
+
+@dataclass(frozen=True)
+class OneKernel(AbstractEngine):
+    """Lanes across the threads of one Pallas kernel; experimental.
+
+    Attributes:
+        tile: lanes of one block of threads, a power of two.
+        interpret: run the kernel under XLA instead of compiling it for a GPU; where JAX has only
+            a CPU if None.
+        memory: for the inputs behind actuators, which differ between lanes [bytes]; more lanes
+            than fit go in several launches.
+
+    Raises:
+        ValueError: a tile that is no power of two.
+    """
+
+    tile: int = _WARP
+    interpret: bool | None = None
+    memory: int = 2**30
+
+    def __post_init__(self) -> None:
+        """A wrong tile is found here."""
+        good = self.tile >= 1 and self.tile & (self.tile - 1) == 0
+        check(good, "tile", "must be a power of two", self.tile)
+
+    def run(
+        self,
+        plant: Plant,
+        lanes: Lanes,
+        lowpass: DiscreteFilter,
+        steps: Steps,
+        store: str = "nothing",
+    ) -> Sums:
+        """One pass of every lane; compiled once for a number of tiles rounded up to 2ⁿ.
+
+        A lane with a NaN among its gains or parameters has NaN in all its sums.
+
+        Raises:
+            Untranslatable: the plant or the observer does what a scalar program cannot.
+        """
+        count, most = len(lanes), len(lanes)
+        if row := _driven(plant):
+            size = np.shape(steps.u)[0] * row * lanes.theta.dtype.itemsize
+            most = max(self.memory // size, self.tile)
+        parts = []
+        for first in range(0, count, most):
+            some = lanes[first : first + most]
+            sums = self.launch(plant, some, lowpass, steps, store)
+            parts.append(jax.tree.map(functools.partial(_first, len(some)), sums))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    def launch(
+        self,
+        plant: Plant,
+        lanes: Lanes,
+        lowpass: DiscreteFilter,
+        steps: Steps,
+        store: str = "nothing",
+    ) -> Sums:
+        """The same as JAX arrays, on whose completion nothing waits; for use inside `jit` too.
+
+        Args:
+            plant: as in `run`.
+            lanes: as in `run`.
+            lowpass: as in `run`.
+            steps: as in `run`.
+            store: as in `run`.
+
+        Returns:
+            Sums of the lanes and of padding after them.
+        """
+        count = len(lanes)
+        used = -(-count // self.tile)
+        room = self.tile * 2 ** int(np.ceil(np.log2(used)))
+        padded = lanes.padded(room)
+        interpret = jax.default_backend() == "cpu" if self.interpret is None else self.interpret
+        what = _pass(plant, lanes, lowpass, steps, store)
+        used = jnp.asarray(used, jnp.int32).reshape(1)
+        return _launch(what, plant, padded, lowpass, steps, used, self.tile, interpret)
+
+
+def _first(count: int, leaf: jax.Array) -> np.ndarray:
+    return np.asarray(leaf)[:count]
+
+
+def _driven(plant: Plant) -> int:
+    """How many numbers of a step differ between lanes: inputs behind an actuator, ∂/∂θ too."""
+    return 0 if plant.actuator is None else len(plant.inputs) * (1 + len(plant.names))
+
+
+# -- what is traced ---------------------------------------------------------------------------
+
+
+def _pass(plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str) -> Pass:
+    """What the program is made of: shapes, so that its arrays may be traced ones."""
+    dtype = np.dtype(lanes.theta.dtype)
+    every, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
+    lane, step = _shapes(lanes.without_emphasis(), dtype, 1), _shapes(every, dtype, 1)
+    return Pass(_shapes(plant, dtype), lane, _shapes(lowpass, dtype), step, store, dtype)
+
+
+def _shapes(tree: Any, dtype: np.dtype, skip: int = 0) -> Any:
+    def stand_in(leaf: Any) -> Any:
+        abstract = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct) and leaf.dtype.kind in "fb"
+        return np.broadcast_to(np.zeros((), leaf.dtype), leaf.shape) if abstract else leaf
+
+    return shapes_of(jax.tree.map(stand_in, tree), dtype, skip)
+
+
+def _rows(
+    plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str
+) -> tuple[Step, Any]:
+    """The steps of a record for the first lane, and all lanes' inputs if behind an actuator."""
+    steps = in_precision(steps, lanes.theta.dtype)
+
+    def rows(lane: Lanes) -> Step:
+        emphasis = None if lane.emphasis is None else jnp.asarray(lane.emphasis)
+        return lane.kernel(plant, lowpass, store).rows(steps, emphasis)
+
+    def inputs(lane: Lanes) -> tuple[jax.Array, jax.Array | None]:
+        return rows(lane).u, rows(lane).slope
+
+    return rows(lanes[0]), None if plant.actuator is None else jax.vmap(inputs)(lanes)
+
+
+def _columns(tree: Any, leading: int, dtype: np.dtype) -> jax.Array:
+    """Real numbers and flags as one array, shape (…, columns), in the order of `shapes_of`."""
+    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    flat = [
+        leaf.astype(dtype).reshape(*leaf.shape[:leading], -1)
+        for leaf in leaves
+        if not jnp.issubdtype(leaf.dtype, jnp.integer)
+    ]
+    return jnp.concatenate(flat, axis=-1)
+
+
+@functools.lru_cache(maxsize=64)
+def _program(what: Pass) -> LaneProgram:
+    return lane_program(what)
+
+
+# -- the loops --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Loop:
+    """What one kernel computes, and where it finds what it does not.
+
+    Attributes:
+        carries: numbers of those that it carries.
+        updates: of these, one each.
+        kept: numbers of the carries that it writes after the last step.
+        fixed, row, own: place of each node in the tables of what all lanes and steps share, of
+            what each step has for all lanes, and of what each lane has for itself.
+        driven: place of each input behind an actuator, a lane's own in each step.
+        shown: what it writes in each step.
+    """
+
+    carries: tuple[int, ...]
+    updates: tuple[Node, ...]
+    kept: tuple[int, ...]
+    fixed: dict[Node, int]
+    row: dict[Node, int]
+    own: dict[Node, int]
+    driven: dict[Node, int] = field(default_factory=dict)
+    shown: tuple[Node, ...] = ()
+
+    @functools.cached_property
+    def carried(self) -> dict[Node, int]:
+        """Place of each carried number before the step."""
+        places = {i: place for place, i in enumerate(self.carries)}
+        found = _inputs([*self.updates, *self.shown], CARRY)
+        return {node: places[i] for node, i in found.items() if i in places}
+
+    @functools.cached_property
+    def emphasis(self) -> dict[Node, int]:
+        """The factor on the scores of a block, if there is one."""
+        return _inputs(self.updates, BLOCK)
+
+
+def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
+    """Of what lanes share, and of the lanes; inputs of their own leave them nothing to share.
+
+    Args:
+        program: of both.
+        driven: how many numbers of a step are inputs behind an actuator; they come first.
+    """
+    sums = {program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()}
+    fixed, own = _numbered(program.fixed), _numbered(program.own)
+    shared = [one.node for one in program.step_updates]
+    recorded = _inputs([*shared, *program.shared], "step")
+
+    def loop(carries: tuple[int, ...], updates: list[Node], row: dict, own: dict) -> _Loop:
+        kept = tuple(i for i in carries if i in sums)
+        return _Loop(carries, tuple(updates), kept, fixed, row, own)
+
+    lanes = [one.node for one in program.rare]
+    if driven:
+        row = {node: i for node, i in recorded.items() if i >= driven}
+        behind = {node: i for node, i in recorded.items() if i < driven}
+        whole = loop(program.lane_carries + program.step_carries, lanes + shared, row, own)
+        return None, replace(whole, driven=behind)
+    first = replace(loop(program.step_carries, shared, recorded, {}), shown=program.shared)
+    return first, loop(program.lane_carries, lanes, _numbered(program.shared), own)
+
+
+def _numbered(nodes: Sequence[Node]) -> dict[Node, int]:
+    return {node: place for place, node in enumerate(nodes)}
+
+
+def _inputs(nodes: Sequence[Node], group: str) -> dict[Node, int]:
+    """Those of one group on which the nodes depend, and their numbers in it."""
+    inputs = (node for node in ordered(nodes) if node.op == "input")
+    return {node: node.value[1] for node in inputs if node.value[0] == group}
+
+
+# -- both kernels -----------------------------------------------------------------------------
+
+
+@jit
+def _launch(
+    what: Pass,
+    plant: Plant,
+    lanes: Lanes,
+    lowpass: DiscreteFilter,
+    steps: Steps,
+    used: jax.Array,
+    tile: int,
+    interpret: bool,
+) -> Sums:
+    """Both loops, that of the lanes over the first `used` tiles."""
+    program, dtype, count = _program(what), what.dtype, len(lanes)
+    every, driven = _rows(plant, lanes, lowpass, steps, what.store)
+    all_lanes = (plant, lowpass, steps.sample_period, every.y[0], every.y_next[0])
+    inputs = {
+        "fixed": _columns(all_lanes, 0, dtype),
+        "lane": _columns(lanes.without_emphasis(), 1, dtype).T,
+    }
+
+    def table(nodes: Sequence[Node], *lanes: int) -> jax.Array:
+        """Values before the first step, shape (nodes, *lanes)."""
+        places = [(node, group, i) for group in inputs for node, i in _inputs(nodes, group).items()]
+        known = {node: inputs[group][i] for node, group, i in places}
+        values = [_wide(_real(one, dtype), *lanes) for one in _computed(nodes, known, dtype)]
+        # A row of nothing, here and below: kernels take no empty arrays.
+        return jnp.stack(values or [jnp.zeros(lanes, dtype)])
+
+    def start(loop: _Loop, lanes: int) -> jax.Array:
+        return table([program.initial[i] for i in loop.carries], lanes)
+
+    ends, fixed = jnp.asarray(steps.block_end), table(program.fixed)
+    blocks, rows = (jnp.cumsum(ends) - ends).astype(jnp.int32), _columns(every, 1, dtype)
+    first, second = _loops(program, _driven(plant))
+    found = {}
+    if first is not None:
+        common, none = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
+        kept, shown = _call(first, common, (start(first, 1), none, none, none[None]), 1, interpret)
+        found, rows = dict(zip(first.kept, kept, strict=False)), shown[..., 0]
+    none, own = table((), count), table(program.own, count)
+    emphasis = none if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
+    behind = none[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
+    by_lane = (start(second, count), own, emphasis, behind)
+    kept, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
+    found |= dict(zip(second.kept, kept, strict=False))
+    return _sums(program, found, jnp.isnan(own).any(0))
+
+
+def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
+    """Sums of all lanes from the carried numbers that were kept; what never changed is known."""
+    dtype = next(iter(found.values())).dtype
+    places = [program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()]
+    known = {i: program.initial[i].value for i in places if i not in found}
+    values = found | {i: jnp.asarray(value, dtype) for i, value in known.items()}
+    row = {i: place for place, i in enumerate(values)}
+    table = jnp.stack([jnp.where(spoilt, np.nan, one).astype(dtype) for one in values.values()])
+
+    def gathered(leaf: np.ndarray) -> jax.Array:
+        rows = np.reshape([row[program.same[i]] for i in leaf.ravel()], leaf.shape)
+        return jnp.moveaxis(table[rows], -1, 0)
+
+    return jax.tree.map(gathered, program.sums)
+
+
+def _call(
+    loop: _Loop, common: tuple, by_lane: tuple, tile: int, interpret: bool
+) -> Sequence[jax.Array]:
+    """What a loop keeps, shape (kept, lanes), and what its steps show, (steps, shown, lanes)."""
+    length, (_, count) = common[-1].shape[0], by_lane[0].shape
+    shown = (length, len(loop.shown), count) if loop.shown else (1, 1, count)
+    shapes = ((max(len(loop.kept), 1), count), shown)
+    call = pl.pallas_call(
+        functools.partial(_kernel, loop, length, tile),
+        out_shape=[jax.ShapeDtypeStruct(shape, by_lane[0].dtype) for shape in shapes],
+        grid=(count // tile,),
+        in_specs=[pl.BlockSpec() for _ in common] + [_tiled(one.shape, tile) for one in by_lane],
+        out_specs=[_tiled(shape, tile) for shape in shapes],
+        compiler_params=None if interpret else _compiler(tile),
+        interpret=interpret,
+    )
+    return call(*common, *by_lane)
+
+
+def _compiler(tile: int) -> Any:
+    from jax.experimental.pallas import triton  # only here: not every build of JAX has it
+
+    return triton.CompilerParams(num_warps=max(tile // _WARP, 1))
+
+
+def _tiled(shape: tuple[int, ...], tile: int) -> pl.BlockSpec:
+    """Blocks of lanes, the last axis."""
+    return pl.BlockSpec((*shape[:-1], tile), lambda i: (0,) * (len(shape) - 1) + (i,))
+
+
+def _kernel(
+    loop: _Loop,
+    length: int,
+    tile: int,
+    used: Any,
+    blocks: Any,
+    fixed: Any,
+    row: Any,
+    start: Any,
+    own: Any,
+    emphasis: Any,
+    driven: Any,
+    kept: Any,
+    shown: Any,
+) -> None:
+    """One tile over the record; from `used` on these are references to memory."""
+    dtype = np.dtype(start.dtype)
+
+    def go() -> None:
+        constants = {node: _read(node, fixed[c]) for node, c in loop.fixed.items()}
+        constants |= {node: _read(node, own[c, :]) for node, c in loop.own.items()}
+
+        def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
+            known = constants | {node: numbers[place] for node, place in loop.carried.items()}
+            known |= {node: _read(node, row[k, c]) for node, c in loop.row.items()}
+            known |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
+            for node in loop.emphasis:
+                known[node] = emphasis[blocks[k], :]
+            values = _computed([*loop.updates, *loop.shown], known, dtype)
+            values = [_wide(_real(value, dtype), tile) for value in values]
+            for c, value in enumerate(values[len(loop.updates) :]):
+                shown[k, c, :] = value
+            return tuple(values[: len(loop.updates)])
+
+        begun = tuple(start[c, :] for c in range(len(loop.carries)))
+        ended = lax.fori_loop(np.int32(0), np.int32(length), step, begun)
+        last = dict(zip(loop.carries, ended, strict=True))
+        for c, i in enumerate(loop.kept):
+            kept[c, :] = last[i]
+
+    # Tiles beyond those in use pad the grid to a power of two.
+    pl.when(pl.program_id(0) < used[0])(go)
+
+
+# -- numbers ----------------------------------------------------------------------------------
+
+
+def _computed(nodes: Sequence[Node], known: dict[Node, Number], dtype: np.dtype) -> list[Number]:
+    """Values of nodes, given those of others; what stands before these only is not computed."""
+    values, waiting = dict(known), list(nodes)[::-1]
+    while waiting:
+        node = waiting[-1]
+        missing = [arg for arg in node.args if arg not in values]
+        if node in values:
+            waiting.pop()
+        elif node.op == "constant":
+            values[node] = np.asarray(node.value, bool if node.is_bool else dtype)[()]
+        elif missing:
+            waiting.extend(missing)
+        else:
+            values[node] = _applied(node.op, [values[arg] for arg in node.args])
+    return [values[node] for node in nodes]
+
+
+def _applied(op: str, numbers: Sequence[Number]) -> Number:
+    """One operation; numbers that all lanes share stay single while they can."""
+    shape = max((np.shape(number) for number in numbers), key=len)
+    function = _FORMS.get(op) or getattr(lax, op)
+    return function(*(_wide(number, *shape) for number in numbers))
+
+
+def _wide(number: Number, *shape: int) -> Number:
+    return number if np.shape(number) == shape else jnp.full(shape, number)
+
+
+def _read(node: Node, number: Number) -> Number:
+    """Flags lie in memory as numbers."""
+    return number != 0 if node.is_bool else number
+
+
+def _real(value: Number, dtype: np.dtype) -> Number:
+    return value if value.dtype == dtype else jnp.where(value, dtype.type(1), dtype.type(0))
+
+
+def _trunc(x: Number) -> Number:
+    return lax.sign(x) * lax.floor(lax.abs(x))
+
+
+def _round_even(x: Number) -> Number:
+    """Halves to the even neighbour."""
+    low = lax.floor(x)
+    over, odd = x - low, low - 2 * lax.floor(low / 2)
+    return low + jnp.where(over == 0.5, odd, (over > 0.5).astype(x.dtype))
+
+
+# What JAX calls otherwise, or Triton does not know.
+_FORMS = {
+    "and": lax.bitwise_and,
+    "or": lax.bitwise_or,
+    "xor": lax.bitwise_xor,
+    "not": lax.bitwise_not,
+    "trunc": _trunc,
+    "round_even": _round_even,
+}

@@ -1,0 +1,407 @@
+r"""One pass over a record: observer, filter, normal equations and index fused in one scan.
+
+Per step k → k+1 (section 4 of the paper, steps of one iteration):
+1. the observer follows y with the model at θ and shows y^(r) as it observes it;
+2. u_eq = observed - f, f at the middle of the step, averaged as the observer averages;
+3. F[u_eq] and F[φ], the same filter (19) on both;
+4. Σ φᵀφ, Σ φᵀu_eq (11), the sum of squares of the index (14), samples in sliding.
+
+Nothing is stored per sample unless asked. A step that must not count (a gap, dry friction at
+rest) enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds for any mask m, so no
+margin is needed around it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from eoi_jax._compilation import jit
+from eoi_jax._types import Output, Regressor, Scalar, Theta
+from eoi_jax.estimation.lowpass import DiscreteFilter
+from eoi_jax.estimation.observers.observer import AbstractObserver, Observation
+from eoi_jax.models.plant import Plant, State
+
+
+class Steps(eqx.Module):
+    """One record as a kernel reads it: S = N - 1 steps between its samples.
+
+    Attributes:
+        time: middle of each step [s], shape (S,).
+        y, y_next: outputs at both ends of each step, shape (S, ny).
+        u: inputs during each step, shape (S, nu).
+        use: 1 where model and measurement belong together, shape (S, ny).
+        score: 1 where least squares and index count the step, shape (S, ny).
+        restart: where the observer starts anew (first step, first step after a gap).
+        start_rates: rough rates to start with, shape (rates, ny).
+        block_weight: of each step's scores in its block, for the covariance.
+        block_end: last step of each block.
+        sample_period: h [s].
+    """
+
+    time: Float[Array | np.ndarray, "*batch S"]
+    y: Float[Array | np.ndarray, "*batch S ny"]
+    y_next: Float[Array | np.ndarray, "*batch S ny"]
+    u: Float[Array | np.ndarray, "*batch S nu"]
+    use: Float[Array | np.ndarray, "*batch S ny"]
+    score: Float[Array | np.ndarray, "*batch S ny"]
+    restart: Bool[Array | np.ndarray, "*batch S"]
+    block_weight: Float[Array | np.ndarray, "*batch S"]
+    block_end: Bool[Array | np.ndarray, "*batch S"]
+    sample_period: Float[Array | np.ndarray, "*batch"]
+
+
+class Sums(eqx.Module):
+    """What a pass adds up, over scored steps and for each output.
+
+    `weight` is the sum of F[m]², the power that a unit injection would have had.
+    """
+
+    information: Float[Array | np.ndarray, "ny np np"]
+    rhs: Float[Array | np.ndarray, "ny np"]
+    square: Float[Array | np.ndarray, " ny"]
+    observed_square: Float[Array | np.ndarray, " ny"]
+    weight: Float[Array | np.ndarray, " ny"]
+    count: Float[Array | np.ndarray, " ny"]
+    sliding: Float[Array | np.ndarray, " ny"]
+    meat: Float[Array | np.ndarray, "np np"]
+
+
+class Trace(eqx.Module):
+    """What a pass stores when asked: for each step, at its end.
+
+    All of it is filtered with the mask m inside, F[m u_eq] and F[m φ]; divided by `weight` = F[m]
+    it is a weighted mean over the filter's memory.
+    """
+
+    injection: Float[Array | np.ndarray, "*steps ny"]
+    weight: Float[Array | np.ndarray, "*steps ny"]
+    Phi: Float[Array | np.ndarray, "*steps ny np"]
+
+
+class Step(eqx.Module):
+    """One step of a record as the loop reads it (or all, leading axis); others as in `Steps`.
+
+    Attributes:
+        u: inputs behind the actuators, shape (nu,).
+        slope: their derivative with θ, shape (nu, np); None without actuators.
+        emphasis: factor on `score`; how often a bootstrap drew the step, for example.
+    """
+
+    u: Float[Array, "*steps nu"]
+    slope: Float[Array, "*steps nu np"] | None
+    time: Float[Array, "*steps"]
+    y: Float[Array, "*steps ny"]
+    y_next: Float[Array, "*steps ny"]
+    use: Float[Array, "*steps ny"]
+    score: Float[Array, "*steps ny"]
+    restart: Bool[Array, "*steps"]
+    block_weight: Float[Array, "*steps"]
+    block_end: Bool[Array, "*steps"]
+    emphasis: Float[Array, "*steps"] | None = None
+
+
+class Carry(eqx.Module):
+    """What the loop carries from step to step; nothing else is kept of a record."""
+
+    observer: Any
+    z: Float[Array, " nz"]
+    sensitivity: Float[Array, "nz np"]
+    history: tuple[tuple[Output, Regressor], ...]
+    filtered: Float[Array, "order ny columns"]
+    block: Float[Array, " np"]
+    sums: Sums
+
+
+Shift = Float[Array, " directions"]
+Shifted = Callable[[Shift], Any]  # something, such as the inputs, at a shift of θ
+
+
+@jit
+def run_pass(
+    plant: Plant,
+    observer: AbstractObserver,
+    lowpass: DiscreteFilter,
+    steps: Steps,
+    theta: Theta,
+    increment: Theta | None = None,
+    weights: Output | None = None,
+    store: str = "nothing",
+) -> tuple[Sums, Trace | None]:
+    """One pass over a batch of records (leading axis on `lowpass` and `steps`).
+
+    Args:
+        plant: the model; its structure only, parameters come from `theta`.
+        observer: with its gains.
+        lowpass: the sampled filter of each record.
+        steps: the records, padded to one length with `use` = `score` = 0.
+        theta: θ of this pass.
+        increment: Δθ, what least squares explains by which is not in the scores; or zero.
+        weights: of each output in the scores, shape (ny,); or one.
+        store: ``"nothing"``, ``"signals"`` (a `Trace`), or ``"scores"``: only their covariance,
+            `Sums.meat`.
+
+    Returns:
+        Sums and traces, each with the records as leading axis.
+    """
+    increment = jnp.zeros_like(theta) if increment is None else increment
+    weights = jnp.ones(len(plant.outputs), theta.dtype) if weights is None else weights
+
+    def one(lowpass: DiscreteFilter, steps: Steps) -> tuple[Sums, Trace | None]:
+        kernel = Kernel(plant, observer, lowpass, theta, increment, weights, store)
+        return kernel.run(steps)
+
+    return jax.vmap(one)(lowpass, steps)
+
+
+def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | None = None) -> Step:
+    """All steps of a record, with what stands behind the actuators; fields as of `Step`."""
+    return Step(
+        u=u,
+        slope=slope,
+        time=jnp.asarray(steps.time),
+        y=jnp.asarray(steps.y),
+        y_next=jnp.asarray(steps.y_next),
+        use=jnp.asarray(steps.use),
+        score=jnp.asarray(steps.score),
+        restart=jnp.asarray(steps.restart),
+        block_weight=jnp.asarray(steps.block_weight),
+        block_end=jnp.asarray(steps.block_end),
+        emphasis=emphasis,
+    )
+
+
+class Kernel(eqx.Module):
+    """The loop over one record: a carry and a step; fields as in `run_pass`.
+
+    Attributes:
+        columns: directions in θ, along which the regressors are taken, shape (np, directions); the
+            parameters themselves if None.
+    """
+
+    plant: Plant
+    observer: AbstractObserver
+    lowpass: DiscreteFilter
+    theta: Theta
+    increment: Theta
+    weights: Output
+    store: str = eqx.field(static=True)
+    columns: Float[Array, "np directions"] | None = None
+
+    def run(
+        self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None
+    ) -> tuple[Sums, Trace | None]:
+        """The whole record under `lax.scan`.
+
+        Args:
+            steps: of one record.
+            emphasis: factor on the scores of each of its blocks; ones if left out.
+        """
+        h = jnp.asarray(steps.sample_period)
+        rows = self.rows(steps, emphasis)
+        start = self.init(jnp.asarray(steps.y)[0], jnp.asarray(steps.y_next)[0], h)
+        last, trace = jax.lax.scan(lambda carry, row: self.step(carry, row, h), start, rows)
+        return last.sums, trace
+
+    def rows(self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None) -> Step:
+        """All steps of a record, each field with a leading axis (S,)."""
+        each = None
+        if emphasis is not None:
+            ends = jnp.asarray(steps.block_end)
+            each = emphasis[jnp.cumsum(ends) - ends]
+        return step_rows(steps, *self.inputs(steps), each)
+
+    def inputs(self, steps: Steps) -> tuple[Array, Array | None]:
+        """Behind the actuators, and their derivative with θ, shape (S, nu, np)."""
+        time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
+        if self.plant.actuator is None:
+            return u, None
+        return self._differentiated(lambda shift: self.plant.driven(time, u, self._at(shift)))
+
+    def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
+        """Before the first step, whose ends are given."""
+        ny, size, dtype = len(self.plant.outputs), self._directions, self.theta.dtype
+        zeros = jnp.zeros
+        z, sensitivity = self._differentiated(
+            lambda shift: self.plant.internal_start(self._at(shift))
+        )
+        taps = _kernel_weights(self.observer, ny).shape[0]
+        each = zeros(ny, dtype)
+        phi = zeros((ny, size), dtype)
+        sums = Sums(
+            zeros((ny, size, size), dtype),
+            phi,
+            each,
+            each,
+            each,
+            each,
+            each,
+            zeros((size, size), dtype),
+        )
+        return Carry(
+            self._start(y, y_next, h),
+            z,
+            sensitivity,
+            ((each, phi),) * (taps - 1),
+            zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
+            zeros(size, dtype),
+            sums,
+        )
+
+    def _start(self, y: Any, y_next: Any, h: Scalar) -> Any:
+        """Start on the measurement, with its first increment as velocity."""
+        rows = self.plant.relative_degree - 1
+        rates = jnp.zeros((rows, y.shape[0]), self.theta.dtype)
+        if rows:
+            rates = rates.at[0].set((y_next - y) / h)
+        return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
+
+    def step(self, carry: Carry, now: Step, h: Scalar) -> tuple[Carry, Any]:
+        """One step, and what is shown of it."""
+        u, t, y, y_next = now.u, now.time, now.y, now.y_next
+
+        def shifted(shift: Shift) -> Array:
+            return u if now.slope is None else u + now.slope @ shift
+
+        state = jax.tree.map(
+            lambda new, old: jnp.where(now.restart, new, old),
+            self._start(y, y_next, h),
+            carry.observer,
+        )
+        explicit = self.observer.scheme == "explicit"
+        position = y if explicit else 0.5 * (y + y_next)
+        z, sensitivity, z_next, sensitivity_next = self._internal(
+            carry, t, position, shifted, state, h
+        )
+        predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
+        drift = self.plant.derivative(t, predicted, u, self.theta)
+        state, seen = self.observer.step(state, y, y_next, drift, h)
+        f, phi = self._model(t, position, seen, z, sensitivity, shifted)
+        history = ((f, phi), *carry.history)
+        f, phi = self._averaged(history)
+        signals = jnp.concatenate(
+            [(seen.observed - f)[:, None], seen.observed[:, None], jnp.ones_like(f)[:, None], phi],
+            1,
+        )
+        # A model that is undefined where it does not count (√ of a negative level) must not spread.
+        counted = now.use[:, None]
+        signals = jnp.where(counted > 0, counted * signals, 0.0)
+        filtered = self.lowpass.step(carry.filtered, signals)
+        sums, block, shown = self._add(carry, filtered[0], seen, now)
+        new = Carry(
+            state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
+        )
+        return new, shown
+
+    def _internal(
+        self, carry: Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
+    ) -> tuple[Array, Array, Array, Array]:
+        """z in the middle and at the end of the step (Runge–Kutta of order four), with ∂z/∂θ."""
+        if self.plant.internal is None:
+            return carry.z, carry.sensitivity, carry.z, carry.sensitivity
+        y = jnp.concatenate([position[None], self.observer.rates(state)])
+
+        def ends(shift: Shift) -> tuple[Array, Array]:
+            theta = self._at(shift)
+            z = carry.z + carry.sensitivity @ shift
+
+            def rate(z: Array) -> Array:
+                return self.plant.internal_rate(t, State(y, z), u(shift), theta)
+
+            first = rate(z)
+            second = rate(z + 0.5 * h * first)
+            third = rate(z + 0.5 * h * second)
+            fourth = rate(z + h * third)
+            end = z + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+            # Cubic through both ends; the slope at the end is nearly `fourth`.
+            return 0.5 * (z + end) + h / 8.0 * (first - fourth), end
+
+        (middle, end), jacobian = self._differentiated(ends)
+        return middle, jacobian[0], end, jacobian[1]
+
+    def _model(
+        self,
+        t: Scalar,
+        position: Output,
+        seen: Observation,
+        z: Array,
+        sensitivity: Array,
+        u: Shifted,
+    ) -> tuple[Output, Regressor]:
+        """f and φ = df/dθ, total: through the internal states too."""
+        y = jnp.concatenate([position[None], seen.rates])
+
+        def shifted(shift: Shift) -> Output:
+            x = State(y, z + sensitivity @ shift)
+            return self.plant.derivative(t, x, u(shift), self._at(shift))
+
+        return self._differentiated(shifted)
+
+    def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
+        """The observer's own moving average, on model and regressors."""
+        weights = jnp.asarray(
+            _kernel_weights(self.observer, len(self.plant.outputs)), self.theta.dtype
+        )
+        f = sum(w * one[0] for w, one in zip(weights, history, strict=True))
+        phi = sum(w[:, None] * one[1] for w, one in zip(weights, history, strict=True))
+        return f, phi  # type: ignore[return-value]
+
+    def _add(
+        self,
+        carry: Carry,
+        output: Float[Array, "ny columns"],
+        seen: Observation,
+        now: Step,
+    ) -> tuple[Sums, Array, Any]:
+        injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
+        score = now.score if now.emphasis is None else now.score * now.emphasis
+        old = carry.sums
+        weighted = score[:, None] * phi
+        block, meat = carry.block, old.meat
+        if self.store == "scores":
+            own = now.score[:, None] * phi
+            error = injection - phi @ self.increment
+            block = block + now.block_weight * (self.weights * error) @ own
+            # A block drawn k times counts k times, not as one of k times its size.
+            times = 1.0 if now.emphasis is None else now.emphasis
+            meat = meat + jnp.where(now.block_end, times * jnp.outer(block, block), 0.0)
+            block = jnp.where(now.block_end, 0.0, block)
+        sums = Sums(
+            old.information + weighted[:, :, None] * phi[:, None, :],
+            old.rhs + weighted * injection[:, None],
+            old.square + score * injection**2,
+            old.observed_square + score * observed**2,
+            old.weight + score * weight**2,
+            old.count + score,
+            old.sliding + score * seen.sliding,
+            meat,
+        )
+        return sums, block, Trace(injection, weight, phi) if self.store == "signals" else None
+
+    @property
+    def _directions(self) -> int:
+        return self.theta.shape[0] if self.columns is None else self.columns.shape[1]
+
+    def _at(self, shift: Shift) -> Theta:
+        """θ so far along each direction."""
+        return self.theta + (shift if self.columns is None else self.columns @ shift)
+
+    def _differentiated(self, function: Shifted) -> tuple[Any, Any]:
+        """Value and Jacobian at a zero shift, forward mode: all directions in one sweep."""
+
+        def twice(shift: Shift) -> tuple[Any, Any]:
+            value = function(shift)
+            return value, value
+
+        zeros = jnp.zeros(self._directions, self.theta.dtype)
+        jacobian, value = jax.jacfwd(twice, has_aux=True)(zeros)
+        return value, jacobian
+
+
+def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:
+    weights = np.atleast_2d(np.asarray(observer.kernel, dtype=float))
+    return np.broadcast_to(weights, (ny, weights.shape[1])).T

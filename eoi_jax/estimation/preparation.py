@@ -1,0 +1,363 @@
+"""Records made ready for a pass: which steps count, where the observer starts anew.
+
+All on the host; the kernel then reads one rectangular batch. What depends on the records alone is
+done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import NoneType
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax._checks import check, check_count, check_kind, real
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.defaults import (
+    check_runs_of_samples,
+    default_lowpass,
+    default_smoothing,
+    default_substeps,
+    velocity_noise,
+)
+from eoi_jax.estimation.kernel import Steps
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.observers.observer import AbstractObserver
+from eoi_jax.estimation.observers.per_output import PerOutput
+from eoi_jax.models.plant import Plant
+
+# An increment of y within this many standard deviations of its noise has no certain sign.
+_SIGNIFICANT = 4.0
+# Weights rise over this many time constants of F beside steps that do not count.
+TAPER = 2.0
+_BLOCKS, _FEWEST = 50, 10  # of scores, for the covariance, if the filter's memory allows them
+
+
+def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]:
+    """θ_0 of several starts.
+
+    Args:
+        plant: what they are for.
+        starts: dicts of parameters, the others nominal, or rows (starts, np); None for the nominal.
+
+    Raises:
+        ValueError: none, an unknown name, a row of another length, a value that is not finite.
+    """
+    if starts is None:
+        return np.asarray(plant.theta, dtype=float)[None]
+    if isinstance(starts, Mapping):
+        starts = [starts]
+    check_kind("starts", starts, Iterable, "dicts of parameters, or rows")
+    rows = [
+        np.asarray(plant.with_parameters(one).theta, dtype=float)
+        if isinstance(one, Mapping)
+        else _row(one)
+        for one in starts
+    ]
+    check(len(rows) > 0, "starts", "must hold at least one starting point", "none: that is no lane")
+    for i, row in enumerate(rows):
+        check(
+            row.shape == (len(plant.names),) and bool(np.all(np.isfinite(row))),
+            f"starts[{i}]",
+            f"must give finite values of {', '.join(plant.names)}",
+            row,
+        )
+    return np.stack(rows)
+
+
+def _row(start: Any) -> Float[np.ndarray, "..."]:
+    try:
+        return np.asarray(start, dtype=float)
+    except (TypeError, ValueError) as error:
+        rule = "must be dicts of parameters, or rows of numbers"
+        raise ValueError(f"`starts` {rule}, got {start!r}.") from error
+
+
+def check_observer(plant: Plant, observer: AbstractObserver) -> None:
+    """An observer must suit the plant's outputs.
+
+    Args:
+        plant: whose relative degrees count.
+        observer: with its gains.
+
+    Raises:
+        ValueError: no observer, another relative degree, gains that are neither one nor one an
+            output.
+    """
+    what = "an observer with its gains, such as `SecondOrder(c1, c2, c3)`"
+    check_kind("observer", observer, AbstractObserver, what)
+    own = np.atleast_1d(observer.relative_degree)
+    degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
+    check(
+        tuple(degrees) == plant.degrees,
+        "observer",
+        f"must have the relative degree of the plant's outputs, {plant.degrees}",
+        f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
+        "Leave it out to have one chosen; `PerOutput` mixes several.",
+    )
+    parts = observer.observers if isinstance(observer, PerOutput) else (observer,)
+    size = len(plant.outputs) if len(parts) == 1 else 1
+    for part in parts:
+        for name, value in vars(part).items():
+            check(
+                not isinstance(value, np.ndarray | jax.Array) or np.shape(value) in ((), (size,)),
+                f"observer.{name}",
+                f"must be one number or {size}, one an output",
+                f"shape {np.shape(value)}",
+            )
+
+
+def check_preparation(transient: Any, substeps: Any, smoothing: Any) -> None:
+    """How records are made ready, where it is not left to be chosen (None).
+
+    Args:
+        transient: time not scored at the start of each record [s].
+        substeps: per sample.
+        smoothing: cut-off [rad/s], False for none.
+
+    Raises:
+        ValueError: a transient that is no time, sub-steps that are no count, a smoothing that is no
+            cut-off (True is none).
+    """
+    good = transient is None or 0.0 <= real(transient) < np.inf
+    check(good, "transient", "must be a time ≥ 0 in seconds", transient)
+    if substeps is not None:
+        check_count("substeps", substeps)
+    # No `in`: it compares, and an array has no truth.
+    good = smoothing is None or smoothing is False
+    good = good or (smoothing is not True and 0.0 < real(smoothing) < np.inf)
+    check(good, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
+
+
+@dataclass(frozen=True)
+class Ready:
+    """Records made ready for passes of any model with the same outputs.
+
+    Attributes:
+        records: smoothed, where noise asks for it.
+        fine: the same with sub-steps.
+        inputs: during each step of `fine`, one array (S, nu) per record.
+        velocity_noise: as `tuning.velocity_noise`, per record.
+        lowpass: F.
+        substeps: per sample.
+        smoothing: its cut-off [rad/s], False for none.
+        explicit: whether for an observer in explicit form.
+        reasons: for what was chosen.
+    """
+
+    records: tuple[Record, ...]
+    fine: tuple[Record, ...]
+    inputs: tuple[Float[np.ndarray, "_ nu"], ...]
+    velocity_noise: tuple[Float[np.ndarray, " ny"], ...]
+    lowpass: LowPass
+    substeps: int
+    smoothing: float | bool
+    explicit: bool
+    reasons: tuple[str, ...]
+
+
+def ready(
+    plant: Plant,
+    records: tuple[Record, ...],
+    lowpass: LowPass | None = None,
+    smoothing: float | bool | None = None,
+    substeps: int | None = None,
+    explicit: bool = False,
+) -> Ready:
+    """Choose filter, smoothing and sub-steps where they are left out, and apply them.
+
+    Args:
+        plant: whose relative degrees count.
+        records: checked against the plant.
+        lowpass: F.
+        smoothing: its cut-off [rad/s], False for none.
+        substeps: per sample.
+        explicit: whether for an observer in explicit form.
+    """
+    reasons: list[str] = []
+    check_kind("lowpass", lowpass, (LowPass, NoneType), "a filter `LowPass(cutoff, order)`")
+    check_runs_of_samples(records)
+    if lowpass is None:
+        lowpass, reason = default_lowpass(plant, records)
+        reasons.append(reason)
+    if smoothing is None:
+        smoothing, reason = default_smoothing(plant, records, lowpass.cutoff)
+        reasons += reason
+    noise = tuple(velocity_noise(plant.degrees, record, smoothing) for record in records)
+    if smoothing:
+        records = tuple(record.smooth(smoothing) for record in records)
+    if substeps is None:
+        substeps, reason = (1, []) if explicit else default_substeps(records, lowpass.cutoff)
+        reasons += reason
+    fine = tuple(record.resample(substeps) for record in records)
+    inputs = tuple(step_inputs(record, explicit) for record in fine)
+    return Ready(
+        records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
+    )
+
+
+def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:
+    """The inputs as an observer reads them: at the start of each step, or in its middle."""
+    return record.inputs[:-1] if explicit else record.midpoint_inputs()
+
+
+def prepare(
+    plant: Plant,
+    records: Sequence[Record],
+    inputs: Sequence[Float[np.ndarray, "_ nu"]],
+    taps: int,
+    transient: float,
+    memory: float,
+    velocity_noise: Sequence[Float[np.ndarray, " ny"]],
+    explicit: bool,
+    taper: float,
+    duration: float | None = None,
+) -> Steps:
+    """The batch of steps for `run_pass`, padded to the longest record.
+
+    Args:
+        plant: whose dry friction decides which steps count.
+        records: uniformly sampled.
+        inputs: during each step, see `step_inputs`.
+        taps: length of the observer's moving average [steps].
+        transient: time not scored at the start of each record [s].
+        memory: of the filter [s]; scores further apart are independent.
+        velocity_noise: as `tuning.velocity_noise`, per record.
+        explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
+        taper: time over which a step's weight rises from zero beside one that does not count [s].
+        duration: of all records of the estimate [s], if these are only some of them.
+    """
+    length = max(len(record) for record in records) - 1
+    jumps = plant.jumps  # probed once, however many records there are
+    # Many blocks for a steady covariance, each longer than the filter remembers.
+    total = duration or sum(len(record) * record.sample_period for record in records)
+    block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
+    whole: list[np.ndarray] = []
+    for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
+        h = record.sample_period
+        use, restart = _usable(record, taps, plant.degrees, jumps, noise)
+        score = (use > 0).astype(float)
+        use = tapered(use, taper / h)
+        score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
+        if explicit:
+            score *= _settled(restart, round(transient / h))[:, None]
+        signals = (
+            record.time[:-1] + (0.0 if explicit else 0.5 * h),
+            record.outputs[:-1],
+            record.outputs[1:],
+            u,
+        )
+        weights = use, score, restart, *_blocks(len(use), max(round(block / h), 1))
+        each = *signals, *weights
+        # Written in place: these are the largest arrays of an estimate.
+        whole = whole or [np.zeros((len(records), length, *a.shape[1:]), a.dtype) for a in each]
+        for out, own in zip(whole, each, strict=True):
+            out[i, : len(own)] = own
+        # Signals keep their last value: no model meets a number that it never saw.
+        for out, own in zip(whole, signals, strict=False):
+            out[i, len(own) :] = own[-1]
+    return Steps(*whole, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
+
+
+def _blocks(
+    steps: int, length: int
+) -> tuple[Float[np.ndarray, " steps"], Bool[np.ndarray, " steps"]]:
+    """Weight of each step in its block, and where blocks end; a rest shorter than one is left out.
+
+    The mean square of block sums estimates the spectrum of the scores at frequency zero. White
+    measurement noise, differenced, has next to none there and much beside: the blocks are windowed
+    (Hann, mean square one), or that would leak in over their edges.
+    """
+    length = min(length, steps)
+    phase = (np.arange(steps) % length + 0.5) / length
+    weights = np.sqrt(8.0 / 3.0) * np.sin(np.pi * phase) ** 2
+    weights[steps - steps % length :] = 0.0
+    ends = (np.arange(steps) + 1) % length == 0
+    return weights, ends
+
+
+def moving(
+    degrees: Sequence[int],
+    outputs: Float[np.ndarray, "time ny"],
+    h: float,
+    noise: Float[np.ndarray, " ny"],
+) -> Bool[np.ndarray, "time-1 ny"]:
+    """Steps in which the direction of motion is certain.
+
+    Dry friction has the value that the model gives it only there: at rest it is a reaction, and
+    within a reversal it changes sign. One step on each side is left out as well, because rest can
+    begin or end inside it.
+
+    Args:
+        degrees: of the outputs; of degree one they are speeds themselves.
+        outputs: on a uniform grid.
+        h: its step [s].
+        noise: of `tuning.velocity_noise`.
+    """
+    velocity = np.where(
+        np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
+    )
+    direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
+    before = np.concatenate([direction[:1], direction[:-1]])
+    after = np.concatenate([direction[1:], direction[-1:]])
+    return (direction != 0) & (direction == before) & (direction == after)
+
+
+def _usable(
+    record: Record,
+    taps: int,
+    degrees: Sequence[int],
+    jumps: Bool[np.ndarray, "ny ny"],
+    noise: Float[np.ndarray, " ny"],
+) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
+    valid = record.valid[:-1] & record.valid[1:]
+    restart = valid & ~np.concatenate([[False], valid[:-1]])
+    restart[0] = True
+    good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
+    if np.any(jumps):
+        resting = ~moving(degrees, record.outputs, record.sample_period, noise)
+        good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
+    good &= ~constant(record)
+    use = good.copy()
+    for lag in range(1, taps):  # every step of the moving average must be good
+        use[lag:] &= good[:-lag]
+    # An implicit observer started on the measurement slides after about r steps.
+    use &= _settled(restart, taps + 3)[:, None]
+    return use.astype(float), restart
+
+
+def constant(record: Record) -> Bool[np.ndarray, " ny"]:
+    """Outputs that never move: all that differences show of them is rounding."""
+    y = record.outputs[record.valid]
+    return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
+
+
+def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
+    """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
+
+    Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
+    cuts second differences of the measurement noise apart that would cancel in the filter.
+    """
+    if np.all(use > 0):
+        return np.ones_like(use)
+    distance = np.stack(
+        [np.minimum(_since_zero(one), _since_zero(one[::-1])[::-1]) for one in use.T], axis=1
+    )
+    weights, near = np.ones_like(distance), distance < max(length, 1.0)
+    weights[near] = 0.5 - 0.5 * np.cos(np.pi * distance[near] / max(length, 1.0))
+    return weights
+
+
+def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
+    index = np.arange(len(weights))
+    last = np.maximum.accumulate(np.where(weights > 0, -1, index))
+    return np.where(last < 0, np.inf, index - last).astype(float)
+
+
+def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
+    settled = np.ones(len(restart), dtype=bool)
+    for start in np.flatnonzero(restart):
+        settled[start : start + count] = False
+    return settled

@@ -1,0 +1,149 @@
+r"""Least squares from normal equations, eq. (11), with an honest answer where data say nothing.
+
+    Δθ = [∫ φᵀφ]⁻¹ ∫ φᵀ u_eq        (11)
+
+Columns are scaled to unit length first, so that parameters of different size and unit weigh
+alike. Directions without information keep their nominal value (the smallest Δθ), and are named.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from eoi_jax._compilation import jit
+from eoi_jax._types import Scalar
+
+# An eigenvalue of the scaled information matrix below this many rounding errors is no information.
+_ROUNDING = 100.0
+
+
+class Solution(eqx.Module):
+    """Δθ and what is known about it.
+
+    Attributes:
+        increment: Δθ, shape (np,); zero for fixed parameters.
+        inverse: [Σ φᵀφ]⁻¹ in the identified directions, shape (np, np).
+        eigenvalues: of the information matrix with columns scaled to one, ascending.
+        directions: its eigenvectors in scaled parameters, as columns.
+        identified: which of them carry information.
+        scale: length of each regressor column [unit of y^(r) per unit of the parameter].
+    """
+
+    increment: Float[Array, " np"]
+    inverse: Float[Array, "np np"]
+    eigenvalues: Float[Array, " np"]
+    directions: Float[Array, "np np"]
+    identified: Bool[Array, " np"]
+    scale: Float[Array, " np"]
+
+
+@jit(static=())
+def least_squares(
+    information: Float[Array, "np np"],
+    rhs: Float[Array, " np"],
+    free: Float[Array, " np"],
+    damping: float | Scalar = 0.0,
+) -> Solution:
+    r"""Solve $\sum\varphi^\top\varphi\,\Delta\theta = \sum\varphi^\top u_{eq}$, eq. (11).
+
+    Args:
+        information: Σ φᵀφ over scored samples.
+        rhs: Σ φᵀ u_eq.
+        free: 1 for an estimated parameter, 0 for a fixed one.
+        damping: added to the eigenvalues in the increment, which it shortens where they are
+            small (Levenberg); for a model that is not affine in θ.
+
+    Returns:
+        Δθ, and which directions of θ the data say something about.
+    """
+    length = jnp.sqrt(jnp.maximum(jnp.diagonal(information), 0.0)) * free
+    scale = jnp.where(length > 0, length, 1.0)
+    active = free * (length > 0)
+    scaled = information / jnp.outer(scale, scale) * jnp.outer(active, active)
+    scaled = scaled + jnp.diag(1.0 - free)  # fixed parameters: directions of their own
+    eigenvalues, directions = jnp.linalg.eigh(scaled)
+    least = _ROUNDING * information.shape[0] * jnp.finfo(information.dtype).eps
+    identified = eigenvalues > least * jnp.maximum(eigenvalues[-1], 0.0)
+    identified &= eigenvalues > 0
+    safe = jnp.where(identified, eigenvalues, 1.0)
+    # A parameter without any trace is in no direction that has one, but for rounding.
+    unscale = jnp.outer(active, active) / jnp.outer(scale, scale)
+
+    def inverted(values: Float[Array, " np"]) -> Float[Array, "np np"]:
+        return (directions * jnp.where(identified, 1.0 / values, 0.0)) @ directions.T * unscale
+
+    increment = inverted(safe + damping) @ rhs
+    return Solution(increment, inverted(safe), eigenvalues, directions, identified, scale)
+
+
+def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, " np"]) -> list[str]:
+    """Combinations of free parameters that left no trace in the data, as text.
+
+    Args:
+        solution: of the least squares.
+        names: of the parameters.
+        free: 1 for an estimated parameter, 0 for a fixed one, as it was solved with.
+
+    Returns:
+        For example ``["mass"]`` or ``["0.71 b + 0.70 c"]``, in parameters' own units; empty if
+        every direction was identified.
+    """
+    combinations = []
+    for value, direction in zip(
+        np.asarray(solution.identified), np.asarray(solution.directions).T, strict=True
+    ):
+        if value:
+            continue
+        # Undone scaling: a direction in scaled parameters moves θ by direction / scale.
+        vector = direction / np.asarray(solution.scale) * free
+        vector = vector / np.max(np.abs(vector))
+        terms = [
+            (weight, name) for weight, name in zip(vector, names, strict=True) if abs(weight) > 1e-3
+        ]
+        if len(terms) == 1:
+            combinations.append(terms[0][1])
+        else:
+            combinations.append(" ".join(f"{weight:+.2g}·{name}" for weight, name in terms))
+    return combinations
+
+
+def traceless(
+    information: Float[np.ndarray, "np np"], free: Float[np.ndarray, " np"]
+) -> Float[np.ndarray, "np k"]:
+    """Directions of θ without information, each of length one in its largest part.
+
+    Args:
+        information: Σ φᵀφ.
+        free: 1 for an estimated parameter, 0 for a fixed one.
+
+    Returns:
+        One a column.
+    """
+    solution = least_squares(information, np.zeros(len(free)), free)
+    lost = ~np.asarray(solution.identified)
+    scaled = np.asarray(solution.directions)[:, lost]
+    # Rounding is no part of a direction.
+    scaled = np.where(np.abs(scaled) > 1e-6, scaled, 0.0)
+    directions = scaled / np.asarray(solution.scale)[:, None] * free[:, None]
+    return directions / np.max(np.abs(directions), axis=0, initial=1e-300)
+
+
+def standard_errors(
+    covariance: Float[np.ndarray, "np np"],
+    information: Float[np.ndarray, "np np"],
+    free: Float[np.ndarray, " np"],
+) -> Float[np.ndarray, " np"]:
+    """Roots of the variances; infinite for what a direction without a trace leaves open.
+
+    Args:
+        covariance: in the directions that left a trace.
+        information: Σ φᵀφ.
+        free: 1 for an estimated parameter, 0 for a fixed one, or one on its bound.
+    """
+    errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if not np.all(np.isfinite(information)):
+        return errors
+    return np.where(np.any(traceless(information, free) != 0, axis=1), np.inf, errors)

@@ -1,0 +1,89 @@
+r"""The best gains of a sweep, by a criterion that is fair to all of them.
+
+The index of a pass depends on its filter: a lower cut-off lets less of the model's error through,
+and less noise. So it cannot say which filter, or which observer, is the better one. Two things can:
+the index of the *estimates* under one observer and one filter for all lanes (`common_index`: those
+that `identify` would choose for the record), and the free run on records that were held out. The
+second is the better judge and the dearer one; it is asked of the lanes that the first puts in
+front.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eoi_jax._checks import check
+from eoi_jax.data.record import Record
+from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.validate import validate
+
+_ALONG = ("lowpass", "observer", "start")
+
+
+def best(
+    sweep: Any,
+    plant: Plant | None = None,
+    validation: Record | Sequence[Record] | None = None,
+    shortlist: int = 16,
+) -> Any:
+    """The filter, observer and start that serve all records of a sweep best.
+
+    Args:
+        sweep: of `eoi_jax.sweep`.
+        plant: that was swept; needed with `validation`.
+        validation: held-out records for a free run. Left out: the common index decides.
+        shortlist: how many lanes, best common index first, take part in the free run.
+
+    Returns:
+        The sweep at that lane, with every record (and resample) that it has; ``score`` is what
+        decided, the attribute ``criterion`` says what that is.
+
+    Raises:
+        ValueError: no lane has an answer for every record; `validation` without a plant.
+    """
+    check(
+        validation is None or plant is not None,
+        "plant",
+        "must be given with `validation`, for the free run",
+        plant,
+    )
+    check(shortlist >= 1, "shortlist", "must be an integer ≥ 1", shortlist)
+    as_measured = sweep.sel(resample=0)
+    logs = np.log(as_measured["common_index"]).sum("output", skipna=False)
+    logs = logs.where(as_measured["ok"])
+    score = logs.mean("record", skipna=False).transpose(*_ALONG)
+    count = int(np.isfinite(score).sum())
+    check(
+        count > 0,
+        "sweep",
+        "must have a lane with an answer for every record",
+        f"none of {score.size}",
+        "Its `status` says why: `flag_meanings` names the numbers.",
+    )
+    order = np.argsort(np.where(np.isfinite(score), score, np.inf), axis=None, kind="stable")
+    lanes = [np.unravel_index(one, score.shape) for one in order[:count]]
+    if plant is None or validation is None:
+        chosen, value = lanes[0], float(score.values[lanes[0]])
+        criterion = "log of the common index, summed over outputs, mean over records"
+    else:
+        values = [_free_run(as_measured, plant, validation, one) for one in lanes[:shortlist]]
+        chosen, value = lanes[int(np.argmin(values))], float(np.min(values))
+        criterion = (
+            "log of the held-out free run's NRMSE, summed over outputs, mean over records; "
+            f"of the {len(values)} lanes with the smallest common index"
+        )
+    picked = sweep.isel(dict(zip(_ALONG, (int(i) for i in chosen), strict=True)))
+    return picked.assign(score=value).assign_attrs(criterion=criterion)
+
+
+def _free_run(
+    sweep: Any, plant: Plant, validation: Record | Sequence[Record], lane: tuple
+) -> float:
+    """Σ_j log NRMSE_j of one lane's estimates, mean over its records; inf if one diverges."""
+    estimates: Any = sweep["parameters"].isel(dict(zip(_ALONG, map(int, lane), strict=True)))
+    scores = []
+    for theta in estimates.values:
+        error = np.atleast_1d(validate(plant.with_parameters(theta), validation).nrmse)
+        scores.append(np.sum(np.log(np.where(np.isfinite(error), error, np.inf))))
+    return float(np.mean(scores))

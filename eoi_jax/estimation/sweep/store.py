@@ -1,0 +1,404 @@
+"""Where the chunks of a sweep land: a Zarr store, on disk or in memory.
+
+A chunk of a sweep is one chunk of every array, with Zarr's checksum. Its mark in ``done``
+(`marks.py`) is written last, when the arrays are on the disk. A store belongs to one sweep, whose
+fingerprint it bears; whatever of it does not read is made anew from the plan, and said.
+"""
+
+import json
+import shutil
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eoi_jax._atomic import settle, sweep_up, write_file, write_folder
+from eoi_jax._checks import StoreWarning, check
+from eoi_jax.estimation.sweep.chunk import CODES, OK, Arrays
+from eoi_jax.estimation.sweep.marks import Chunks, Condition, Place, digest
+from eoi_jax.estimation.sweep.plan import DIMENSIONS, Plan
+
+_FORMAT = 4
+_LABELS = "eoi_jax"
+_SAME = "The same sweep with this store computes what is missing."
+_LEFT = {"f": np.nan, "i": 0}  # what a lane shows that has not run
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Coordinates and attributes of a sweep.
+
+    Attributes:
+        texts: dimension and values by name.
+        numbers: dimensions and array by name.
+        kinds: what the numbers of the coordinate ``kind`` stand for; empty without it.
+        attributes: as JSON can hold them.
+    """
+
+    texts: dict[str, tuple[str, list[str]]]
+    numbers: dict[str, tuple[tuple[str, ...], np.ndarray]]
+    kinds: list[str]
+    attributes: dict[str, Any]
+
+
+class Store:
+    """Arrays of a sweep over its lanes.
+
+    Args:
+        plan: of the sweep.
+        path: folder; None for memory.
+        labels: for `dataset`.
+
+    Raises:
+        ValueError: the folder is something else, or belongs to another sweep or version.
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, plan: Plan, path: str | Path | None, labels: Labels):
+        self._plan = plan
+        self._path = None if path is None else Path(path)
+        import zarr.storage  # like xarray below, slow to import and needed by nothing else
+
+        if self._path is None:
+            self._store: Any = zarr.storage.MemoryStore()
+            _create(self._store, plan, labels)
+        else:
+            if not self._path.exists():
+                write_folder(self._path, lambda new: _create(str(new), plan, labels), keep=True)
+            self._store = str(self._path)
+            _check(self._path, plan)
+            _mend(self._path, plan, labels)
+        self._root: Any = zarr.open_group(self._store, mode="r+")
+        self._chunks = Chunks(self._root, list(_ARRAYS), plan.fingerprint, self._path)
+
+    def unfinished(self, places: Iterable[Place]) -> list[Place]:
+        """Which of some chunks are to be computed.
+
+        Leftovers in them, of a process that was killed or of a damage, are removed.
+
+        Warns:
+            StoreWarning: how many were damaged.
+        """
+        places = list(places)
+        if self._path is None:
+            return places
+        sweep_up(self._path.parent)
+        conditions = {place: self._chunks.condition(place) for place in places}
+        left = [place for place, found in conditions.items() if found is not Condition.WHOLE]
+        damaged = [place for place in left if conditions[place] is Condition.DAMAGED]
+        for place in left:
+            self._clear(place, place in damaged)
+        if damaged:
+            number = f"{len(damaged)} of {len(places)} chunks"
+            said = f"{number} of the store {self._path} were damaged, and are computed again"
+            warnings.warn(said, StoreWarning, stacklevel=3)
+        return left
+
+    def write(self, place: Place, arrays: Arrays) -> None:
+        """One chunk, then its mark."""
+        region = self._plan.region(place)
+        stored = {name: arrays[name].astype(_ARRAYS[name][0]) for name in _ARRAYS}
+        for name, values in stored.items():
+            self._root[name][region] = values[None, None]
+        self._settle(place, _ARRAYS)
+        self._root["done"][place] = digest(self._plan.fingerprint, place, stored)
+        self._settle(place, ["done"])
+
+    def mark_lost(self, place: Place) -> None:
+        """A chunk whose workers failed; it is not marked as done, so that a resumed sweep tries."""
+        self._root["status"][self._plan.region(place)] = CODES.index("lost")
+
+    def _settle(self, place: Place, names: Iterable[str]) -> None:
+        """Have chunks of arrays on the disk; one that holds nothing but the fill has no file."""
+        files = self._chunks.files(place)
+        for path in (files[name] for name in names if name in files):
+            settle(path)
+            settle(path.parent)
+
+    def _clear(self, place: Place, damaged: bool) -> None:
+        """Remove what a killed process left beside a chunk's files; damaged files too."""
+        for path in self._chunks.files(place).values():
+            if damaged:
+                _remove(path)
+            # As Zarr names what it has not yet put in place; none but this job writes the chunk.
+            for leftover in path.parent.glob(f"{path.name}.*.partial"):
+                _remove(leftover)
+            for folder in path.parents:  # a file in the place of a folder
+                if folder == self._path:
+                    break
+                if folder.is_file():
+                    folder.unlink()
+
+    def dataset(self, outcome: dict[str, Any] | None = None) -> Any:
+        """What is there, labelled; read from disk only when it is used.
+
+        Args:
+            outcome: more attributes.
+        """
+        opened = open_sweep(self._store)
+        opened = opened.load() if self._path is None else opened
+        return opened.assign_attrs(outcome or {})
+
+
+def open_sweep(path: Any) -> Any:
+    """A sweep's store as a labelled dataset; values are read when they are used.
+
+    Every chunk is read once here, and compared with its mark.
+
+    Args:
+        path: of the store.
+
+    Returns:
+        The `xarray.Dataset` that `eoi_jax.sweep` gave, or would give by now. Chunks that are
+        damaged are ``not_run``; `eoi_jax.sweep` with this store computes them again.
+
+    Raises:
+        ValueError: it is not there, no sweep's, or damaged in more than its chunks.
+
+    Warns:
+        StoreWarning: how many chunks are damaged.
+    """
+    if isinstance(path, str | Path):
+        check(Path(path).exists(), "store", "must exist", path)
+        check(_labels(Path(path)) is not None, "store", "must be the store of a sweep", path, _SAME)
+    try:
+        return _labelled(path)
+    except Exception as error:  # of the disk, of a codec, of Zarr: they have no class in common
+        reason = f"{path}, which does not read: {error}"
+        check(False, "store", "must be whole", reason, _SAME)
+        raise
+
+
+def _labelled(path: Any) -> Any:
+    import xarray as xr
+    import zarr
+
+    raw = xr.open_zarr(path, consolidated=False, chunks=None)
+    labels = json.loads(raw.attrs[_LABELS])
+    raw = raw.assign(_without_damage(zarr.open_group(path, mode="r"), labels["sweep"], path))
+    lanes = raw[list(_ARRAYS)].drop_vars(labels["numbers"], errors="ignore")
+    # One by one, for a store lists its arrays in an order of its own.
+    coordinates = {name: raw[name].variable.load() for name in labels["numbers"]}
+    lanes = lanes.assign_coords(coordinates)
+    if labels["kinds"]:
+        names = np.asarray(labels["kinds"])
+        lanes = lanes.assign_coords(kind=("observer", names[lanes["kind"].values]))
+    lanes = lanes.assign_coords(
+        {name: (dim, np.asarray(values)) for name, (dim, values) in labels["texts"].items()}
+    )
+    lanes["status"].attrs.update(flag_values=list(range(len(CODES))), flag_meanings=" ".join(CODES))
+    ok = lanes["status"].isin(OK)
+    attributes = {key: labels[key] for key in ("version", "sweep")} | labels["attributes"]
+    data = lanes.assign(ok=ok.assign_attrs(long_name="whether the lane has an answer"))
+    return data.drop_attrs(deep=False).assign_attrs(attributes)
+
+
+def _without_damage(root: Any, sweep: str, path: Any) -> dict[str, Any]:
+    """Arrays, in memory, whose damaged chunks hold what a lane shows that has not run."""
+    folder = Path(path) if isinstance(path, str | Path) else None
+    chunks = Chunks(root, list(_ARRAYS), sweep, folder)
+    places = list(chunks)
+    sound = [one for one in places if chunks.condition(one) is not Condition.DAMAGED]
+    if len(sound) == len(places):
+        return {}
+    number = f"{len(places) - len(sound)} of {len(places)} chunks"
+    said = f"{number} of the store {path} are damaged, and shown as not_run. {_SAME}"
+    warnings.warn(said, StoreWarning, stacklevel=4)
+    arrays = {
+        name: np.full(root[name].shape, _LEFT[kind[0]], kind)
+        for name, (kind, _, _) in _ARRAYS.items()
+    }
+    for place in sound:
+        for name, values in chunks.read(place).items():
+            arrays[name][chunks.region(place)] = values
+    return {name: (DIMENSIONS + _ARRAYS[name][1], values) for name, values in arrays.items()}
+
+
+def _version() -> str:
+    return version("eoi_jax")
+
+
+def _create(store: Any, plan: Plan, labels: Labels) -> None:
+    import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    root = zarr.open_group(store, mode="w")
+    checked = (ZstdCodec(), Crc32cCodec())
+    sizes = {"pass": plan.settings.passes, "output": len(plan.plant.outputs)}
+    sizes["parameter"] = len(plan.plant.names)
+    for name, (kind, extra, about) in _ARRAYS.items():
+        tail = tuple(sizes[one] for one in extra)
+        root.create_array(
+            name,
+            shape=plan.shape + tail,
+            chunks=plan.steps + tail,
+            dtype=kind,
+            fill_value=_LEFT[kind[0]],
+            compressors=checked,
+            dimension_names=DIMENSIONS + extra,
+            attributes={"long_name": about},
+        )
+    identity = {"format": _FORMAT, "sweep": plan.fingerprint, "version": _version()}
+    root.create_array(
+        "done",
+        shape=plan.grid,
+        chunks=(1,) * 5,
+        dtype="u8",
+        fill_value=0,
+        compressors=checked,
+        dimension_names=tuple(f"{one}_chunk" for one in DIMENSIONS),
+        attributes={_LABELS: json.dumps(identity)},  # again, should those of the group be lost
+    )
+    for name, (dims, values) in labels.numbers.items():
+        root.create_array(
+            name, data=values, chunks=values.shape, compressors=checked, dimension_names=dims
+        )
+    texts = {
+        **identity,
+        "texts": labels.texts,
+        "numbers": list(labels.numbers),
+        "kinds": labels.kinds,
+        "attributes": labels.attributes,
+    }
+    root.attrs[_LABELS] = json.dumps(texts)
+
+
+_ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
+    "parameters": ("f8", ("parameter",), "estimate"),
+    "standard_error": ("f8", ("parameter",), "standard error, of coloured residuals"),
+    "index": ("f8", ("pass", "output"), "index P of each pass, eq. (14)"),
+    "common_index": ("f8", ("output",), "index of the estimate, one observer and filter for all"),
+    "sliding_fraction": ("f8", ("output",), "share of scored steps in sliding, best pass"),
+    "status": ("i1", (), "how the lane ended"),
+    "blocks": ("i4", (), "complete blocks of scores, of which errors and resamples are made"),
+    "best_pass": ("i2", (), "pass of the estimate, from 0"),
+    "passes": ("i2", (), "passes taken"),
+}
+
+
+def _labels(path: Path) -> dict[str, Any] | None:
+    """What the group says of itself; None where it cannot be read, or is no sweep's."""
+    import zarr
+
+    try:
+        return _identified(zarr.open_group(str(path), mode="r"))
+    except Exception:  # of the disk, of JSON, of Zarr: they have no class in common
+        return None
+
+
+def _identified(node: Any) -> dict[str, Any]:
+    """Labels of a group or an array that name format, version and sweep."""
+    labels = json.loads(node.attrs[_LABELS])
+    return labels | {key: labels[key] for key in ("format", "version", "sweep")}
+
+
+def _identity(path: Path) -> dict[str, Any] | None:
+    """Format, version and sweep of a store, though the group's own attributes may be lost."""
+    import zarr
+
+    try:
+        return _labels(path) or _identified(zarr.open_array(str(path / "done"), mode="r"))
+    except Exception:  # as in `_labels`
+        return None
+
+
+def _mend(path: Path, plan: Plan, labels: Labels) -> None:
+    """Write anew what the plan says and the store does not: attributes, metadata, coordinates.
+
+    Warns:
+        StoreWarning: what was damaged.
+    """
+    import zarr.storage
+
+    contents: dict[str, Any] = {}  # in memory: a process that is killed leaves nothing
+    sound = zarr.storage.MemoryStore(contents)
+    _create(sound, plan, labels)
+    damaged = [
+        name
+        for name in ("", "done", *_ARRAYS, *labels.numbers)
+        if not _alike(path / name, sound, name, name in labels.numbers)
+    ]
+    for name in damaged:
+        sweep_up(path / name)
+        own = f"{name}/zarr.json".lstrip("/")
+        for key in [one for one in contents if one.startswith(f"{name}/")] or [own]:
+            if key == own or name in labels.numbers:
+                _replace(path, Path(key), contents[key].to_bytes())
+    if damaged:
+        names = ", ".join(f"`{name}`" if name else "attributes" for name in damaged)
+        said = f"{names} of the store {path} were damaged, and are written anew"
+        warnings.warn(said, StoreWarning, stacklevel=4)
+
+
+def _alike(node: Path, sound: Any, name: str, values: bool) -> bool:
+    """Whether a group or an array reads, and says the same as another; holds the same `values`."""
+    import zarr
+
+    try:
+        one = zarr.open(str(node), mode="r")
+        other = zarr.open(sound, path=name, mode="r")
+        if isinstance(other, zarr.Group):
+            return isinstance(one, zarr.Group) and dict(one.attrs) == dict(other.attrs)
+        if not isinstance(one, zarr.Array) or one.metadata.to_dict() != other.metadata.to_dict():
+            return False
+        if not values:
+            return True
+        a, b = np.asarray(one[...]), np.asarray(other[...])
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    except Exception:  # of the disk, of JSON, of a codec, of Zarr: they have no class in common
+        return False
+
+
+def _replace(path: Path, place: Path, content: bytes) -> None:
+    """Put a file into a store, whatever stands in its way."""
+    for parent in reversed(place.parents):
+        if (path / parent).is_file():
+            (path / parent).unlink()
+    goal = path / place
+    if goal.is_dir():
+        shutil.rmtree(goal)
+    goal.parent.mkdir(parents=True, exist_ok=True)
+
+    def write(draft: Path) -> None:
+        draft.write_bytes(content)
+
+    write_file(goal, write)
+
+
+def _remove(path: Path) -> None:
+    """A file or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    elif not any(parent.is_file() for parent in path.parents):
+        path.unlink(missing_ok=True)
+
+
+def _check(path: Path, plan: Plan) -> None:
+    own = _identity(path)
+    check(own is not None, "store", "must be the store of a sweep, or not exist", path)
+    assert own is not None
+    check(
+        own["format"] == _FORMAT,
+        "store",
+        f"must have been written in format {_FORMAT}",
+        f"{path}: format {own['format']}, of eoi_jax {own['version']}",
+        "Give another folder, or resume with that version.",
+    )
+    check(
+        own["version"] == _version(),
+        "store",
+        f"must have been written by this version, {_version()}: its numbers would not compare",
+        f"{path}: of eoi_jax {own['version']}",
+        "Give another folder, or resume with that version.",
+    )
+    check(
+        own["sweep"] == plan.fingerprint,
+        "store",
+        "must belong to this very sweep (plant, data, gains, filters, starts, settings)",
+        f"{path}: of another, {own['sweep']} instead of {plan.fingerprint}",
+        "Give another folder.",
+    )

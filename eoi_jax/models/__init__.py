@@ -1,0 +1,1 @@
+"""Models of plants, what can be added to them, and their equations."""

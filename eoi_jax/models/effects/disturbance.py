@@ -1,0 +1,77 @@
+"""What acts from outside, whatever the plant does."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, Seen
+
+
+class ConstantOffset(AbstractTerm):
+    """A constant force, flow or bias of the drive."""
+
+    name = "constant_offset"
+    sentence = "a constant offset"
+    gains = (Parameter("", "{f}"),)
+    depends_on = "t"
+    form = ("+ {0}", "+ {0}")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] + 0.0 * at.t
+
+
+@dataclass(frozen=True)
+class Drift(AbstractTerm):
+    """a (t - t_0): a disturbance that grows with time.
+
+    Its value at t_0 is part of it where the model has a constant; else it starts from zero. A
+    search takes the start of the records for t_0: far from zero, a t would be a constant.
+
+    Attributes:
+        start: t_0 [s].
+    """
+
+    name = "drift"
+    sentence = "a drift, linear in time"
+    gains = (Parameter("", "{f}/s"),)
+    depends_on = "t"
+
+    start: float = 0.0
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """With t, or with the time since the start."""
+        if self.start == 0.0:
+            return "+ {0}·t", r"+ {0}\,t"
+        since = f"(t {'-' if self.start > 0 else '+'} {abs(self.start):.10g})"
+        return f"+ {{0}}·{since}", rf"+ {{0}}\,{since}"
+
+    def since(self, start: float) -> "Drift":
+        """From there on, unless it has a start of its own."""
+        return replace(self, start=start) if self.start == 0.0 else self
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * (at.t - self.start)
+
+
+class SinusoidalDisturbance(AbstractTerm):
+    """a sin(ω t) + b cos(ω t)."""
+
+    name = "sinusoidal_disturbance"
+    sentence = "a sinusoidal disturbance of one frequency"
+    gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
+    shapes = (Parameter("frequency", "rad/s", lower=0.0),)
+    depends_on = "t"
+    form = ("+ {0}·sin({2}·t) + {1}·cos({2}·t)", r"+ {0}\sin({2}\,t) + {1}\cos({2}\,t)")
+
+    def grid(self, seen: Seen) -> Grid:
+        # A neighbour on the grid would have to be within 1/T: only peaks of the residual are tried.
+        step = 1.5 / seen.duration
+        around = seen.peaks[:, None] + step * np.array([-0.5, 0.0, 0.5])
+        return np.maximum(around.reshape(-1, 1), step)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        phase = shape[0] * at.t
+        return gain[0] * jnp.sin(phase) + gain[1] * jnp.cos(phase)

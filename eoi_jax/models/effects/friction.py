@@ -1,0 +1,134 @@
+"""Friction and drag: forces against the velocity of an output."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, turns
+
+
+class AbstractFriction(AbstractTerm):
+    """A function of the velocity. An output of degree one is a speed only if it goes both ways."""
+
+    depends_on = "v"
+
+    def shows(self, seen: Seen) -> bool:
+        return turns(seen.v) or not seen.measured
+
+
+class ViscousFriction(AbstractFriction):
+    """-c v: linear damping."""
+
+    name = "viscous_friction"
+    sentence = "viscous friction, proportional to the velocity"
+    joins = True
+    gains = (Parameter("", "{f/v}", lower=0.0),)
+    form = ("- {0}·{v}", r"- {0}\,{v}")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.v
+
+
+class CoulombFriction(AbstractFriction):
+    """-c sign(v): dry friction of one level."""
+
+    name = "coulomb_friction"
+    sentence = "Coulomb (dry) friction"
+    gains = (Parameter("", "{f}", lower=0.0),)
+    form = ("- {0}·sign({v})", r"- {0}\,\operatorname{{sign}}({v})")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.sign(at.v)
+
+
+class AsymmetricFriction(AbstractFriction):
+    """-c₊ for v > 0, +c₋ for v < 0: dry friction of another level in each direction.
+
+    While the plant moves it cannot be told from Coulomb friction of the mean level beside a
+    constant offset of half the difference: the two are one function of v.
+    """
+
+    name = "asymmetric_friction"
+    sentence = "dry friction that differs between the two directions"
+    gains = (Parameter("forward", "{f}", lower=0.0), Parameter("backward", "{f}", lower=0.0))
+    contains = ("coulomb_friction", "constant_offset")
+    form = (
+        "- {0}·[{v} > 0] + {1}·[{v} < 0]",
+        r"- {0}\,[{v} > 0] + {1}\,[{v} < 0]",
+    )
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return jnp.where(at.v > 0, -gain[0], jnp.where(at.v < 0, gain[1], 0.0))
+
+
+class StribeckFriction(AbstractFriction):
+    """-(F_c + F_d exp(-(v/v_s)²)) sign(v): dry friction that falls as motion sets in."""
+
+    name = "stribeck_friction"
+    sentence = "Stribeck friction: dry friction that is higher near rest"
+    gains = (Parameter("level", "{f}", lower=0.0), Parameter("rise", "{f}", lower=0.0))
+    shapes = (Parameter("velocity", "{v}", lower=0.0),)
+    contains = ("coulomb_friction",)
+    form = (
+        "- ({0} + {1}·exp(-({v}/{2})²))·sign({v})",
+        r"- \left({0} + {1}\,e^{{-({v}/{2})^2}}\right)\operatorname{{sign}}({v})",
+    )
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(0.03, 1.0, 8)[:, None] * _rms(seen.v)
+
+    def beyond(self, gains: Sequence[float] | np.ndarray) -> float:
+        level, rise = gains
+        return float(rise / max(level, 1e-300))
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        rise = jnp.exp(-((at.v / shape[0]) ** 2))
+        return -(gain[0] + gain[1] * rise) * jnp.sign(at.v)
+
+
+class QuadraticDrag(AbstractFriction):
+    """-c v|v|: turbulent drag."""
+
+    name = "quadratic_drag"
+    sentence = "drag that grows with the square of the velocity"
+    joins = True
+    gains = (Parameter("", "{f}/({v})²", lower=0.0),)
+    form = ("- {0}·{v}·|{v}|", r"- {0}\,{v}\,|{v}|")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.v * jnp.abs(at.v)
+
+
+class CubicDamping(AbstractFriction):
+    """-c v³."""
+
+    name = "cubic_damping"
+    sentence = "damping that grows with the cube of the velocity"
+    joins = True
+    rarity = 1.0
+    gains = (Parameter("", "{f}/({v})³", lower=0.0),)
+    form = ("- {0}·{v}³", r"- {0}\,{v}^3")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.v**3
+
+
+class AsymmetricViscousFriction(AbstractFriction):
+    """-c|v|: viscous friction that differs between the two directions.
+
+    Beside a viscous friction b the slope is b + c forwards and b - c backwards.
+    """
+
+    name = "asymmetric_friction"
+    sentence = "viscous friction that differs between the two directions"
+    gains = (Parameter("slope", "{f/v}"),)
+    form = ("- {0}·|{v}|", r"- {0}\,|{v}|")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.abs(at.v)
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,147 @@
+"""What happens to an input between the recorded value and the plant."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.models.effects.effect import (
+    AbstractActuator,
+    AbstractInputEffect,
+    At,
+    Grid,
+    Parameter,
+    Seen,
+    quantiles,
+)
+
+_INSTANT = 1e-3  # time of a lag, in steps, at which a step leaves nothing of it: exp(-1000)
+
+
+class InputDeadZone(AbstractInputEffect):
+    """sign(u) max(|u| - g, 0)."""
+
+    name = "input_dead_zone"
+    sentence = "a dead zone of the input"
+    rarity = 1.0  # of an input of one sign, a zone that it never enters is an offset
+    shapes = (Parameter("", "{u}", lower=0.0),)
+    depends_on = "u"
+    form = (
+        "{u} → sign({u})·max(|{u}| - {0}, 0)",
+        r"{u} \to \operatorname{{sign}}({u})\max(|{u}| - {0}, 0)",
+    )
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(0.005, 0.8, 12)[:, None] * np.max(np.abs(seen.u))
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return at.u - jnp.clip(at.u, -shape[0], shape[0])
+
+
+class InputSaturation(AbstractInputEffect):
+    """clip(u, -L, L)."""
+
+    name = "input_saturation"
+    sentence = "a saturation of the input"
+    shapes = (Parameter("", "{u}", lower=0.0),)
+    depends_on = "u"
+    form = ("{u} → clip({u}, -{0}, {0})", r"{u} \to \operatorname{{clip}}({u}, -{0}, {0})")
+
+    def grid(self, seen: Seen) -> Grid:
+        shares = [0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.99]
+        grid = quantiles(np.abs(seen.u), shares)
+        return grid[grid[:, 0] > 0] if np.any(grid > 0) else np.ones((1, 1))
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return jnp.clip(at.u, -shape[0], shape[0])
+
+
+@dataclass(frozen=True)
+class InputQuadratic(AbstractInputEffect):
+    """u + q u|u| (an actuator whose gain grows), or u + q u² (one that differs between the signs).
+
+    Attributes:
+        odd: the first of the two.
+    """
+
+    name = "input_quadratic"
+    sentence = "an actuator with a quadratic characteristic"
+    shapes = (Parameter("", "1/({u})"),)
+    depends_on = "u"
+
+    odd: bool = True
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """The changed input as text and LaTeX."""
+        text, latex = ("{u}·|{u}|", r"{u}\,|{u}|") if self.odd else ("{u}²", "{u}^2")
+        return "{u} → {u} + {0}·" + text, r"{u} \to {u} + {0}\," + latex
+
+    def grid(self, seen: Seen) -> Grid:
+        size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])
+        size /= np.max(np.abs(seen.u)) or 1.0
+        return np.concatenate([-size[4::-1], size])[:, None]
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return at.u + shape[0] * at.u * (jnp.abs(at.u) if self.odd else at.u)
+
+
+class ActuatorLag(AbstractActuator):
+    """T dz/dt = u - z; the plant gets z, which had settled before the record."""
+
+    name = "actuator_lag"
+    sentence = "a first-order lag of the actuator"
+    shapes = (Parameter("", "s", lower=0.0),)
+    depends_on = "t"
+    form = ("{u} → u/({0} s + 1)", r"{u} \to \frac{{1}}{{{0}\,s + 1}}\,{u}")
+
+    def grid(self, seen: Seen) -> Grid:
+        return _times(seen)
+
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        # Exact for a staircase: z decays towards u in each step, and the mean over it is taken.
+        period = time[1] - time[0]
+        # No lag at all has a slope as well: its z has settled within each step.
+        decay = jnp.exp(-period / jnp.maximum(shape[0], _INSTANT * period))
+        late = (1.0 - decay) * shape[0] / period
+
+        def step(z: Any, u: Any) -> tuple[Any, Any]:
+            return u + (z - u) * decay, u + (z - u) * late
+
+        return jax.lax.scan(step, u[0], u)[1]
+
+
+class InputDelay(AbstractActuator):
+    """u(t - τ); before the record the input had been what it is at its start."""
+
+    name = "input_delay"
+    sentence = "a delay of the input"
+    shapes = (Parameter("", "s", lower=0.0),)
+    depends_on = "t"
+    form = ("{u} → {u}(t - {0})", r"{u} \to {u}(t - {0})")
+
+    def grid(self, seen: Seen) -> Grid:
+        # A cost over delays is narrow, a quarter period of the band: long ones are looked for.
+        times = _times(seen)
+        near = seen.lags[:, None] + np.array([-0.5, 0.0, 0.5]) / seen.band
+        return np.unique(np.concatenate([times, near[near > np.max(times)][:, None]]), axis=0)
+
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        # Means over steps: of a shifted staircase they are interpolated linearly, exactly.
+        steps = shape[0] / (time[1] - time[0])
+        whole = jnp.floor(steps)
+        late = jnp.arange(len(u)) - whole.astype(int)
+        after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
+        return after + (steps - whole) * (before - after)
+
+
+def _times(seen: Seen) -> Grid:
+    """Times that shift the phase at the edge of the band by a hundredth to a few radians.
+
+    Half a sample is a matter of how the record was read, not of the plant.
+    """
+    least = 0.5 * seen.sample_period
+    times = np.geomspace(0.01, 4.0, 11) / seen.band
+    return np.unique(np.maximum(times, least))[:, None]

@@ -1,0 +1,86 @@
+"""The standard library of effects."""
+
+from eoi_jax.models.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturbance
+from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.effects.friction import (
+    AsymmetricFriction,
+    AsymmetricViscousFriction,
+    CoulombFriction,
+    CubicDamping,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
+from eoi_jax.models.effects.inputs import (
+    ActuatorLag,
+    InputDeadZone,
+    InputDelay,
+    InputQuadratic,
+    InputSaturation,
+)
+from eoi_jax.models.effects.memory import Hysteresis
+from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow
+from eoi_jax.models.effects.stiffness import (
+    CubicStiffness,
+    EndStop,
+    FreePlay,
+    Gravity,
+    LinearStiffness,
+    PositionRipple,
+    QuadraticStiffness,
+)
+
+
+def standard() -> tuple[AbstractEffect, ...]:
+    """Every canonical effect; `discover` tries those that fit the plant.
+
+    Four names have several forms: `end_stop` (above, below), `gravity` (of an angle in radians, in
+    degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an internal state,
+    caught in part or not at all).
+
+    Returns:
+        One object of each form.
+    """
+    return (
+        ViscousFriction(),
+        CoulombFriction(),
+        AsymmetricFriction(),
+        StribeckFriction(),
+        QuadraticDrag(),
+        CubicDamping(),
+        LinearStiffness(),
+        QuadraticStiffness(),
+        CubicStiffness(),
+        Gravity(),
+        Gravity(degrees=True),
+        PositionRipple(),
+        EndStop(+1),
+        EndStop(-1),
+        FreePlay(),
+        ConstantOffset(),
+        Drift(),
+        SinusoidalDisturbance(),
+        InputDeadZone(),
+        InputSaturation(),
+        InputDelay(),
+        InputQuadratic(odd=True),
+        InputQuadratic(odd=False),
+        ActuatorLag(),
+        Hysteresis(),
+        Leak(),
+        Overflow(),
+        InternalOverflow(caught=True),
+        InternalOverflow(caught=False),
+    )
+
+
+def rare() -> tuple[AbstractEffect, ...]:
+    """Effects that `discover` tries only where the standard ones leave a residual unexplained.
+
+    Viscous friction that differs between the two directions: |v| and a constant offset are hard to
+    tell apart, and the offset is far more common.
+
+    Returns:
+        One object of each form.
+    """
+    return (AsymmetricViscousFriction(),)

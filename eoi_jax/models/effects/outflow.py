@@ -1,0 +1,117 @@
+"""Flows out of a tank whose level is the output, or an internal state."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.models.effects.effect import (
+    AbstractInternalEffect,
+    AbstractTerm,
+    At,
+    Grid,
+    Parameter,
+    Seen,
+    quantiles,
+    turns,
+)
+from eoi_jax.models.plant import Plant
+
+# Shares of the samples that lie below the levels tried.
+_LEVELS = [0.2, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985]
+
+
+class Leak(AbstractTerm):
+    """-k y: an outflow proportional to the level."""
+
+    name = "leak"
+    sentence = "a leak: an outflow proportional to the level"
+    gains = (Parameter("", "{f/y}", lower=0.0),)
+    depends_on = "y"
+    form = ("- {0}·{y}", r"- {0}\,{y}")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+    def shows(self, seen: Seen) -> bool:
+        return not turns(seen.y)  # no level goes below the bottom: that is a speed
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y
+
+
+class Overflow(AbstractTerm):
+    """-k (y - L) above the level L."""
+
+    name = "overflow"
+    sentence = "an overflow: an outflow above a level"
+    gains = (Parameter("rate", "{f/y}", lower=0.0),)
+    shapes = (Parameter("level", "{y}"),)
+    depends_on = "y"
+    form = ("- {0}·max({y} - {1}, 0)", r"- {0}\max({y} - {1}, 0)")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+    def grid(self, seen: Seen) -> Grid:
+        return quantiles(seen.y, _LEVELS)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.maximum(at.y - shape[0], 0.0)
+
+
+@dataclass(frozen=True)
+class InternalOverflow(AbstractInternalEffect):
+    """An overflow of a tank whose level z nobody measures: dz/dt loses k max(z - L, 0).
+
+    Of what is spilt a share may fall into the tank whose level is the first output: it gains
+    s k max(z - L, 0). z has a unit of its own, so s is in output per z and may exceed one. A brim
+    is a hard stop: a large k keeps z at L. Source: the two tanks of M. Schoukens, P. Mattsson,
+    T. Wigren, J.-P. Noël, *Cascaded tanks benchmark combining soft and hard nonlinearities*, 2016.
+
+    Attributes:
+        caught: whether the first output gets a share; otherwise all of it is lost.
+    """
+
+    name = "overflow"
+    sentence = "an overflow: an outflow above a level"
+    shapes = (Parameter("rate", "1/s", lower=0.0), Parameter("level", "{y}"))
+    depends_on = "y"
+
+    caught: bool = True
+
+    @property
+    def gains(self) -> tuple[Parameter, ...]:
+        """The share that is caught."""
+        return (Parameter("share", "1", lower=0.0),) if self.caught else ()
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """What the state loses, as text and LaTeX."""
+        rate, level = ("{1}", "{2}") if self.caught else ("{0}", "{1}")
+        return (
+            f"- {rate}·max({{y}} - {level}, 0)",
+            rf"- {rate}\max({{y}} - {level}, 0)",
+        )
+
+    @property
+    def outer_form(self) -> tuple[str, str]:
+        """What the first output gets."""
+        if not self.caught:
+            return "", ""
+        return "+ {0}·{1}·max({y} - {2}, 0)", r"+ {0}\,{1}\max({y} - {2}, 0)"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[0] == 1
+
+    def grid(self, seen: Seen) -> Grid:
+        rates = seen.band * np.array([0.6, 2.0, 7.0])
+        levels = quantiles(seen.y, _LEVELS)[:, 0]
+        return np.stack([np.repeat(rates, len(levels)), np.tile(levels, len(rates))], axis=1)
+
+    def change(self, at: At, shape: Any) -> Any:
+        return -shape[0] * jnp.maximum(at.y - shape[1], 0.0)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * self.change(at, shape) if self.caught else 0.0

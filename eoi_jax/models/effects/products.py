@@ -1,0 +1,41 @@
+"""Terms that no effect of the library has: what discovery holds against an answer."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+
+from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
+
+
+@dataclass(frozen=True)
+class Product(AbstractTerm):
+    """a v w: two of y, ẏ and u multiplied, as in a gain that changes with the position."""
+
+    first: str
+    second: str
+
+    name = "product"
+    sentence = "a product of two signals"
+    gains = (Parameter("", ""),)
+    form = ("", "")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * getattr(at, self.first) * getattr(at, self.second)
+
+
+@dataclass(frozen=True)
+class ModulatedSinusoid(AbstractTerm):
+    """(a sin(ω t) + b cos(ω t)) w with w = y, ẏ or u: a parameter that varies with time."""
+
+    by: str
+
+    name = "modulated_sinusoid"
+    sentence = "a sinusoid whose amplitude follows the plant"
+    gains = (Parameter("sine", ""), Parameter("cosine", ""))
+    shapes = (Parameter("frequency", "rad/s", lower=0.0),)
+    form = ("", "")
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        phase = shape[0] * at.t
+        return (gain[0] * jnp.sin(phase) + gain[1] * jnp.cos(phase)) * getattr(at, self.by)

@@ -1,0 +1,224 @@
+"""Forces that depend on the position of an output."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.models.effects.effect import (
+    AbstractTerm,
+    At,
+    Grid,
+    Parameter,
+    Seen,
+    mechanical,
+    quantiles,
+)
+from eoi_jax.models.plant import Plant
+
+_SMALL_ANGLE = 0.8  # [rad]
+_DEGREES = ("deg", "degree", "degrees", "°")
+
+
+class LinearStiffness(AbstractTerm):
+    """-k y: a spring."""
+
+    name = "linear_stiffness"
+    sentence = "a linear spring"
+    joins = True
+    gains = (Parameter("", "{f}/{y}"),)
+    depends_on = "y"
+    form = ("- {0}·{y}", r"- {0}\,{y}")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y
+
+
+class QuadraticStiffness(AbstractTerm):
+    """-k y²: a spring that differs between pull and push."""
+
+    name = "quadratic_stiffness"
+    sentence = "a spring force with the square of the displacement (pull and push differ)"
+    joins = True
+    rarity = 1.0
+    gains = (Parameter("", "{f}/({y})²"),)
+    depends_on = "y"
+    form = ("- {0}·{y}²", r"- {0}\,{y}^2")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y**2
+
+
+class CubicStiffness(AbstractTerm):
+    """-k y³: a hardening (k > 0) or softening spring."""
+
+    name = "cubic_stiffness"
+    sentence = "cubic stiffness: a spring that hardens or softens with displacement"
+    joins = True
+    rarity = 1.0
+    gains = (Parameter("", "{f}/({y})³"),)
+    depends_on = "y"
+    form = ("- {0}·{y}³", r"- {0}\,{y}^3")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y**3
+
+
+@dataclass(frozen=True)
+class Gravity(AbstractTerm):
+    """-g sin(y), y an angle.
+
+    Attributes:
+        degrees: whether y is in degrees: it fits the outputs whose unit says so ("deg", "degree",
+            "degrees" or "°"), the other form all others.
+    """
+
+    name = "gravity"
+    sentence = "gravity: a force with the sine of the position"
+    rarity = 2.0  # at small angles it is a linear spring
+    gains = (Parameter("", "{f}"),)
+    depends_on = "y"
+
+    degrees: bool = False
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """The term as text and LaTeX."""
+        if self.degrees:
+            return "- {0}·sin(π/180·{y})", r"- {0}\sin(\pi/180\,{y})"
+        return "- {0}·sin({y})", r"- {0}\sin {y}"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        in_degrees = plant.units.get(plant.outputs[output]) in _DEGREES
+        return mechanical(plant, output) and in_degrees == self.degrees
+
+    def grid(self, seen: Seen) -> Grid:
+        # Below that, sin(y) is y - y³/6 to within its own size over a hundred: a spring.
+        return np.zeros((1 if np.max(np.abs(self._angle(seen.y))) > _SMALL_ANGLE else 0, 0))
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.sin(self._angle(at.y))
+
+    def _angle(self, y: Any) -> Any:
+        """In radians."""
+        return y * (np.pi / 180.0) if self.degrees else y
+
+
+class PositionRipple(AbstractTerm):
+    """a sin(κ y) + b cos(κ y): cogging, a force periodic in the position."""
+
+    name = "position_ripple"
+    sentence = "a ripple over the position (cogging)"
+    gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
+    shapes = (Parameter("wavenumber", "1/{y}", lower=0.0),)
+    depends_on = "y"
+    form = (
+        "+ {0}·sin({2}·{y}) + {1}·cos({2}·{y})",
+        r"+ {0}\sin({2}\,{y}) + {1}\cos({2}\,{y})",
+    )
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        # Two periods over the range at least: fewer look like a spring. A neighbour on the grid
+        # is off by less than a radian at the ends of the range.
+        phases = np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6)
+        # A ripple as fine as the noise would be fitted to the noise.
+        reach = np.ptp(seen.y) or 1.0
+        resolved = phases * seen.noise < 0.3 * reach
+        resolved[0] = True
+        return (phases[resolved] / reach)[:, None]
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        phase = shape[0] * at.y
+        return gain[0] * jnp.sin(phase) + gain[1] * jnp.cos(phase)
+
+
+@dataclass(frozen=True)
+class EndStop(AbstractTerm):
+    """-k (y - s) beyond s: contact on one side.
+
+    Attributes:
+        side: +1 for a stop above, -1 for one below.
+    """
+
+    name = "end_stop"
+    sentence = "an end stop: contact on one side"
+    joins = True
+    depends_on = "y"
+
+    side: int = 1
+
+    @property
+    def kind(self) -> str:
+        """A stop at each end may be in one model."""
+        return f"{self.name} {self.side:+d}"
+
+    @property
+    def gains(self) -> tuple[Parameter, ...]:
+        """Stiffness."""
+        return (Parameter(f"{self._end}stiffness", "{f}/{y}", lower=0.0),)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """Position."""
+        return (Parameter(f"{self._end}position", "{y}"),)
+
+    @property
+    def _end(self) -> str:
+        """Of the name of a parameter: beside a stop above, that below needs another."""
+        return "lower_" if self.side < 0 else ""
+
+    @property
+    def form(self) -> tuple[str, str]:
+        """The term as text and LaTeX."""
+        extreme = "min" if self.side < 0 else "max"
+        return (
+            f"- {{0}}·{extreme}({{y}} - {{1}}, 0)",
+            rf"- {{0}}\,\{extreme}({{y}} - {{1}}, 0)",
+        )
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        shares = np.array([0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.995])
+        return quantiles(seen.y, shares if self.side > 0 else 1.0 - shares)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * self.side * jnp.maximum(self.side * (at.y - shape[0]), 0.0)
+
+
+class FreePlay(AbstractTerm):
+    """k clip(y, -g, g): the declared spring does not act inside a gap.
+
+    Beside a declared spring of stiffness k the total is -k times the dead zone of y.
+    """
+
+    name = "free_play"
+    sentence = "free play: a gap in which the spring does not act"
+    joins = True
+    gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
+    shapes = (Parameter("gap", "{y}", lower=0.0),)
+    depends_on = "y"
+    form = ("+ {0}·clip({y}, -{1}, {1})", r"+ {0}\operatorname{{clip}}({y}, -{1}, {1})")
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(0.03, 0.9, 12)[:, None] * np.max(np.abs(seen.y))
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * jnp.clip(at.y, -shape[0], shape[0])

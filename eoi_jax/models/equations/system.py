@@ -1,0 +1,320 @@
+"""A set of equations as text: what each name in it is, and the functions that it stands for.
+
+    d/dt of every state = an expression
+
+The states of an output form a chain, output, rate, …, as long as the derivative of one is nothing
+but the name of the next; the last derivative of the chain is y^(r). All other states are internal.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from typing import Any
+
+import jax.numpy as jnp
+
+from eoi_jax._checks import check
+from eoi_jax.models.equations.expression import (
+    Call,
+    Expression,
+    Number,
+    Operation,
+    Symbol,
+    value_of,
+)
+from eoi_jax.models.equations.grammar import good_name, parse, words
+from eoi_jax.models.plant import State
+
+MOST_TEXT = 40_000  # characters of all equations together
+_LONGEST_SHOWN = 200  # parts of an equation with its definitions put in
+
+Items = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The text of a model; equal (and compiled once) for equal texts.
+
+    Attributes:
+        derivatives: by state.
+        definitions: by name.
+        initial: of internal states, in the parameters.
+        outputs, inputs, parameters: names.
+    """
+
+    derivatives: Items
+    definitions: Items
+    initial: Items
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+    # -- what the names are ---------------------------------------------------------------
+
+    @cached_property
+    def chains(self) -> dict[str, tuple[str, ...]]:
+        """By output: its states, from itself to the one before y^(r)."""
+        rates = dict(self.derivatives)
+        taken = set(self.outputs)
+        chains = {}
+        for output in self.outputs:
+            chain = [output]
+            while (following := rates[chain[-1]].strip()) in rates and following not in taken:
+                chain.append(following)
+                taken.add(following)
+            chains[output] = tuple(chain)
+        return chains
+
+    @property
+    def degrees(self) -> tuple[int, ...]:
+        """Relative degree of each output."""
+        return tuple(len(self.chains[output]) for output in self.outputs)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the internal states, in order."""
+        chained = {name for chain in self.chains.values() for name in chain}
+        return tuple(name for name, _ in self.derivatives if name not in chained)
+
+    @cached_property
+    def symbols(self) -> dict[str, Expression]:
+        """What each name stands for, definitions apart."""
+        chains = self.chains.items()
+        return {
+            **{name: Symbol(y, i) for y, chain in chains for i, name in enumerate(chain)},
+            **{name: Symbol(name) for name in (*self.states, *self.inputs)},
+            **{name: Symbol(name, parameter=True) for name in self.parameters},
+        }
+
+    # -- trees ----------------------------------------------------------------------------
+
+    @cached_property
+    def defined(self) -> dict[str, Expression]:
+        """Trees of the definitions, in an order in which each uses earlier ones only."""
+        texts, names, trees = dict(self.definitions), dict(self.symbols), {}
+        for name in _in_order(texts):
+            tree = parse(texts[name], names, f"model.definitions.{name}")
+            names[name] = _known_as(name, tree)
+            trees[name] = tree
+        return trees
+
+    @cached_property
+    def names(self) -> dict[str, Expression]:
+        """What each name stands for in an equation."""
+        known = {name: _known_as(name, tree) for name, tree in self.defined.items()}
+        return {**self.symbols, **known}
+
+    @cached_property
+    def rates(self) -> dict[str, Expression]:
+        """Trees of the derivatives."""
+        return {
+            name: parse(text, self.names, f"model.derivatives.{name}")
+            for name, text in self.derivatives
+        }
+
+    @cached_property
+    def starts(self) -> dict[str, Expression]:
+        """Trees of the initial values."""
+        known: dict[str, Expression] = {
+            name: Symbol(name, parameter=True) for name in self.parameters
+        }
+        texts = dict(self.initial)
+        return {name: parse(texts[name], known, f"model.initial.{name}") for name in self.states}
+
+    @property
+    def highest(self) -> tuple[Expression, ...]:
+        """y^(r) of each output."""
+        return tuple(self.rates[self.chains[output][-1]] for output in self.outputs)
+
+    @property
+    def internal(self) -> tuple[Expression, ...]:
+        """Rates of the internal states."""
+        return tuple(self.rates[name] for name in self.states)
+
+    def written_out(self, expression: Expression) -> Expression | None:
+        """A formula with the definitions put in; None where that would be too long to read."""
+        trees: dict[str, Expression] = {}
+        sizes: dict[str, int] = {}
+        for name, tree in self.defined.items():
+            sizes[name] = _size(tree, sizes)
+            if sizes[name] <= _LONGEST_SHOWN:
+                trees[name] = _put_in(tree, trees)
+        return _put_in(expression, trees) if _size(expression, sizes) <= _LONGEST_SHOWN else None
+
+    # -- checks ---------------------------------------------------------------------------
+
+    def check(self, elsewhere: Iterable[str] = ()) -> None:
+        """Every equation can be read, every name is used.
+
+        Args:
+            elsewhere: parameters that are used outside the equations.
+
+        Raises:
+            ValueError: what is wrong, in which equation, at which column.
+        """
+        self._check_names()
+        _ = self.rates, self.starts  # read here, so that a mistake is found here
+        used = {*self._reached(), *elsewhere}
+        advice = "Use it in an equation, or leave it out."
+        for name in self.parameters:
+            check(name in used, f"model.parameters.{name}", "must be used", "no use", advice)
+        for name in self.defined:
+            check(name in used, f"model.definitions.{name}", "must be used", "no use", advice)
+        for name in self.states:
+            rule = "must be used on the way to an output"
+            check(name in used, f"model.derivatives.{name}", rule, "no use", advice)
+
+    def _check_names(self) -> None:
+        groups = {
+            "derivatives": tuple(name for name, _ in self.derivatives),
+            "inputs": self.inputs,
+            "parameters": self.parameters,
+            "definitions": tuple(name for name, _ in self.definitions),
+        }
+        seen: dict[str, str] = {}
+        for group, names in groups.items():
+            for name in names:
+                advice = "t, pi and the names of functions have a meaning already."
+                rule = "must have names that are identifiers"
+                check(good_name(name), f"model.{group}", rule, repr(name), advice)
+                rule = f"must not have a name of `{seen.get(name)}`"
+                check(name not in seen, f"model.{group}", rule, repr(name))
+                seen[name] = group
+        texts = dict(self.derivatives)
+        size = sum(len(text) for items in (self.derivatives, self.definitions, self.initial)
+                   for _, text in items)  # fmt: skip
+        rule = f"must have at most {MOST_TEXT} characters of equations"
+        check(size <= MOST_TEXT, "model", rule, size)
+        for name in self.outputs:
+            advice = f'Add it: {name} = "…", or the name of its rate.'
+            check(name in texts, "model.derivatives", f"must have {name}", ", ".join(texts), advice)
+        starts = dict(self.initial)
+        for name in self.states:
+            advice = "Give its value at the start of a record."
+            check(name in starts, "model.initial", f"must have the internal state {name}",
+                  ", ".join(starts) or "nothing", advice)  # fmt: skip
+        for name in starts:
+            rule = f"must have internal states only ({', '.join(self.states) or 'there are none'})"
+            advice = "Outputs and their derivatives start where the record does."
+            check(name in self.states, "model.initial", rule, repr(name), advice)
+
+    def _reached(self) -> set[str]:
+        """Names that the outputs depend on."""
+        reached: set[str] = set()
+        rates, defined, starts = map(dict, (self.derivatives, self.definitions, self.initial))
+        ahead = list(self.outputs)
+        while ahead:
+            name = ahead.pop()
+            if name not in reached:
+                reached.add(name)
+                for texts in (rates, defined, starts):
+                    ahead += words(texts.get(name, ""))
+        return reached
+
+    # -- values ---------------------------------------------------------------------------
+
+    def values(self, t: Any, x: State, u: Any, p: Any) -> dict[Symbol, Any]:
+        """What the names of all equations are worth."""
+        values: dict[Symbol, Any] = {Symbol("t"): t}
+        for j, (output, chain) in enumerate(self.chains.items()):
+            values |= {Symbol(output, i): x.y[i, j] for i in range(len(chain))}
+        values |= {Symbol(name): x.z[i] for i, name in enumerate(self.states)}
+        values |= {Symbol(name): u[i] for i, name in enumerate(self.inputs)}
+        values |= {Symbol(name, parameter=True): getattr(p, name) for name in self.parameters}
+        for name, tree in self.defined.items():
+            values[Symbol(name)] = value_of(tree, values, jnp)
+        return values
+
+
+@dataclass(frozen=True)
+class TextDynamics:
+    """f of a text model, a model function of `Plant`."""
+
+    equations: Equations
+
+    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        """y^(r) of the outputs, shape (ny,)."""
+        values = self.equations.values(t, x, u, p)
+        return _stacked(self.equations.highest, values, x.y.dtype)
+
+
+@dataclass(frozen=True)
+class TextInternal:
+    """g of a text model."""
+
+    equations: Equations
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the internal states."""
+        return self.equations.states
+
+    def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        """Rates of the internal states, shape (nz,)."""
+        values = self.equations.values(t, x, u, p)
+        return _stacked(self.equations.internal, values, x.y.dtype)
+
+
+@dataclass(frozen=True)
+class TextStart:
+    """Internal states of a text model at the start of a record."""
+
+    equations: Equations
+
+    def __call__(self, p: Any) -> Any:
+        """Internal states, shape (nz,)."""
+        known = self.equations.parameters
+        values = {Symbol(name, parameter=True): getattr(p, name) for name in known}
+        trees = [self.equations.starts[name] for name in self.equations.states]
+        return _stacked(trees, values, jnp.result_type(*p))
+
+
+def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: Any) -> Any:
+    # A constant alone has no type of its own: it takes that of the states.
+    return jnp.stack([jnp.asarray(value_of(tree, values, jnp), dtype) for tree in trees])
+
+
+# -- trees ------------------------------------------------------------------------------------
+
+
+def _parts(expression: Expression) -> tuple[Expression, ...]:
+    match expression:
+        case Operation(left=left, right=right):
+            return left, right
+        case Call(arguments=arguments):
+            return arguments
+    return ()
+
+
+def _known_as(name: str, tree: Expression) -> Expression:
+    # A constant is what it is, so that what it makes constant is worked out, and its size known.
+    return tree if isinstance(tree, Number) else Symbol(name)
+
+
+def _in_order(texts: Mapping[str, str]) -> list[str]:
+    """Names of definitions, each behind those that it uses."""
+    uses = {name: words(text) & set(texts) for name, text in texts.items()}
+    try:
+        return list(TopologicalSorter(uses).static_order())
+    except CycleError as error:
+        ring = " → ".join(error.args[1])
+    raise ValueError(f"`model.definitions` must not go in a circle, got {ring}.")
+
+
+def _size(expression: Expression, sizes: Mapping[str, int]) -> int:
+    """Number of parts of a formula, those of definitions included."""
+    if isinstance(expression, Symbol):
+        return sizes.get(expression.name, 1)
+    return min(1 + sum(_size(part, sizes) for part in _parts(expression)), _LONGEST_SHOWN + 1)
+
+
+def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expression:
+    match expression:
+        case Symbol(name=name):
+            return trees.get(name, expression)
+        case Operation(sign=sign, left=left, right=right):
+            return Operation(sign, _put_in(left, trees), _put_in(right, trees))
+        case Call(name=name, arguments=arguments):
+            return Call(name, tuple(_put_in(one, trees) for one in arguments))
+    return expression

@@ -1,0 +1,96 @@
+"""Write a model to a file of another language."""
+
+from collections.abc import Callable
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+from eoi_jax._atomic import write_file
+from eoi_jax._checks import check, check_choice
+from eoi_jax.models.equations.model import model_json
+from eoi_jax.models.export.c import c_text
+from eoi_jax.models.export.matlab import matlab_text
+from eoi_jax.models.export.names import identifier
+from eoi_jax.models.export.numpy_python import python_text
+from eoi_jax.models.export.program import Program, program
+from eoi_jax.models.export.table import table_of
+from eoi_jax.models.export.tex import latex_text
+from eoi_jax.models.plant import Plant
+
+_FUNCTIONS: dict[str, Callable[[Program, str, str], str]] = {
+    "python": python_text,
+    "c": c_text,
+    "matlab": matlab_text,
+}
+SUFFIXES = {".py": "python", ".c": "c", ".m": "matlab", ".tex": "latex", ".json": "json"}
+LANGUAGES = tuple(SUFFIXES.values())
+
+
+def export(model: Any, path: str | Path, language: str | None = None) -> Path:
+    r"""Write a model, with the effects that were found, to a file that other tools run.
+
+    Python, C and MATLAB (and GNU Octave) get a function of t [s], the states and the inputs that
+    gives the rates d/dt of the states: ``name(t, states, inputs)``, in C ``void name(t, states,
+    inputs, rates)`` with arrays of double, named as the file. States are each output followed by
+    its derivatives, then internal states, then one for each lag of an input; the file says which,
+    with units, values at the start, delays of inputs and where dry friction makes it set-valued.
+    Parameters are named constants. LaTeX gets the equations and a table of the parameters, JSON the
+    model as text, which `load` reads back to a plant that simulates equally.
+
+    The formulas are those that JAX traces, so any model of arithmetic on states, inputs and
+    parameters can be exported; values agree to rounding where they are real and finite.
+
+    Args:
+        model: a `Plant`, or any result with a `plant` (`Identification`, `Discovery`, …).
+        path: of the file; the suffix says the language where `language` is None.
+        language: ``"python"``, ``"c"``, ``"matlab"``, ``"latex"`` or ``"json"``.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: no plant, an unknown language, a name that is none for a function, a folder
+            that cannot be written, or a model that holds what is no such arithmetic (which).
+    """
+    plant = model if isinstance(model, Plant) else getattr(model, "plant", None)
+    rule = "must be a Plant or a result that has one"
+    check(isinstance(plant, Plant), "model", rule, type(model).__name__)
+    path = Path(path)
+    if language is None:
+        advice = "Or name the `language`."
+        rule = f"must end in {', '.join(SUFFIXES)}"
+        check(path.suffix in SUFFIXES, "path", rule, path, advice)
+        language = SUFFIXES[path.suffix]
+    check_choice("language", language, LANGUAGES)
+    text = model_text(plant, language, path.stem)  # type: ignore[arg-type]
+
+    def fill(draft: Path) -> None:
+        draft.write_text(text, encoding="utf-8")
+
+    try:
+        write_file(path, fill)
+    except OSError as error:
+        check(False, "path", f"must be writable ({error.strerror})", path)
+    return path
+
+
+def model_text(plant: Plant, language: str, name: str) -> str:
+    """What `export` writes.
+
+    Args:
+        plant: any that can be exported.
+        language: one of `LANGUAGES`.
+        name: of the function.
+
+    Returns:
+        The text of the file.
+    """
+    version = version_of("eoi_jax")
+    if language == "json":
+        return model_json(table_of(plant), version)
+    if language == "latex":
+        return latex_text(program(plant), version)
+    fitting = identifier(name)
+    rule = "must be named as a function can be"
+    check(name == fitting, "path", rule, name, f"For example {fitting}.")
+    return _FUNCTIONS[language](program(plant), name, version)

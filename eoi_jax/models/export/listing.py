@@ -1,0 +1,80 @@
+"""What the program languages share: names, expressions, comments, and what of a model they use."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+from eoi_jax.models.equations.expression import Expression, Symbol
+from eoi_jax.models.export.code import Language, functions_of, symbols_of, written
+from eoi_jax.models.export.names import comment, header, identifiers
+from eoi_jax.models.export.program import Program
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A model in one language.
+
+    Attributes:
+        model: what is written.
+        language: in which.
+        assigned: a line that gives a name (first) a value (second).
+        remark: of a unit, at the end of such a line.
+    """
+
+    model: Program
+    language: Language
+    assigned: str
+    remark: str
+
+    @cached_property
+    def names(self) -> dict[Symbol, str]:
+        """Identifier of every variable."""
+        return identifiers(self.model)
+
+    @cached_property
+    def called(self) -> set[str]:
+        """Functions that the equations call."""
+        return set().union(*map(functions_of, self._trees))
+
+    @cached_property
+    def used(self) -> set[Symbol]:
+        """Variables that the equations read."""
+        return set().union(*map(symbols_of, self._trees))
+
+    @property
+    def _trees(self) -> list[Expression]:
+        return [tree for _, tree in self.model.definitions] + list(self.model.rates)
+
+    def code(self, tree: Expression) -> str:
+        """An expression."""
+        return written(tree, self.names, self.language)
+
+    def top(self, mark: str, indices: tuple[str, str, str], version: str) -> list[str]:
+        """What the file is, as comments: brackets of an index, and the first one."""
+        text = header(self.model, self.names, indices, version)
+        return [f"{mark} {line}".rstrip() for line in text.splitlines()]
+
+    def parameters(self) -> list[str]:
+        """Values of those that are used."""
+        return [
+            self.assigned.format(self.names[one.symbol], repr(value))
+            + (self.remark.format(comment(one.unit)) if one.unit else "")
+            for one, value in self.model.parameters
+            if one.symbol in self.used
+        ]
+
+    def elements(self, element: Callable[[str, int], str]) -> list[str]:
+        """States and inputs that are used, from their vectors."""
+        return [
+            self.assigned.format(self.names[one.symbol], element(vector, k))
+            for vector, variables in (("states", self.model.states), ("inputs", self.model.inputs))
+            for k, one in enumerate(variables)
+            if one.symbol in self.used
+        ]
+
+    def definitions(self) -> list[str]:
+        """What is worked out before the rates."""
+        return [
+            self.assigned.format(self.names[symbol], self.code(tree))
+            for symbol, tree in self.model.definitions
+        ]

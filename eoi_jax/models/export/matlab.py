@@ -1,0 +1,61 @@
+"""A model as a function file of MATLAB and of GNU Octave."""
+
+from eoi_jax.models.export.code import Language
+from eoi_jax.models.export.listing import Listing
+from eoi_jax.models.export.program import Program
+
+_MATLAB = Language(
+    power="{0}^{1}",
+    power_is_call=False,
+    functions={
+        "trunc": "fix({0})",
+        "cbrt": "nthroot({0}, 3)",
+        "round": "nearest_even({0})",
+        "where": "choose({0}, {1}, {2})",
+        "plain_root": "sqrt({0})",
+        "sqrt": "sqrt(max({0}, 0))",
+    },
+    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "~="},
+    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "~({0})"},
+)
+_HELPERS = {
+    "where": """
+function value = choose(condition, a, b)
+if condition
+    value = a;
+else
+    value = b;
+end
+end
+""",
+    "round": """
+function value = nearest_even(a)
+value = round(a);
+if abs(a - fix(a)) == 0.5
+    value = 2*round(a/2);
+end
+end
+""",
+}
+
+
+def matlab_text(model: Program, name: str, version: str) -> str:
+    """The file: ``rates = name(t, states, inputs)``, of columns, as `ode45` calls it.
+
+    Args:
+        model: what to write.
+        name: of the function, an identifier; MATLAB finds it by the name of the file.
+        version: of this package.
+    """
+    listing = Listing(model, _MATLAB, "{} = {};", "  % {}")
+    body = [
+        *listing.top("%", ("(", ")", "1"), version),
+        *listing.parameters(),
+        *listing.elements(lambda vector, k: f"{vector}({k + 1})"),
+        *listing.definitions(),
+        f"rates = zeros({len(model.states)}, 1);",
+        *(f"rates({k}) = {listing.code(tree)};" for k, tree in enumerate(model.rates, 1)),
+    ]
+    helpers = "".join(text for key, text in _HELPERS.items() if key in listing.called)
+    lines = "\n".join([f"function rates = {name}(t, states, inputs)", *body, "end"])
+    return f"{lines}\n{helpers}"

@@ -1,0 +1,136 @@
+"""Names and comments that are safe in any file: nothing that a model is called can leave its place.
+
+Names of channels and units are any text. Of a name only letters, digits and underscores reach a
+file; a comment loses line breaks, control characters and what could end it.
+"""
+
+import keyword
+import re
+import unicodedata
+from collections.abc import Collection, Mapping, Sequence
+
+from eoi_jax.models.equations.expression import Symbol
+from eoi_jax.models.equations.grammar import RESERVED
+from eoi_jax.models.export.program import Program
+
+_LONGEST = 48  # characters; C99 tells 63 apart, MATLAB as many
+_LONGEST_COMMENT = 100
+
+# C, C++ and MATLAB; of their libraries what files of this package call.
+_WORDS = (
+    "auto bool break case catch char class const constexpr continue default delete do double "
+    "else enum explicit export extern false float for friend goto if inline int long mutable "
+    "namespace new nullptr operator private protected public register restrict return short "
+    "signed sizeof static struct switch template this throw true try typedef typename union "
+    "unsigned using virtual void volatile while alignas alignof asm typeof thread_local "
+    "static_assert main classdef elseif end function global otherwise parfor persistent spmd "
+    "endfunction endif until unwind_protect end_try_catch eps inf nan Inf NaN i j ans nargin "
+    "nargout zeros isargout fabs fmax fmin fmod rint pow nthroot fix mod choose root nearest "
+    "states inputs rates np array stack "
+)
+_TEXT_WORDS = frozenset((*keyword.kwlist, *RESERVED))
+_CODE_WORDS = _TEXT_WORDS.union(_WORDS.split())
+
+
+def identifier(name: str, taken: Collection[str] = (), words: Collection[str] = _CODE_WORDS) -> str:
+    """A name that every language takes: ASCII letters, digits, underscores; no word of theirs.
+
+    Args:
+        name: any text; Greek letters are spelled out.
+        taken: names that are gone; a number is added to differ from them.
+        words: of the language; an underscore is added to differ from them.
+    """
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_spelled(one) for one in name))
+    plain = plain.strip("_")[:_LONGEST] or "name"
+    plain = plain if plain[0].isalpha() else f"n{plain}"
+    plain = f"{plain}_" if plain in words else plain
+    unique, count = plain, 2
+    while unique in taken:
+        unique, count = f"{plain}_{count}", count + 1
+    return unique
+
+
+def _spelled(letter: str) -> str:
+    found = re.fullmatch(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, ""))
+    if found:
+        return found[1].lower()
+    return unicodedata.normalize("NFKD", letter)
+
+
+def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
+    """Identifiers of all symbols of a program, all different.
+
+    Args:
+        model: its states, inputs, parameters and definitions.
+        as_text: for formulas that are no code, which have fewer words of their own.
+    """
+    words = _TEXT_WORDS if as_text else _CODE_WORDS
+    named = [
+        *((variable.symbol, variable.name) for variable, _ in model.parameters),
+        *((variable.symbol, variable.name) for variable in (*model.states, *model.inputs)),
+        *((symbol, symbol.name) for symbol, _ in model.definitions),
+    ]
+    names: dict[Symbol, str] = {Symbol("t"): "t"}
+    for symbol, name in named:
+        names[symbol] = identifier(name, names.values(), words)
+    return names
+
+
+def comment(text: str) -> str:
+    """A text that can stand in a comment of any language: one line that ends no comment.
+
+    Args:
+        text: any.
+    """
+    line = "".join(one if one.isprintable() else " " for one in text).replace("\\", "/")
+    line = re.sub(r"\*(?=/)|/(?=\*)", lambda found: found[0] + " ", line)
+    return line if len(line) <= _LONGEST_COMMENT else line[: _LONGEST_COMMENT - 1] + "…"
+
+
+def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], version: str) -> str:
+    """What a file says first, a line each, without the signs of a comment.
+
+    Args:
+        model: what it holds.
+        names: of its symbols.
+        index: how the first state and input are written, before and after the number, and
+            that number: ``("[", "]", "0")``.
+        version: of this package.
+    """
+    before, after, first = index
+    # The first two lines are ours: an encoding named there would be believed.
+    lines = [
+        "Right-hand side of a model: d/dt of its states at time t under inputs.",
+        f"Written by eoi_jax {version}.",
+        "",
+        f"Model: {comment(model.name)}",
+        "States:",
+    ]
+    for k, one in enumerate(model.states):
+        note = comment("; ".join(filter(None, (one.note, _start(model, one.symbol)))))
+        lines.append(f"  states{before}{k + int(first)}{after} {names[one.symbol]}{_unit(one.unit)}"
+                     f"{': ' + note if note else ''}")  # fmt: skip
+    lines.append("Inputs:" if model.inputs else "Inputs: none")
+    for k, one in enumerate(model.inputs):
+        late = " + ".join(model.delays.get(one.name, ()))
+        note = f": its value {comment(late)} seconds ago" if late else ""
+        lines.append(
+            f"  inputs{before}{k + int(first)}{after} {names[one.symbol]}{_unit(one.unit)}{note}"
+        )
+    for one, value in model.parameters:
+        if any(one.name in late for late in model.delays.values()):
+            lines.append(f"  {names[one.symbol]} = {value!r}{_unit(one.unit)}: a delay")
+    for symbol in model.rough:
+        lines.append(f"Dry friction: at {names[symbol]} = 0 the right-hand side is set-valued, and")
+        lines.append(
+            "  the state sticks while the other forces are below its level. Here sign(0) = 0."
+        )
+    return "\n".join(lines)
+
+
+def _unit(unit: str) -> str:
+    return f" [{comment(unit)}]" if unit else ""
+
+
+def _start(model: Program, symbol: Symbol) -> str:
+    return f"starts at {model.start_values[symbol]!r}" if symbol in model.start_values else ""

@@ -1,0 +1,61 @@
+"""A model as a Python function that needs NumPy alone."""
+
+from eoi_jax.models.export.code import Language
+from eoi_jax.models.export.listing import Listing
+from eoi_jax.models.export.program import Program
+
+_OWN = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1", "log", "log1p", "cbrt", "abs")
+_NUMPY = Language(
+    power="{0}**{1}",
+    power_is_call=False,
+    functions={
+        **{name: f"np.{name}({{0}})" for name in (*_OWN, "sign", "floor", "ceil", "trunc")},
+        **{f"a{n}": f"np.arc{n}({{0}})" for n in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+        "atan2": "np.arctan2({0}, {1})",
+        "max": "np.maximum({0}, {1})",
+        "min": "np.minimum({0}, {1})",
+        "rem": "np.fmod({0}, {1})",
+        "round": "np.rint({0})",
+        "where": "np.where({0}, {1}, {2})",
+        "plain_root": "np.sqrt({0})",
+        "sqrt": "np.sqrt(np.maximum({0}, 0.0))",
+    },
+    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+    logic={
+        "and": "np.logical_and({0}, {1})",
+        "or": "np.logical_or({0}, {1})",
+        "not": "np.logical_not({0})",
+    },
+)
+
+
+def python_text(model: Program, name: str, version: str) -> str:
+    """The file: ``name(t, states, inputs)`` gives the rates; arrays of shape (n,), or (n, m).
+
+    Args:
+        model: what to write.
+        name: of the function, an identifier.
+        version: of this package.
+    """
+    listing = Listing(model, _NUMPY, "{} = {}", "  # {}")
+    body = [*listing.parameters(), *listing.elements(lambda vector, k: f"{vector}[{k}]")]
+    inner = [
+        *listing.definitions(),
+        "rates = [",
+        *(f"    {listing.code(tree)}," for tree in model.rates),
+        "]",
+    ]
+    lines = [
+        *listing.top("#", ("[", "]", "0"), version),
+        "import numpy as np",
+        "",
+        "",
+        f"def {name}(t, states, inputs):",
+        '    """d/dt of the states, an array like the states."""',
+        *(f"    {line}" for line in body),
+        # Branches that are not taken are worked out as well, and may not be finite.
+        '    with np.errstate(all="ignore"):',
+        *(f"        {line}" for line in inner),
+        "    return np.stack(np.broadcast_arrays(states[0], *rates)[1:])",
+    ]
+    return "\n".join(lines) + "\n"

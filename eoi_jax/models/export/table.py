@@ -1,0 +1,105 @@
+"""A model as text again: the table that `plant_from_text` and a config's [model] take."""
+
+from eoi_jax._checks import check
+from eoi_jax.models.augmented import actuators
+from eoi_jax.models.equations.expression import Expression
+from eoi_jax.models.equations.model import ModelTable, plant_of
+from eoi_jax.models.equations.system import TextDynamics
+from eoi_jax.models.export.code import Language, symbols_of, written
+from eoi_jax.models.export.names import identifiers
+from eoi_jax.models.export.program import Program, program
+from eoi_jax.models.plant import Plant
+
+_TEXT = Language(
+    power="{0}**{1}",
+    power_is_call=False,
+    functions={"plain_root": "({0})**0.5"},
+    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+    logic={"and": "({0} and {1})", "or": "({0} or {1})", "not": "(not {0})"},
+)
+
+
+def table_of(plant: Plant) -> ModelTable:
+    """A plant as a table of texts.
+
+    Args:
+        plant: any that `program` can write; one of text keeps its texts.
+
+    Raises:
+        ValueError: a model that texts cannot say: an operation, a name, two lags of one input.
+    """
+    model = program(plant, lags_as_states=False)
+    own = plant.dynamics
+    table = _of_text(plant, own, model) if isinstance(own, TextDynamics) else _written(plant, model)
+    plant_of(table, plant.name)  # what cannot be read back is refused here, with the reason
+    return table
+
+
+def _of_text(plant: Plant, own: TextDynamics, model: Program) -> ModelTable:
+    equations = own.equations
+    return ModelTable(
+        outputs=plant.outputs,
+        parameters=plant.parameters,
+        derivatives=dict(equations.derivatives),
+        inputs=plant.inputs,
+        definitions=dict(equations.definitions),
+        initial=dict(equations.initial),
+        bounds=_bounds(plant),
+        fixed=plant.fixed,
+        units=plant.units,
+        input_delay=_single(model.delays, "delay"),
+        input_lag=_single(model.lags, "lag"),
+        name=plant.name,
+    )
+
+
+def _written(plant: Plant, model: Program) -> ModelTable:
+    names = identifiers(model, as_text=True)
+
+    def code(one: Expression) -> str:
+        return written(one, names, _TEXT)
+
+    used = set().union(*(symbols_of(tree) for tree in model.starts.values()))
+    used |= set().union(*(symbols_of(tree) for tree in model.rates))
+    used |= set().union(*(symbols_of(tree) for _, tree in model.definitions))
+    known = {one.name: names[one.symbol] for one in (*model.states, *model.inputs)}
+    known |= {one.name: names[one.symbol] for one, _ in model.parameters}
+    outside = {name for one in actuators(plant) for name in one.names}
+    for one, _ in model.parameters:
+        rule = "must be used by the model to be exported as text"
+        check(one.symbol in used or one.name in outside, f"parameters[{one.name}]", rule, "no use")
+    return ModelTable(
+        outputs=tuple(known[name] for name in plant.outputs),
+        parameters={known[name]: value for name, value in plant.parameters.items()},
+        derivatives={
+            names[one.symbol]: code(tree)
+            for one, tree in zip(model.states, model.rates, strict=True)
+        },
+        inputs=tuple(known[name] for name in plant.inputs),
+        definitions={names[symbol]: code(tree) for symbol, tree in model.definitions},
+        initial={names[symbol]: code(tree) for symbol, tree in model.starts.items()},
+        bounds={known[name]: pair for name, pair in _bounds(plant).items()},
+        fixed=tuple(known[name] for name in plant.fixed),
+        units={known[name]: unit for name, unit in plant.units.items() if name in known},
+        input_delay={known[k]: known[p] for k, p in _single(model.delays, "delay").items()},
+        input_lag={known[k]: known[p] for k, p in _single(model.lags, "lag").items()},
+        name=plant.name,
+    )
+
+
+def _bounds(plant: Plant) -> dict[str, tuple[float | None, float | None]]:
+    """Those that bound anything; JSON has no infinity."""
+    limits = zip(plant.names, plant.lower.tolist(), plant.upper.tolist(), strict=True)
+    infinity = float("inf")
+    return {
+        name: (None if low == -infinity else low, None if high == infinity else high)
+        for name, low, high in limits
+        if low > -infinity or high < infinity
+    }
+
+
+def _single(passed: dict[str, tuple[str, ...]], kind: str) -> dict[str, str]:
+    for source, names in passed.items():
+        rule = f"must have at most one {kind} to be exported as text"
+        check(len(names) == 1, source, rule, ", ".join(names))
+    return {source: names[0] for source, names in passed.items()}

@@ -1,0 +1,268 @@
+r"""A linear system in state space or as a transfer function, brought into chain form.
+
+Without zeros, outputs and their derivatives are all of the state,
+$\xi = (y_1, \dot y_1, \dots, y_2, \dots) = T x$ with rows $C_j A^i$ of T, so that
+$y_j^{(r_j)} = C_j A^{r_j} T^{-1} \xi + C_j A^{r_j - 1} B u$.
+
+With zeros, one input and one output, $y = k\,q(s)/d(s)\,u$: division $d = q m + \rho$ gives
+$m(s)\,y = k u - \rho(s)/q(s)\,y$, where $\rho/q$ is the zero dynamics, driven by the output
+(the normal form of Isidori, Nonlinear Control Systems, 1995, section 4.3).
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax._checks import check
+from eoi_jax.models.plant import Plant
+
+_TINY = 1e-9  # of a row's largest entry: a coefficient that rounding left
+_WORST = 1e12  # condition of T beyond which the state does not follow from the outputs
+
+Terms = tuple[tuple[str, int, int], ...]  # parameter, row of x.y (or -1: an input), column
+
+
+@dataclass(frozen=True)
+class _Chains:
+    """y^(r) of each output as a sum of parameters times states and inputs."""
+
+    terms: tuple[Terms, ...]
+    tail: tuple[str, ...] = ()  # of the zero dynamics: ρ
+
+    def __call__(self, t: Any, x: Any, u: Any, p: Any) -> Any:
+        del t
+        sums = [
+            sum(getattr(p, name) * (u[j] if i < 0 else x.y[i, j]) for name, i, j in one)
+            for one in self.terms
+        ]
+        if self.tail:
+            sums[0] = sums[0] + sum(getattr(p, name) * x.z[i] for i, name in enumerate(self.tail))
+        return jnp.stack([jnp.asarray(one) for one in sums])
+
+
+@dataclass(frozen=True)
+class _ZeroDynamics:
+    """ż = companion of q, driven by the output."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, t: Any, x: Any, u: Any, p: Any) -> Any:
+        del t, u
+        last = x.y[0, 0] - sum(getattr(p, name) * x.z[i] for i, name in enumerate(self.names))
+        return jnp.concatenate([x.z[1:], jnp.reshape(last, (1,))])
+
+
+def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
+    r"""A plant from a continuous linear system, such as python-control's.
+
+    Each coefficient of the highest derivatives that is not zero becomes a parameter: `a0`, `a1`, …
+    of the output and its derivatives and `b` of the input, with the names of outputs and inputs
+    where there are several. With zeros, `q0`, … are the coefficients of the (monic) numerator, and
+    `c0`, … what the zero dynamics add. Signs are those of the sum: $y'' = a_0 y + a_1 y' + b u$.
+
+    Args:
+        system: a state-space system (`A`, `B`, `C`, `D`) or a transfer function of one input and
+            one output (`num`, `den`), in seconds; `input_labels` and `output_labels` name its
+            channels, where it has such.
+        name: of the plant.
+
+    Returns:
+        Plant in chain form, whose nominal values are those of the system.
+
+    Raises:
+        ValueError: a discrete system, one with direct feed-through, with states that do not show
+            in the outputs, with zeros and several inputs or outputs, or with zeros in the right
+            half plane. The message says which.
+
+    Source: python-control, https://python-control.readthedocs.io
+    """
+    a, b, c = _matrices(system)
+    u_names = _labels(system, "input_labels", b.shape[1], "u")
+    y_names = _labels(system, "output_labels", c.shape[0], "y")
+    degrees = _relative_degrees(a, b, c, y_names)
+    zeros = len(a) - sum(degrees)
+    if zeros == 0:
+        return _without_zeros(a, b, c, degrees, u_names, y_names, name)
+    check(
+        b.shape[1] == 1 and c.shape[0] == 1,
+        "system",
+        "must have no zeros where it has several inputs or outputs",
+        f"{len(a)} states, of which {sum(degrees)} are outputs and their derivatives",
+        "Measure more outputs, leave out unobservable states, or take one channel.",
+    )
+    return _with_zeros(a, b, c, degrees[0], u_names, y_names, name)
+
+
+def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C of a continuous system without feed-through."""
+    period = getattr(system, "dt", None)
+    check(not period, "system", "must be continuous in time", f"a sample period of {period}")
+    if all(hasattr(system, key) for key in "ABCD"):
+        parts = [np.atleast_2d(np.asarray(getattr(system, key), dtype=float)) for key in "ABCD"]
+    else:
+        check(
+            hasattr(system, "num") and hasattr(system, "den"),
+            "system",
+            "must have A, B, C, D or num, den",
+            f"a {type(system).__name__}",
+        )
+        from scipy.signal import tf2ss
+
+        num, den = (_polynomial(getattr(system, key)) for key in ("num", "den"))
+        check(len(num) < len(den), "system", "must have fewer zeros than poles",
+              f"{len(num) - 1} zeros, {len(den) - 1} poles",
+              "An output that follows its input at once has no dynamics to identify.")  # fmt: skip
+        parts = [np.atleast_2d(one) for one in tf2ss(num, den)]
+    a, b, c, d = parts
+    check(len(a) > 0, "system", "must have states", "none")
+    check(b.shape[1] > 0, "system", "must have an input", "none")
+    check(not np.any(d), "system", "must have no direct feed-through from input to output",
+          f"D = {d.tolist()}", "Subtract D u from the output.")  # fmt: skip
+    return a, b, c
+
+
+def _polynomial(given: Any) -> np.ndarray:
+    """Coefficients of one channel; leading zeros dropped."""
+    while isinstance(given, list | tuple) or (
+        isinstance(given, np.ndarray) and given.dtype == object
+    ):
+        if not isinstance(given[0], list | tuple | np.ndarray):
+            break
+        check(len(given) == 1, "system", "must be one transfer function", f"{len(given)} channels",
+              "Convert it to state space first.")  # fmt: skip
+        given = given[0]
+    return np.trim_zeros(np.atleast_1d(np.asarray(given, dtype=float)), "f")
+
+
+def _labels(system: Any, field: str, count: int, letter: str) -> tuple[str, ...]:
+    given = [str(one) for one in getattr(system, field, None) or []]
+    default = [letter] if count == 1 else [f"{letter}{i + 1}" for i in range(count)]
+    if len(given) != count or any(re.fullmatch(r".*\[\d+\]", one) for one in given):
+        return tuple(default)
+    return tuple(given)
+
+
+def _relative_degrees(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, names: tuple[str, ...]
+) -> tuple[int, ...]:
+    """For each output the derivative that an input enters first."""
+    degrees = []
+    for row, label in zip(c, names, strict=True):
+        size, power, r = np.abs(row).max(), row, 1
+        while r <= len(a) and np.max(np.abs(power @ b)) <= _TINY * size * np.abs(b).max():
+            power, r = power @ a, r + 1
+            size = max(size * max(np.abs(a).max(), 1e-300), np.abs(power).max())
+        check(r <= len(a), "system", f"must have an input that reaches `{label}`", "none does")
+        degrees.append(r)
+    return tuple(degrees)
+
+
+def _without_zeros(
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    degrees: tuple[int, ...],
+    u_names: tuple[str, ...],
+    y_names: tuple[str, ...],
+    name: str,
+) -> Plant:
+    """Coefficients of ξ = T x; those that rounding left are no parameters."""
+    where = [(i, j) for j, r in enumerate(degrees) for i in range(r)]
+    chain = np.stack([c[j] @ np.linalg.matrix_power(a, i) for i, j in where])
+    scale = np.linalg.norm(chain, axis=1, keepdims=True)
+    seen = bool(np.all(scale > 0)) and bool(np.linalg.cond(chain / scale) < _WORST)
+    check(
+        seen,
+        "system",
+        "must have states that follow from its outputs and their derivatives",
+        f"{len(a)} states of which some do not show",
+        "Take a minimal realisation (control.minreal).",
+    )
+    back = np.linalg.inv(chain)
+    parameters: dict[str, float] = {}
+    terms = []
+    for j, (row, r) in enumerate(zip(c, degrees, strict=True)):
+        states = row @ np.linalg.matrix_power(a, r) @ back
+        drive = row @ np.linalg.matrix_power(a, r - 1) @ b
+        known = zip(where, states, strict=True)
+        own = [(_state_name(i, k, j, y_names), i, k, value) for (i, k), value in known]
+        own += [(_input_name(k, j, u_names, y_names), -1, k, v) for k, v in enumerate(drive)]
+        floor = _TINY * max(np.abs([*states, *drive]).max(), 1e-300)
+        kept = [one for one in own if abs(one[3]) > floor]
+        terms.append(tuple((key, i, k) for key, i, k, _ in kept))
+        parameters |= {key: float(value) for key, _, _, value in kept}
+    return Plant(
+        _Chains(tuple(terms)),
+        parameters,
+        relative_degree=degrees,
+        inputs=u_names,
+        outputs=y_names,
+        name=name,
+    )
+
+
+def _state_name(i: int, k: int, j: int, names: tuple[str, ...]) -> str:
+    return f"a{i}" if len(names) == 1 else f"a{i}_{_plain(names[j])}_{_plain(names[k])}"
+
+
+def _input_name(k: int, j: int, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> str:
+    many = ([outputs[j]] if len(outputs) > 1 else []) + ([inputs[k]] if len(inputs) > 1 else [])
+    return "_".join(["b", *(_plain(one) for one in many)])
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\W", "_", name)
+
+
+def _with_zeros(
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    r: int,
+    u_names: tuple[str, ...],
+    y_names: tuple[str, ...],
+    name: str,
+) -> Plant:
+    """d(s) = q(s) m(s) + ρ(s): the chain of m, and the zero dynamics ρ/q."""
+    from scipy.signal import ss2tf
+
+    numerators, den = ss2tf(a, b, c, np.zeros((1, 1)))
+    num = numerators[0][r:]  # what stands before is rounding: r is known
+    gain, q = float(num[0]), num / num[0]
+    zeros = np.roots(q)
+    check(
+        bool(np.all(zeros.real < 0)),
+        "system",
+        "must have zeros in the left half plane only, or its internal states grow",
+        f"zeros at {np.round(zeros, 4).tolist()}",
+    )
+    common = [one for one in zeros if np.min(np.abs(np.roots(den) - one)) < 1e-6 * (1 + abs(one))]
+    check(
+        not common,
+        "system",
+        "must have no pole at a zero: such a state does not show in the output",
+        f"{np.round(common, 4).tolist()}",
+        "Take a minimal realisation (control.minreal).",
+    )
+    m, rho = np.polydiv(den, q)
+    rho = np.concatenate([np.zeros(len(q) - 1 - len(rho)), rho]) if len(rho) < len(q) else rho
+    parameters = {f"a{i}": -float(value) for i, value in enumerate(m[:0:-1])}
+    parameters["b"] = gain
+    q_names = tuple(f"q{i}" for i in range(len(q) - 1))
+    c_names = tuple(f"c{i}" for i in range(len(q) - 1))
+    parameters |= dict(zip(q_names, (float(one) for one in q[:0:-1]), strict=True))
+    parameters |= dict(zip(c_names, (-float(one) for one in rho[::-1]), strict=True))
+    terms: Terms = (*((f"a{i}", i, 0) for i in range(r)), ("b", -1, 0))
+    return Plant(
+        _Chains((terms,), c_names),
+        parameters,
+        relative_degree=r,
+        inputs=u_names,
+        outputs=y_names,
+        internal=_ZeroDynamics(q_names),
+        internal_initial=[0.0] * len(q_names),
+        name=name,
+    )

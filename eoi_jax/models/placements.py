@@ -1,0 +1,61 @@
+"""Where on a plant an effect can act: at which output, input, internal state or pair of them."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from eoi_jax.models.augmented import Placed, own_states, place
+from eoi_jax.models.effects.effect import (
+    INPUT_EFFECTS,
+    AbstractEffect,
+    AbstractInternalEffect,
+    AbstractTerm,
+)
+from eoi_jax.models.plant import Plant
+
+
+def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
+    """Every effect at every channel that it fits."""
+    placed, coupled = [], plant.coupled
+    for effect in effects:
+        if isinstance(effect, INPUT_EFFECTS):
+            placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
+        else:
+            inner = isinstance(effect, AbstractInternalEffect)
+            count = own_states(plant) if inner else len(plant.outputs)
+            placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
+            placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
+            placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
+    return placed
+
+
+def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
+    """Pairs of outputs of one kind between which an effect may act, each way round.
+
+    It pushes both apart; how hard depends on the mass of each, so each has a gain of its own.
+    """
+    if not (isinstance(effect, AbstractTerm) and effect.joins):
+        return []
+    kinds = [
+        (degree, plant.units.get(name))
+        for degree, name in zip(plant.degrees, plant.outputs, strict=True)
+    ]
+    return [
+        (i, j)
+        for i, j in itertools.permutations(range(len(kinds)), 2)
+        if kinds[i] == kinds[j] and effect.fits(plant, i)
+    ]
+
+
+def _forces(
+    plant: Plant, effect: AbstractEffect, coupled: Bool[np.ndarray, "ny nu"]
+) -> list[tuple[int, int]]:
+    """Outputs and inputs beside which an effect may act as a force that inertia passes on.
+
+    Of masses that are coupled by inertia an input pushes several, and so does friction of one.
+    """
+    if not isinstance(effect, AbstractTerm):
+        return []
+    return [(j, i) for j, i in np.argwhere(coupled).tolist() if effect.fits(plant, j)]

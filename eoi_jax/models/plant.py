@@ -1,0 +1,603 @@
+"""The grey-box model: a chain of integrators for each measured output.
+
+    y^(r) = f(t, y, ẏ, …, y^(r−1), z, u; θ)        ż = g(t, y, …, z, u; θ)
+
+The paper's eq. (1)–(3) in chain form; z are internal states that nobody measures.
+"""
+
+import functools
+import keyword
+import re
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, SupportsFloat
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
+from eoi_jax._compilation import jit
+from eoi_jax._jax_private import inputs_read
+from eoi_jax._types import Input, Output, Regressor, Scalar
+
+# Velocity at which f is just above or just below rest: in whatever unit so small that only a jump
+# shows between the two, and that its square is still a number in single precision.
+REST = 1e-18
+_APART = 1e3  # times as far
+
+
+class State(eqx.Module):
+    """What a model sees: outputs with their derivatives, and internal states.
+
+    Attributes:
+        y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
+            relative degree than the plant's highest has zeros in the rows it does not own.
+        z: internal states, shape (nz,).
+    """
+
+    y: Float[Array, "r ny"]
+    z: Float[Array, " nz"]
+
+
+Dynamics = Callable[[Any, State, Any, Any], Any]
+Actuator = Callable[[Any, Any, Any], Any]
+
+
+class Plant(eqx.Module):
+    r"""A model with named parameters; the one that made the data or the one that fits it.
+
+    $y^{(r)} = f(t, x, u; \theta)$, $\dot z = g(t, x, u; \theta)$, `x.y` of shape (r, ny) and
+    `x.z` of shape (nz,). Parameters are reached by name, ``p.a``; the regressor
+    $\varphi = \partial f/\partial\theta$ of eq. (2) is taken by automatic differentiation, so
+    parameters may be shared between outputs and may enter nonlinearly.
+
+    Dry friction is written ``p.c * jnp.sign(rate)`` (of a measured speed, r = 1: of the output
+    itself). The jump at rest is found by evaluating f just above and just below zero velocity:
+    simulation sticks, estimation leaves stuck samples out.
+
+    Args:
+        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,) (a scalar does for one output).
+        parameters: names and nominal values θ_0, in the order that every array of parameters uses.
+        relative_degree: r ≥ 1, one number or one for each output.
+        inputs, outputs: names.
+        internal: ``g(t, x, u, p)`` → dz/dt, shape (nz,), or None.
+        internal_initial: z at the start of a record, shape (nz,), or a function of p (then the
+            start may hold parameters of its own).
+        bounds: ``{name: (lower, upper)}``; estimates are kept inside.
+        fixed: names that keep their nominal value.
+        units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
+            z2, …), for tables and figures.
+        name: what to call it; None: as its function is called, ``model`` where that has no name.
+        actuator: ``a(t, u, p)``, what inputs go through on their way: from their means over the
+            steps of a whole record, (S, nu), with the middles of the steps (S,), to those that f
+            and g get. For delays and lags, which depend on nothing but past inputs.
+
+    Raises:
+        ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
+            r < 1, an `internal` without `internal_initial`.
+    """
+
+    dynamics: Dynamics = eqx.field(static=True)
+    internal: Dynamics | None = eqx.field(static=True)
+    internal_initial: Any = eqx.field(static=True)
+    actuator: Actuator | None = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    theta: Float[np.ndarray | Array, " np"]
+    lower: Float[np.ndarray | Array, " np"]
+    upper: Float[np.ndarray | Array, " np"]
+    degrees: tuple[int, ...] = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    fixed: tuple[str, ...] = eqx.field(static=True)
+    unit_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        parameters: Mapping[str, float],
+        relative_degree: int | Sequence[int] = 1,
+        inputs: Sequence[str] = ("u",),
+        outputs: Sequence[str] = ("y",),
+        internal: Dynamics | None = None,
+        internal_initial: Sequence[float] | Callable[[Any], Any] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        fixed: Sequence[str] = (),
+        units: Mapping[str, str] | None = None,
+        name: str | None = None,
+        actuator: Actuator | None = None,
+    ):
+        check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
+        for kind, given in (("parameters", parameters), ("bounds", bounds), ("units", units)):
+            given = {} if given is None and kind != "parameters" else given
+            check_kind(kind, given, Mapping, "a dict by name")
+        self.dynamics = dynamics
+        self.internal = internal
+        self.actuator = actuator
+        self.names = tuple(parameters)
+        self.inputs, self.outputs = _several("inputs", inputs), _several("outputs", outputs)
+        self.fixed = _several("fixed", fixed)
+        own = getattr(dynamics, "__name__", "<lambda>")
+        self.name = name or ("model" if own == "<lambda>" else own)
+        _check_names(self.names, self.fixed, bounds or {})
+        for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
+            check(len(set(channels)) == len(channels), kind, "must have different names", channels)
+        self.theta = np.asarray([real(parameters[key]) for key in self.names])
+        finite = bool(np.all(np.isfinite(self.theta)))
+        check(finite, "parameters", "must be finite numbers", parameters)
+        limits = [_limits(key, (bounds or {}).get(key, (-np.inf, np.inf))) for key in self.names]
+        self.lower, self.upper = np.asarray(limits, dtype=float).T.copy()
+        for key, low, value, high in zip(
+            self.names, self.lower, self.theta, self.upper, strict=True
+        ):
+            check(
+                bool(low < high),
+                f"bounds[{key}]",
+                "must be (lower, upper) with lower < upper",
+                (float(low), float(high)),
+            )
+            check(
+                bool(low <= value <= high),
+                f"parameters[{key}]",
+                f"must lie in its bounds [{low:g}, {high:g}]",
+                float(value),
+                "Move the nominal value or widen the bounds.",
+            )
+        self.degrees = _degrees(relative_degree, len(self.outputs))
+        self.internal_initial = _internal_initial(internal, internal_initial)
+        self.unit_items = tuple((units or {}).items())
+        self._check_units()
+        self._check_shapes()
+
+    # -- what it is made of ---------------------------------------------------------------
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return {key: float(value) for key, value in zip(self.names, self.theta, strict=True)}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name, as given."""
+        return dict(self.unit_items)
+
+    @property
+    def relative_degree(self) -> int:
+        """The highest relative degree r of the outputs."""
+        return max(self.degrees)
+
+    @property
+    def free(self) -> Float[np.ndarray, " np"]:
+        """1.0 where a parameter is estimated, 0.0 where it is fixed."""
+        return np.asarray([float(key not in self.fixed) for key in self.names])
+
+    def with_parameters(self, values: Mapping[str, float] | Any) -> "Plant":
+        """The same plant with other parameter values.
+
+        Args:
+            values: ``{name: value}`` for some or all names, or an array (np,).
+
+        Raises:
+            ValueError: an unknown name, a value that is no number, an array of another length.
+        """
+        if isinstance(values, Mapping):
+            for key, value in values.items():
+                check_choice("parameters", key, self.names)
+                number = isinstance(value, SupportsFloat)
+                check(number, f"parameters[{key}]", "must be a number", repr(value))
+            theta = np.asarray(
+                [float(values.get(key, old)) for key, old in self.parameters.items()]
+            )
+        else:
+            theta = values
+            shape = np.shape(theta)
+            check(
+                shape == (len(self.names),),
+                "parameters",
+                f"must be {len(self.names)} values ({', '.join(self.names)})",
+                f"shape {shape}",
+            )
+        return eqx.tree_at(lambda plant: plant.theta, self, theta)
+
+    def declared_anew(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        fixed: Sequence[str] = (),
+    ) -> "Plant":
+        """The same equations with some other values and bounds, and more parameters fixed.
+
+        Raises:
+            ValueError: as for a new plant.
+        """
+        limits = zip(self.names, self.lower, self.upper, strict=True)
+        own = {key: (float(low), float(high)) for key, low, high in limits}
+        return Plant(
+            self.dynamics,
+            {**self.parameters, **(parameters or {})},
+            relative_degree=self.degrees,
+            inputs=self.inputs,
+            outputs=self.outputs,
+            internal=self.internal,
+            internal_initial=self.internal_initial if self.internal else None,
+            bounds={**own, **(bounds or {})},
+            fixed=(*self.fixed, *(key for key in fixed if key not in self.fixed)),
+            units=self.units,
+            name=self.name,
+            actuator=self.actuator,
+        )
+
+    # -- equations ------------------------------------------------------------------------
+
+    def named(self, theta: Float[Array | np.ndarray, " np"]) -> Any:
+        """θ by name, the `p` of the model functions (``p.a``, ``p.b``)."""
+        return parameter_type(self.names)(*theta)
+
+    def derivative(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Output:
+        """f(t, x, u; θ): the highest derivative of each output [its unit / s^r]."""
+        value = jnp.asarray(self.dynamics(t, x, u, self.named(theta)))
+        return jnp.reshape(value, (len(self.outputs),))
+
+    def internal_rate(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> Float[Array, " nz"]:
+        """g(t, x, u; θ): the rate of the internal states [their unit / s]."""
+        if self.internal is None:
+            return jnp.zeros_like(x.z)
+        value = jnp.asarray(self.internal(t, x, u, self.named(theta)))
+        return jnp.reshape(value, x.z.shape)
+
+    def driven(
+        self, t: Float[Array, " S"], u: Float[Array, "S nu"], theta: Float[Array, " np"]
+    ) -> Float[Array, "S nu"]:
+        """The inputs that f and g get along a record: behind its actuators."""
+        return u if self.actuator is None else self.actuator(t, u, self.named(theta))
+
+    def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
+        """z at the start of a record."""
+        start = self.internal_initial
+        value = start(self.named(theta)) if callable(start) else start
+        return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
+
+    def regressor(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Regressor:
+        r"""$\varphi = \partial f/\partial\theta$ at θ, eq. (2), shape (ny, np)."""
+        return jax.jacfwd(lambda value: self.derivative(t, x, u, value))(theta)
+
+    def input_slopes(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> Float[Array, "ny nu"]:
+        """∂f/∂u: what one unit of each input adds to the highest derivative of each output."""
+        return jax.jacfwd(lambda value: self.derivative(t, x, value, theta))(u)
+
+    def at_rest(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
+    ) -> tuple[Output, Output]:
+        """f with each output's velocity just above and just below zero, each (ny,).
+
+        A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
+        """
+        above = jnp.diagonal(self._with_velocities(t, x, u, theta, REST))
+        return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST))
+
+    def _with_velocities(
+        self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
+    ) -> Float[Array, "ny ny"]:
+        """f of every output, row j with the velocity of output j set to `velocity`."""
+        moved = [
+            State(x.y.at[row, j].set(velocity), x.z)
+            for j, row in enumerate(velocity_rows(self.degrees))
+        ]
+        return jnp.stack([self.derivative(t, one, u, theta) for one in moved])
+
+    # -- structure, found by probing ------------------------------------------------------
+
+    @property
+    def is_affine(self) -> bool:
+        """Whether θ enters f linearly (plus a constant), so that one least squares suffices.
+
+        ∂f/∂θ as it is traced must not read θ: the answer depends on the equations alone, not on a
+        state or a unit. What JAX cannot tell to be linear is not.
+        """
+        if self.internal is not None or self.actuator is not None:
+            return False
+        shape = self.relative_degree, len(self.outputs)
+        return _affine(self.dynamics, self.names, shape, len(self.inputs))
+
+    @property
+    def dry_friction(self) -> tuple[bool, ...]:
+        """For each output, whether f jumps where its velocity changes sign."""
+        return tuple(np.diagonal(self.jumps).tolist())
+
+    @property
+    def jumps(self) -> Bool[np.ndarray, "ny ny"]:
+        """Whether f of output i jumps where the velocity of output j changes sign, at [i, j].
+
+        Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
+        """
+        theta = tuple(np.asarray(self.theta, float).tolist())
+        return _jumps(jax.tree.structure(self), theta, jnp.result_type(float))
+
+    @property
+    def coupled(self) -> Bool[np.ndarray, "ny nu"]:
+        """Which positions an input pushes, where it pushes several: masses coupled by inertia."""
+        positions = np.asarray(self.degrees) >= 2
+        if np.sum(positions) < 2:
+            return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
+        slopes, size = map(np.asarray, _pushed(self, *_probes(self)))
+        pushes = slopes > 1e2 * np.finfo(size.dtype).eps * size
+        pushes = np.any(pushes, axis=0) & positions[:, None]
+        return pushes & (np.sum(pushes, axis=0) > 1)
+
+    def _check_units(self) -> None:
+        """Units are of parameters and channels; of internal states by their names, or z, z1, …."""
+        states = tuple(getattr(self.internal, "states", None) or ())
+        known = (*self.names, *self.inputs, *self.outputs, *states)
+        for key in self.units:
+            if self.internal is None or not re.fullmatch(r"z\d*", key):
+                check_choice("units", key, known)
+
+    def _check_shapes(self) -> None:
+        """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
+        theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
+        start = jax.eval_shape(self.internal_start, theta)
+        r, ny, nu = self.relative_degree, len(self.outputs), len(self.inputs)
+
+        def shapes(function: Dynamics) -> tuple[int, ...]:
+            def call(theta, z):
+                x = State(jnp.zeros((r, ny)), z)
+                return jnp.asarray(function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta)))
+
+            return jax.eval_shape(call, theta, start).shape
+
+        shape = shapes(self.dynamics)
+        check(
+            shape == (ny,) or (ny == 1 and shape == ()),
+            "dynamics",
+            f"must return shape ({ny},), one value for each of the outputs "
+            f"{', '.join(self.outputs)}",
+            f"shape {shape}",
+        )
+        if self.actuator is not None:
+            line = (
+                jax.ShapeDtypeStruct((3,), theta.dtype),
+                jax.ShapeDtypeStruct((3, nu), theta.dtype),
+            )
+            act = self.actuator
+            given = jax.eval_shape(lambda t, u, p: act(t, u, self.named(p)), *line, theta).shape
+            rule = "must return as many inputs as it gets, a row for each step"
+            check(given == (3, nu), "actuator", rule, f"shape {given} for {(3, nu)}")
+        if self.internal is not None:
+            shape = shapes(self.internal)
+            check(
+                shape == start.shape or (start.shape == (1,) and shape == ()),
+                "internal",
+                f"must return the shape of `internal_initial` {start.shape}",
+                f"shape {shape}",
+            )
+
+
+def velocity_rows(degrees: Sequence[int]) -> tuple[int, ...]:
+    """Row of `State.y` that holds each output's velocity.
+
+    The first derivative of a position; an output of relative degree one is a speed itself, as far
+    as dry friction is concerned.
+    """
+    return tuple(min(degree - 1, 1) for degree in degrees)
+
+
+def velocity_of(y: Float[Array, "r ny"], degrees: Sequence[int]) -> Output:
+    """The velocity of each output, out of `State.y`."""
+    rows = np.asarray(velocity_rows(degrees))
+    return y[rows[0]] if np.all(rows == rows[0]) else jnp.where(rows == 1, y[1], y[0])
+
+
+def with_velocity(
+    y: Float[Array, "r ny"], velocity: Output, degrees: Sequence[int]
+) -> Float[Array, "r ny"]:
+    """`State.y` with other velocities."""
+    rows = np.asarray(velocity_rows(degrees))
+    if np.all(rows == rows[0]):
+        return y.at[rows[0]].set(velocity)
+    return jnp.where(np.arange(len(y))[:, None] == rows, velocity, y)
+
+
+_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
+
+
+def derivative_unit(unit: str | None, order: int) -> str:
+    """The unit of a derivative with time: m/s² of a position, of a speed m/s too; "" of none."""
+    if not unit:
+        return ""
+    have = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
+    order += have
+    base = unit.removesuffix(f"/s{_RAISED[have]}") if have else unit
+    return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
+
+
+def quotient_unit(unit: str, by: str) -> str:
+    """One unit over another: a power of 1/s where one is a derivative of the other; "" of none."""
+    if not unit or not by:
+        return ""
+    orders = (n for n in range(5) if derivative_unit(by, n) == unit)
+    plain = f"{unit}/({by})" if "/" in by else f"{unit}/{by}"
+    return next((derivative_unit("1", n) for n in orders), plain)
+
+
+_TYPES: dict[tuple[str, ...], Any] = {}
+
+
+class UnknownParameterError(AttributeError, ValueError):
+    """A model reads a parameter that its plant does not declare."""
+
+
+def parameter_type(names: tuple[str, ...]) -> Any:
+    """The type of `p` for these names: attributes in order."""
+    # One class per set of names: jit compares pytree types by identity.
+    if names not in _TYPES:
+        kind: Any = namedtuple("Parameters", names)
+        kind.__getattr__ = _unknown
+        _TYPES[names] = kind
+    return _TYPES[names]
+
+
+def _unknown(p: Any, name: str) -> Any:
+    try:
+        check_choice(f"p.{name}", name, p._fields)
+    except ValueError as error:
+        raise UnknownParameterError(str(error), name=name, obj=p) from None
+
+
+def _several(kind: str, names: Any) -> tuple[str, ...]:
+    """One name or several."""
+    several = (names,) if isinstance(names, str) else names
+    check_kind(kind, several, Iterable, "a name or several")
+    for one in several:
+        check_kind(kind, one, str, "a name or several")
+    return tuple(several)
+
+
+def _limits(name: str, pair: Any) -> tuple[float, float]:
+    """Bounds of a parameter."""
+    values = [real(one) for one in pair] if np.iterable(pair) else []
+    good = len(values) == 2 and not np.any(np.isnan(values))
+    check(good, f"bounds[{name}]", "must be (lower, upper)", pair, "Use ±inf where there is none.")
+    return values[0], values[1]
+
+
+def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]) -> None:
+    check(len(names) > 0, "parameters", "must name at least one parameter", "none")
+    for key in names:
+        good = key.isidentifier() and not keyword.iskeyword(key) and not key.startswith("_")
+        check(
+            good,
+            "parameters",
+            "must have names that are Python identifiers",
+            repr(key),
+            "The model reads them as `p.name`.",
+        )
+    for key in fixed:
+        check_choice("fixed", key, names)
+    for key in bounds:
+        check_choice("bounds", key, names)
+    check(
+        len(set(fixed)) < len(names),
+        "fixed",
+        "must leave a parameter to estimate",
+        ", ".join(fixed),
+    )
+
+
+def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
+    many = isinstance(relative_degree, Sequence)
+    degrees = tuple(relative_degree) if many else (relative_degree,) * ny  # type: ignore[arg-type]
+    good = len(degrees) == ny and all(is_whole(r) and r >= 1 for r in degrees)
+    check(
+        good,
+        "relative_degree",
+        f"must be an integer ≥ 1, or {ny} of them, one an output",
+        relative_degree,
+    )
+    return tuple(int(degree) for degree in degrees)
+
+
+def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
+    if internal is None:
+        check(initial is None, "internal_initial", "must be left out without `internal`", initial)
+        return ()
+    check(
+        initial is not None,
+        "internal_initial",
+        "must be given with `internal`",
+        "none",
+        "Give z at the start of the record, or a function of the parameters.",
+    )
+    return initial if callable(initial) else tuple(float(value) for value in initial)
+
+
+# Magnitudes of each coordinate at which structure is looked for, each on both sides of zero: what
+# happens only beyond some state is found whatever the unit is.
+_MAGNITUDES = np.geomspace(1e-4, 1e3, 64)
+
+
+def _probes(plant: Plant) -> tuple[Any, ...]:
+    """Fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
+    r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
+    points, factors = _points(r * ny + nu, len(plant.names))
+    # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
+    theta = np.asarray(plant.theta) * factors + 0.1
+    return np.full(len(points), 0.3), points[:, nu:].reshape(-1, r, ny), points[:, :nu], theta
+
+
+@functools.cache
+def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates on both sides of zero, and factors of the parameters."""
+    draw = np.random.default_rng(0)
+    # A Latin hypercube of the logarithms: every coordinate goes through all of them.
+    half = draw.permuted(np.tile(_MAGNITUDES, (coordinates, 1)), axis=1)
+    half *= draw.choice([-1.0, 1.0], half.shape)
+    points = np.concatenate([half, -half], axis=1).T
+    return points, draw.uniform(0.8, 1.2, (len(points), parameters))
+
+
+@functools.lru_cache(maxsize=64)
+def _affine(
+    dynamics: Dynamics, names: tuple[str, ...], shape: tuple[int, int], inputs: int
+) -> bool:
+    """Whether θ is not among what the jaxpr of ∂f/∂θ reads."""
+
+    def slopes(theta: Array, t: Array, y: Array, u: Array) -> Array:
+        x, named = State(y, jnp.zeros(0)), parameter_type(names)
+        return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
+
+    line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
+    return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
+
+
+@functools.lru_cache(maxsize=64)
+def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndarray, "ny ny"]:
+    """`Plant.jumps` of the plant of this structure, whose bounds play no part."""
+    del dtype  # in which the probes are computed: another one, another answer
+    plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
+    near, far, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
+    # A slope grows with the distance between the two velocities, a jump does not.
+    jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
+    # What another output does where one of degree one changes sign is no friction.
+    own = np.eye(len(plant.outputs), dtype=bool)
+    jumps = np.any(jumps, axis=0) & (own | (np.asarray(plant.degrees) >= 2))
+    jumps.flags.writeable = False
+    return jumps
+
+
+@jit(static=())
+def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+    """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
+
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+        x = State(y, plant.internal_start(theta) + 0.1)
+        size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
+        return jnp.abs(plant.input_slopes(t, x, u, theta)), size
+
+    return jax.vmap(one)(t, y, u, theta)
+
+
+@jit(static=())
+def _across_rest(
+    plant: Plant, t: Array, y: Array, u: Array, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Change of f_i from below to above rest of output j: near rest, further off; and its size."""
+
+    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
+        x = State(y, plant.internal_start(theta) + 0.1)
+
+        def change(distance: float) -> tuple[Array, Array]:
+            above = plant._with_velocities(t, x, u, theta, distance)
+            below = plant._with_velocities(t, x, u, theta, -distance)
+            return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
+
+        (near, size), (far, _) = change(REST), change(_APART * REST)
+        return near, far, size
+
+    return jax.vmap(one)(t, y, u, theta)

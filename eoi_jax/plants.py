@@ -1,0 +1,3 @@
+"""Plants: models that come along, `Plant` and `State` (`eoi_jax.models.library`)."""
+
+from eoi_jax.models.library import *  # noqa: F403

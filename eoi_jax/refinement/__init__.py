@@ -1,0 +1,1 @@
+"""Output error: the free run itself is fitted to the measured outputs."""

@@ -1,0 +1,228 @@
+"""Several starts of a refinement: where they are drawn, and which of them leads furthest.
+
+One round draws all points anew. Further rounds keep what was found: each point is the best one so
+far with some of its parameters drawn anew and the others moved a little, over several scales. So
+parts of a model are found one after the other, and an optimum is left that is one of few samples
+only. Where that stands still the search begins anew, for a wrong part may hold all others; the last
+rounds are again those of the best one of all. Stochastic local search: H. Hoos, T. Stützle,
+*Stochastic Local Search* (2004), chapters 2 (iterated local search) and 4 (restarts).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax._checks import check
+from eoi_jax.estimation.preparation import starting_points
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.problem import Problem, Unknowns, signals
+
+_REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
+_TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
+_SEARCH = (16, 8, 24)  # likewise, where further rounds begin at the best one
+_SHARE = 8  # one of so many is kept
+# Of further rounds: shares of the parameters that are drawn anew; spread of the logarithm of the
+# others, at random between; ratio to the plant's values from which on one has run away.
+_ANEW, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
+# Steps along what the runs hardly tell, in standard errors; least singular value over the largest.
+_FAR, _FLAT = (0.3, 30.0), 1e-9
+# So many rounds in a row that each lower the cost by less than a share of it are a standstill; the
+# last ones, one of so many, are those of the best one of all.
+_PATIENCE, _GAIN, _LAST = 5, 0.01, 5
+_RULE = "must be points (dicts of parameters, or rows), or how many are drawn: at least 1"
+
+
+def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
+    """Further points to start from, none of them outside the bounds.
+
+    Args:
+        plant: what they are for.
+        starts: how many are drawn around the plant's values; or dicts of parameters, or rows
+            (points, np); or None.
+
+    Raises:
+        ValueError: none, an unknown name, a value that is not finite or out of its bounds.
+    """
+    if starts is None:
+        return np.zeros((0, len(plant.names)))
+    if isinstance(starts, int | np.integer):
+        check(starts >= 1, "starts", _RULE, starts)
+        return _drawn(plant, int(starts), np.random.default_rng(_SEED))
+    check(np.iterable(starts) and not isinstance(starts, str), "starts", _RULE, starts)
+    points = starting_points(plant, starts)
+    for i, name in enumerate(plant.names):
+        outside = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
+        rule = f"must keep {name} in its bounds [{plant.lower[i]:g}, {plant.upper[i]:g}]"
+        check(not outside.any(), "starts", rule, points[outside, i][:1])
+    return points
+
+
+def _drawn(
+    plant: Plant, count: int, draw: np.random.Generator, reach: float = _REACH
+) -> Float[np.ndarray, "points np"]:
+    """Points around a plant's values by ratio and by sign, in which guesses are mostly wrong.
+
+    What is zero stays zero, and what is fixed stays.
+    """
+    theta = np.asarray(plant.theta, dtype=float)
+    ratio = _scales(draw, (1.0 / reach, reach), (count, len(theta)))
+    ratio *= draw.choice([-1.0, 1.0], ratio.shape)
+    points = theta * ratio
+    for inside in (-ratio, 1.0 / ratio, -1.0 / ratio):
+        outside = (points < plant.lower) | (points > plant.upper)
+        points = np.where(outside, theta * inside, points)
+    points = np.clip(points, plant.lower, plant.upper)
+    return np.where(np.asarray(plant.free), points, theta)
+
+
+def _scales(
+    draw: np.random.Generator, limits: tuple[float, float], shape: tuple[int, int]
+) -> Float[np.ndarray, "points each"]:
+    """As likely in each octave between the limits."""
+    return np.exp(draw.uniform(np.log(limits[0]), np.log(limits[1]), shape))
+
+
+def _varied(
+    plant: Plant,
+    best: Float[np.ndarray, " np"],
+    along: Float[np.ndarray, "np np"],
+    count: int,
+    draw: np.random.Generator,
+) -> Float[np.ndarray, "points np"]:
+    """Points around the best one so far, for a further round; what began at zero is moved only.
+
+    Args:
+        plant: with the values that parameters are drawn around.
+        best: the best ones so far.
+        along: of `_standard_steps`.
+        count: points.
+        draw: of chance.
+    """
+    anew, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
+    how = draw.choice(["stay", "each", "along"], (count, 1))
+    spread, far = (_scales(draw, limits, (count, 1)) for limits in (_SPREAD, _FAR))
+    normal = draw.standard_normal(anew.shape)
+    points = best * np.exp(np.where(how == "each", spread, 0.0) * normal)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points += np.where(how == "along", far, 0.0) * (normal @ along.T)
+    chosen = draw.uniform(size=anew.shape) < draw.choice(_ANEW, (count, 1))
+    lost = np.abs(best) > _LOST * nominal
+    away = lost | ~np.isfinite(points)
+    points = np.where((chosen | away) & (nominal > 0), anew, points)
+    stays = (np.asarray(plant.free) == 0) | ~np.isfinite(points)
+    return np.where(stays, best, np.clip(points, plant.lower, plant.upper))
+
+
+def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "free free"]:
+    """Columns of steps of θ, one standard error each, that the initial states follow.
+
+    The errors grow alike along all of them: they are long where the runs hardly tell parameters
+    apart, so that an optimum lies far along a valley; but no longer than what doubles a parameter.
+    Zeros where a run diverges, or no parameter leaves a trace.
+    """
+    shown, theta = signals(unknowns, problem), np.asarray(unknowns.theta)
+    own, error = shown.shape[-1] - 1 - len(theta), shown[..., -1]
+    with np.errstate(over="ignore"):
+        sigma = np.sqrt(np.sum(error**2) / np.sum(problem.use))
+    nowhere = np.zeros((len(theta), len(theta)))
+    if not np.all(np.isfinite(shown)) or not np.isfinite(sigma):
+        return nowhere
+    # What the columns of a run's initial state leave of the others: the corner of its triangle.
+    roots = [np.linalg.qr(one.reshape(-1, one.shape[-1])).R[own:, own:-1] for one in shown]
+    rows = np.concatenate(roots)
+    lengths = np.linalg.norm(rows, axis=0)
+    if not np.any(lengths > 0.0):
+        return nowhere
+    lengths = np.where(lengths > 0.0, lengths, np.inf)  # what leaves no trace stays
+    _, values, across = np.linalg.svd(rows / lengths, full_matrices=False)
+    steps = sigma * (across.T / np.maximum(values, _FLAT * values[0])) / lengths[:, None]
+    size = np.where(theta == 0.0, np.inf, np.abs(theta))
+    return steps / np.maximum(np.max(np.abs(steps) / size[:, None], axis=0), 1.0)
+
+
+class _Found(NamedTuple):
+    """Where a search has come to, and the cost there."""
+
+    unknowns: Unknowns
+    cost: float
+
+
+def best(
+    problem: Problem, rough: Problem, unknowns: Unknowns, points: np.ndarray, rounds: int = 1
+) -> list[Unknowns]:
+    """Where the best of several points leads; none where all diverge.
+
+    Args:
+        problem: the runs; further points are drawn around the values of its plant.
+        rough: the same in longer steps, or itself: where all points take their first steps.
+        unknowns: of which the initial states are where all points begin. With further rounds its
+            parameters are a point too.
+        points: parameters, shape (points, np).
+        rounds: how often so many points are followed.
+    """
+    if not len(points):
+        return []
+    plant, free = problem.kernel.plant, list(problem.free)
+    draw = np.random.default_rng(_SEED + 1)
+    stages = _TOURNAMENT if rounds == 1 else _SEARCH
+
+    def followed(theta: np.ndarray, starts: Any) -> _Found:
+        nothing = _Found(unknowns, np.inf)  # stays the best one where all diverge
+        return _better(nothing, _tournament(problem, rough, theta, starts, stages))
+
+    now = followed(points[:, free], unknowns.starts)
+    if rounds > 1:
+        now = _better(now, followed(np.asarray(unknowns.theta)[None], unknowns.starts))
+    champion, still, attempts, last = now, 0, 1, rounds // _LAST
+    for left in range(rounds - 1, 0, -1):
+        if left == last:
+            now = champion
+        if still >= _PATIENCE and left > last:
+            # In turn near the plant's values and far from them.
+            theta = _drawn(plant, len(points), draw, _REACH ** (1 + attempts % 2))
+            now, still, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
+        else:
+            theta = problem.completed(now.unknowns.theta)
+            along = np.zeros((len(theta), len(theta)))
+            along[np.ix_(free, free)] = _standard_steps(problem, now.unknowns)
+            varied = _varied(plant, theta, along, len(points), draw)
+            found = followed(varied[:, free], now.unknowns.starts)
+            still = 0 if found.cost < (1.0 - _GAIN) * now.cost else still + 1
+            now = _better(now, found)
+        champion = _better(champion, now)
+    return [champion.unknowns] if np.isfinite(champion.cost) else []
+
+
+def _better(one: _Found, other: _Found) -> _Found:
+    return min(one, other, key=lambda found: found.cost)
+
+
+def _tournament(
+    problem: Problem,
+    rough: Problem,
+    theta: Float[np.ndarray, "points free"],
+    own: Any,
+    stages: tuple[int, ...],
+) -> _Found:
+    """All points followed a few steps, the better ones some more: the best.
+
+    Args:
+        problem: the runs.
+        rough: of the first stage.
+        theta: the points.
+        own: initial states at which all begin.
+        stages: steps of the solver, after each of which all but one of `_SHARE` are dropped.
+    """
+    # Imported here: optimistix is heavy, and only a fit needs it.
+    from eoi_jax.refinement.levenberg_marquardt import solve_many
+
+    starts = np.broadcast_to(np.asarray(own), (len(theta), *own.shape))
+    several, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
+    for stage, steps in enumerate(stages):
+        found = solve_many(problem if stage else rough, several, steps)
+        cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
+        kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
+        several = jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[kept], found.unknowns)
+    return _Found(jax.tree.map(lambda leaf: leaf[0], several), float(np.min(cost)))

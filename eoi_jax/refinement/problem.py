@@ -1,0 +1,510 @@
+r"""Errors of free runs over parameters and initial states, and their derivatives.
+
+The runs of `refine`: fixed-step simulations, in which dry friction sticks, with forward-mode
+sensitivities (`sensitivity.py`). A run depends on no other run's initial state, so one sweep over
+all runs gives the normal equations of all unknowns. The least squares over them is in
+`levenberg_marquardt.py`.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from eoi_jax._compilation import jit
+from eoi_jax._status import NATIVE, EngineUsed
+from eoi_jax.compiler.callback import on_host
+from eoi_jax.data.record import Record
+from eoi_jax.models.plant import Plant
+from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation.integrator import Drive, frictional
+from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
+from eoi_jax.simulation.simulate import behind, drive
+from eoi_jax.simulation.validate import Run, initial_states, owned
+
+_HEAD = 50  # samples of each run from which its initial state is guessed
+PROMISE = 1e-6  # share of the cost below which a step is not worth taking
+_LEAST = 8  # steps of a run, at least
+_MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
+_TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
+
+
+# -- runs -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Span:
+    """One run: samples `first` to `first + count` of a record, and which of them it scores."""
+
+    record: int
+    first: int
+    count: int
+    use: Bool[np.ndarray, " time"]
+
+
+def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
+    """Records cut into runs of about `window` seconds, of equal length within a record."""
+    spans = []
+    for i, record in enumerate(records):
+        length = (len(record) - 1) * record.sample_period
+        pieces = 1 if window is None else max(round(length / window), 1)
+        pieces = min(pieces, max((len(record) - 1) // _LEAST, 1))
+        edges = np.round(np.linspace(0, len(record) - 1, pieces + 1)).astype(int)
+        scored = record.valid.copy()
+        scored[: round(record.burn_in / record.sample_period)] = False
+        for first, last in itertools.pairwise(edges):
+            use = scored[first : last + 1].copy()
+            use[-1] &= last == edges[-1]  # else it is the first one of the next run
+            spans.append(Span(i, int(first), int(last - first), use))
+    return spans
+
+
+def used_window(
+    records: Sequence[Record], spans: Sequence[Span], window: float | None
+) -> float | None:
+    """Length of runs [s] that cuts these records into these runs; None for whole records.
+
+    The mean length where that does. What was asked for stays where runs are as long to a sample.
+    """
+    pieces = [sum(span.record == i for span in spans) for i in range(len(records))]
+    if window is None or max(pieces) == 1:
+        return None
+    lengths = [(len(record) - 1) * record.sample_period for record in records]
+    each = [length / count for length, count in zip(lengths, pieces, strict=True)]
+    if all(abs(one - window) <= r.sample_period for one, r in zip(each, records, strict=True)):
+        return window
+    cuts = [(span.record, span.first) for span in spans]
+    for one in (sum(lengths) / len(spans), min(each), max(each)):
+        if [(span.record, span.first) for span in spans_of(records, one)] == cuts:
+            return one
+    return window
+
+
+class Unknowns(eqx.Module):
+    """Free parameters, and the initial state of each run (outputs and derivatives, then z)."""
+
+    theta: Float[Host, "*lanes free"]
+    starts: Float[Host, "*lanes runs unknowns"]
+
+
+class Problem(eqx.Module):
+    """All runs side by side, padded to one length; what is not scored weighs nothing.
+
+    On the host but for the tables: a fit is one call, and each array made by JAX before it would be
+    another.
+
+    Attributes:
+        kernel: a run as a recursion.
+        theta: all parameters; those of `free` are replaced.
+        tables: rows of each run, in the order of `RunRow`; beyond its end the last one again.
+        counts: rows of each run. steps: their length [s].
+        whole: of a plant with actuators, what drives each record: behind them its inputs change
+            with θ, and with all that came before a run. places: rows of these, one record after
+            the other, that each run takes.
+        declared: 1 where the run starts a record: internal states are then the plant's own.
+        squares: sums of squares of the scored outputs of each run.
+        faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
+        scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
+        known: where a fit begins, and the sums there; None if they are not known.
+        substeps: rows of a sample.
+        engine: of the runs: machine code by `engines.free_runs`, or scans, and why.
+    """
+
+    kernel: RunKernel
+    theta: Float[Host, " np"]
+    tables: Float[Array, "runs rows columns"]
+    counts: Int[Host, " runs"]
+    steps: Float[Host, " runs"]
+    whole: tuple[Drive, ...]
+    places: Int[Host, "runs rows"] | None
+    declared: Float[Host, " runs"]
+    squares: Float[Host, "runs ny"]
+    faintest: Float[Host, " states"]
+    scale: Float[Host, " ny"]
+    threshold: Float[Host, ""]
+    lower: Float[Host, " free"]
+    upper: Float[Host, " free"]
+    known: tuple[Unknowns, Float[Host, "runs size size"]] | None
+    substeps: int = eqx.field(static=True)
+    engine: EngineUsed = eqx.field(static=True)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the runs are machine code."""
+        return self.engine == NATIVE
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Numbers of the parameters that are unknown."""
+        return self.kernel.free
+
+    def completed(self, free: Any) -> Float[np.ndarray, " np"]:
+        """All parameters, with these values of the unknown ones."""
+        theta = np.array(self.kernel.plant.theta, dtype=float)
+        theta[list(self.free)] = np.asarray(free)
+        return theta
+
+    @property
+    def power(self) -> Float[Host, " runs"]:
+        """Sum of squares of the weighed outputs of each run."""
+        return (self.squares * self.scale**2).sum(axis=1)
+
+    @property
+    def use(self) -> Bool[np.ndarray, "runs time ny"]:
+        """Which samples are scored."""
+        return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[1]
+
+    @property
+    def y(self) -> Float[np.ndarray, "runs time ny"]:
+        """Outputs; zero where not scored."""
+        return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[0]
+
+
+def _samples(
+    plant: Plant, tables: Float[np.ndarray, "runs rows columns"], substeps: int
+) -> tuple[Float[np.ndarray, "runs time ny"], Bool[np.ndarray, "runs time ny"]]:
+    """Outputs, zero where not scored, and which samples are scored."""
+    rows = tables[:, ::substeps]
+    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    return rows[..., y], rows[..., use] > 0
+
+
+def problem_of(
+    plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
+) -> Problem:
+    """The least squares of these runs, with the outputs weighed by their spread."""
+    drives = [drive(one.time, one.inputs, one.hold, substeps) for one in records]
+    tables = _tables(records, drives, spans)
+    kernel = kernel_of(plant, "sums")
+    free = np.asarray(kernel.free)
+    acting = plant.actuator is not None
+    # σ of the first fit: the spread of each output, for want of a residual.
+    y, use = _samples(plant, tables, substeps)
+    count = np.sum(use, axis=(0, 1))
+    mean = np.sum(y, axis=(0, 1)) / count
+    spread = np.sqrt(np.sum(use * (y - mean) ** 2, axis=(0, 1)) / count)
+    return Problem(
+        kernel=kernel,
+        theta=np.asarray(plant.theta),
+        tables=jnp.asarray(tables),
+        counts=np.asarray([substeps * span.count + 1 for span in spans]),
+        steps=np.asarray([float(drives[span.record].step) for span in spans]),
+        whole=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
+        places=_places(drives, spans) if acting else None,
+        declared=np.asarray([float(span.first == 0) for span in spans]),
+        squares=np.sum(y**2, axis=1),
+        faintest=_faintest(kernel, spread, min(one.sample_period for one in records)),
+        scale=_inverse(spread),
+        threshold=np.asarray(np.inf),
+        lower=np.asarray(plant.lower)[free],
+        upper=np.asarray(plant.upper)[free],
+        known=None,
+        substeps=substeps,
+        engine=free_runs.used(kernel),
+    )
+
+
+def _faintest(
+    kernel: RunKernel, spread: Float[np.ndarray, " ny"], period: float
+) -> Float[np.ndarray, " states"]:
+    """Length of a column by which a start of the largest conceivable size leaves no trace.
+
+    Else a start that a burn-in has forgotten is moved by orders of magnitude, after noise.
+    """
+    largest = spread[list(kernel.columns)] / period ** np.asarray(kernel.rows)
+    return _TRACE / np.where(largest > 0, largest, np.inf)
+
+
+def kernel_of(plant: Plant, store: str) -> RunKernel:
+    """The recursion of a plant's free runs, over its free parameters."""
+    rows, columns = (tuple(one.tolist()) for one in owned(plant))
+    free = tuple(np.flatnonzero(plant.free).tolist())
+    return RunKernel(plant, frictional(plant), free, rows, columns, store)
+
+
+def weighed(
+    problem: Problem, sigma: Float[np.ndarray, " ny"], threshold: float = np.inf
+) -> Problem:
+    """With other weights."""
+    return replace(problem, scale=_inverse(sigma), threshold=np.asarray(float(threshold)))
+
+
+def beginning(problem: Problem, share: float) -> Problem:
+    """The first part of every run: later samples are not scored, nor simulated by machine code."""
+    plant, n = problem.kernel.plant, problem.substeps
+    counts = n * np.maximum(np.round(share * (problem.counts - 1) / n), 1).astype(int) + 1
+    tables = np.array(problem.tables)
+    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    for table, count in zip(tables, counts, strict=True):
+        table[count:, y] = table[count:, use] = 0.0
+    squares = np.sum(_samples(plant, tables, n)[0] ** 2, axis=1)
+    return replace(problem, counts=counts, tables=jnp.asarray(tables), squares=squares)
+
+
+def _inverse(sigma: Float[np.ndarray, " ny"]) -> Float[np.ndarray, " ny"]:
+    """1/σ; an output without spread counts as it is."""
+    return 1.0 / np.where(sigma > 0, sigma, 1.0)
+
+
+def _tables(
+    records: Sequence[Record], drives: Sequence[Drive], spans: Sequence[Span]
+) -> Float[np.ndarray, "runs rows columns"]:
+    """Rows of every run; a last row scores its last sample."""
+    n, longest = drives[0].substeps, max(span.count for span in spans)
+    nu, ny = records[0].inputs.shape[1], records[0].outputs.shape[1]
+    time, inputs, y, use = free_runs.columns(nu, ny)
+    # Written in place: the tables are the largest arrays of a fit.
+    tables = np.zeros((len(spans), n * longest + 1, use.stop))
+    for table, span in zip(tables, spans, strict=True):
+        record, one = records[span.record], drives[span.record]
+        first, count = n * span.first, n * span.count
+        last = min(first + count, len(one.time) - 1)
+        rows, steps = table[:count], slice(first, first + count)
+        rows[:, time] = one.time[steps, None]
+        rows[:, inputs] = np.reshape(one.inputs[steps], (count, 3 * nu))
+        table[count:, time] = one.time[last] if last == first + count else record.time[-1]
+        table[count:, inputs] = np.ravel(one.inputs[last])
+        samples, part = table[: count + 1 : n], slice(span.first, span.first + span.count + 1)
+        samples[:, y] = np.where(span.use[:, None], record.outputs[part], 0.0)
+        samples[:, use] = span.use[:, None]
+    return tables
+
+
+def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "runs rows"]:
+    """Rows of each run among those of all records; beyond the end of a record its last one."""
+    ends = np.cumsum([len(one.time) for one in drives])
+    longest, rows = max(span.count for span in spans), []
+    for span in spans:
+        n, length = drives[span.record].substeps, len(drives[span.record].time)
+        index = np.minimum(n * span.first + np.arange(n * longest + 1), length - 1)
+        rows.append(ends[span.record] - length + index)
+    return np.stack(rows)
+
+
+def guessed_starts(
+    problem: Problem, records: Sequence[Record], spans: Sequence[Span]
+) -> Float[np.ndarray, "runs unknowns"]:
+    """Initial states fitted to the first samples of each run, at the plant's own parameters."""
+    kernel, substeps = problem.kernel, problem.substeps
+    count = min([_HEAD, *(span.count for span in spans)])
+    run = Run(kernel.plant, kernel.friction, count, substeps)
+    seen = [slice(span.first, span.first + count) for span in spans]
+    pairs = list(zip(spans, seen, strict=True))
+    valid = np.stack([records[span.record].valid[part] for span, part in pairs])
+    y = np.stack([records[span.record].outputs[part] for span, part in pairs])
+    with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
+        return initial_states(run, _heads(problem, count - 1), y, valid)
+
+
+def _heads(problem: Problem, count: int) -> Drive:
+    """What drives the beginning of each run, runs first."""
+    plant, rows = problem.kernel.plant, slice(problem.substeps * count)
+    head = np.asarray(problem.tables)[:, rows]
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    time, inputs, _, _ = free_runs.columns(nu, ny)
+    inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
+    if problem.places is not None:
+        theta = jnp.asarray(problem.theta)
+        parts = [np.asarray(behind(plant, theta, one)) for one in problem.whole]
+        inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
+    return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
+
+
+# -- sums and signals -------------------------------------------------------------------------
+
+
+def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
+    if problem.known is None:
+        return _simulated(unknowns, problem)
+    where, known = problem.known
+    pairs = zip(jax.tree.leaves(unknowns), jax.tree.leaves(where), strict=True)
+    same = jnp.stack([jnp.all(one == other) for one, other in pairs]).all()
+    known = jnp.asarray(known, unknowns.theta.dtype)
+    return jax.lax.cond(same, lambda: known, lambda: _simulated(unknowns, problem))
+
+
+def _simulated(unknowns: Unknowns, problem: Problem) -> Array:
+    theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
+    if not problem.compiled:
+        return _scanned(problem, theta, unknowns.starts)[0]
+    runs, own = unknowns.starts.shape
+    size = own + len(problem.free) + 1
+    return on_host(
+        partial(_summed, substeps=problem.substeps),
+        jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
+        (theta, unknowns.starts, problem.declared, problem.scale, problem.threshold),
+        problem.kernel,
+        (problem.tables, problem.steps, problem.counts),
+    )
+
+
+def _summed(lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int) -> np.ndarray:
+    """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
+    one = np.ndim(lanes[0]) == 1
+    if one:
+        lanes = tuple(part[None] for part in lanes)
+    else:
+        kernel, runs = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
+    tables, steps, counts = runs
+    out = free_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
+    return out[0] if one else out
+
+
+def _lanes(
+    theta: np.ndarray,
+    starts: np.ndarray,
+    declared: np.ndarray,
+    scale: np.ndarray,
+    threshold: np.ndarray,
+) -> RunLane:
+    """Leading axes (lanes, runs) on each part; given are (lanes,), or one if it is shared."""
+
+    def spread(array: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(array, (*starts.shape[:2], *array.shape[2:]))
+
+    return RunLane(
+        spread(theta[:, None]),
+        starts,
+        spread(declared),
+        spread(scale[:, None]),
+        spread(threshold[:, None]),
+    )
+
+
+def _scanned(
+    problem: Problem, theta: Array, starts: Host, store: str = "sums"
+) -> tuple[Array, Any]:
+    """All runs, each by a scan: sums, and what their rows show."""
+    kernel = replace(problem.kernel, store=store)
+    plant, tables = kernel.plant, problem.tables
+    ny, nu = len(plant.outputs), len(plant.inputs)
+    time, inputs, y, use = (tables[..., one] for one in free_runs.columns(nu, ny))
+    inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
+    if problem.places is not None:
+        inputs, slope = _acted(problem, theta)
+
+    def one(run: Any) -> Any:
+        start, declared, rows, h = run
+        lane = RunLane(theta, start, declared, problem.scale, problem.threshold)
+        return kernel.run(lane, rows, h)
+
+    rows = RunRow(time[..., 0], inputs, y, use, slope)
+    runs = (starts, problem.declared, rows, problem.steps)
+    # One after the other with dry friction: then only the steps with a stop pay for it.
+    return jax.lax.map(one, runs) if any(kernel.friction) else jax.vmap(one)(runs)
+
+
+def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
+    """Inputs of the runs behind the actuators, and their derivatives with θ."""
+
+    def whole(theta: Array) -> tuple[Array, Array]:
+        parts = [behind(problem.kernel.plant, theta, one) for one in problem.whole]
+        inputs = jnp.concatenate(parts)
+        return inputs, inputs
+
+    slope, inputs = jax.jacfwd(whole, has_aux=True)(theta)
+    return inputs[problem.places], slope[problem.places]
+
+
+def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:
+    """c of every sample: derivatives of the weighed errors, start first, and the errors."""
+    theta = problem.completed(unknowns.theta)
+    if not problem.compiled:
+        shown = _shown(problem, jnp.asarray(theta), unknowns.starts)
+        return np.asarray(shown)[:, :: problem.substeps]
+    lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
+    lane = _lanes(*(np.asarray(one)[None] for one in lanes))
+    tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
+    return free_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
+
+
+@jit
+def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs rows ny size"]:
+    return _scanned(problem, theta, starts, "signals")[1]
+
+
+@eqx.filter_custom_jvp
+def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size"]:
+    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
+    return _roots(unknowns, problem)[..., -1]
+
+
+@errors.def_jvp
+def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """The whole Jacobian in one sweep; then products with it cost next to nothing."""
+    unknowns, problem = primals
+    moved, _ = tangents
+    own = unknowns.starts.shape[1]
+    roots = _roots(unknowns, problem)
+    along = jnp.einsum("riu,ru->ri", roots[..., :own], moved.starts)
+    return roots[..., -1], along + jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
+
+
+def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+    r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
+    square = sums(unknowns, problem)
+    length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
+    divisor = jnp.where(length > 0, length, 1.0)
+    scaled = square / (divisor[:, :, None] * divisor[:, None, :])
+    values, vectors = jnp.linalg.eigh(scaled)
+    root = jnp.sqrt(jnp.maximum(values, 0.0))[:, :, None] * jnp.swapaxes(vectors, 1, 2)
+    # Columns of zeros (the start of a declared internal state) end as zeros, not as rounding.
+    # NaN must stay: the maximum above would hide a run that has diverged.
+    bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
+    own = unknowns.starts.shape[1]
+    bad |= shaken(jnp.diagonal(square, axis1=1, axis2=2)[:, own:], unknowns.theta, problem.power)
+    return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
+
+
+def shaken(squares: Any, theta: Any, power: Any) -> Any:
+    """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
+
+    So it is where a step is too long for what the model does fast: the errors of the steps are then
+    fed back by its limits, and what is seen of the outputs may still look right.
+
+    Args:
+        squares: sums of squares of the derivatives with the free parameters, then of the errors,
+            shape (runs, free + 1).
+        theta: these parameters, shape (free,).
+        power: sums of squares of the measured outputs, shape (runs,).
+    """
+    moved = squares[:, :-1] * (np.finfo(theta.dtype).eps * theta) ** 2
+    return (moved > _MOVED**2 * (power + squares[:, -1])[:, None]).any(axis=1)
+
+
+def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
+    """Directions along each unknown of a run alone, start first."""
+    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
+
+
+def direction(unknowns: Unknowns, along: Float[Array, " unknowns"]) -> Unknowns:
+    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
+    own = unknowns.starts.shape[1]
+    return Unknowns(along[own:], jnp.broadcast_to(along[:own], unknowns.starts.shape))
+
+
+class Outcome(eqx.Module):
+    """Where the solver ended.
+
+    Attributes:
+        unknowns: the best ones.
+        further: a step without damping from there.
+        cost: at `unknowns`, with the weights of the problem.
+        promise: share of the cost that least squares still promises to take away.
+        steps: simulations with sensitivities. exhausted: whether there were too few.
+    """
+
+    unknowns: Unknowns
+    further: Unknowns
+    cost: Float[Host, "*lanes"]
+    promise: Float[Array, "*lanes"]
+    steps: Int[Array, "*lanes"]
+    exhausted: Bool[Array, "*lanes"]

@@ -1,0 +1,367 @@
+r"""What a small force does to the free runs of a refined model, beside its own unknowns.
+
+A small force $w$ added to $y^{(r)}$ moves the free run by $\hat y_w$, the solution of the equation
+linearised along it, $\delta^{(r)} = \partial_x f\,\delta + w$ (`response.py`). With $w$ the term
+of an effect along the simulated states, at unit gain, and all that the parameters and the initial
+states can do taken out of $\hat y_w$ and of the residual $r$, least squares of $r$ on $\hat y_w$
+gives the gain and the share of the residual that it explains. With a share s, $-n \log(1 - s)$ is
+χ², n the number of independent samples: all of them over the correlation time Σ ρ² of what is left
+(M. S. Bartlett).
+
+**Source.** C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test).
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax._compilation import jit
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.regression.long_run import correlation_time
+from eoi_jax.estimation.regression.orthonormal import orthonormal
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects.effect import (
+    AbstractActuator,
+    AbstractInputEffect,
+    AbstractTerm,
+    At,
+    Seen,
+)
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.refinement.problem import Problem, Span, Unknowns, problem_of, signals, weighed
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.integrator import Drive
+from eoi_jax.simulation.linear_response import Response, response_of
+from eoi_jax.simulation.simulate import free_run
+
+_PEAKS = 5  # frequencies of the residual at which a sinusoid is tried
+_RANK = 1e-8  # singular value, over the largest, of columns of which one follows from the others
+_NOVEL = 1e-6  # share of a column's power that the parameters must leave, else it is one of them
+
+Columns = Float[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect or two, each at its best shape.
+
+    Attributes:
+        placed: the effects and their channels.
+        values: of their parameters, by their names in an augmented plant.
+        share: of the residual's power that they explain beside the model's own parameters.
+        significance: probability of as much by chance, times the number of tries; at most 1.
+    """
+
+    placed: tuple[Placed, ...]
+    values: dict[str, float]
+    share: float
+    significance: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Canonical names of the effects."""
+        return tuple(one.effect.name for one in self.placed)
+
+
+@dataclass(frozen=True)
+class Along:
+    """The free runs of the refined model, and what its own unknowns leave of their errors.
+
+    Attributes:
+        plant: the refined one.
+        problem: its runs.
+        stages: times, inputs, y (runs, samples, 3, r, ny) and z (runs, samples, 3, nz) of each
+            run at the start, the middle and the end of each sample.
+        basis: columns of the model's own unknowns, orthonormal.
+        residual: r less these.
+        records: of the runs.
+        response: of the runs, to small forces.
+    """
+
+    plant: Plant
+    problem: Problem
+    stages: tuple[Any, ...]
+    basis: Columns
+    residual: Float[np.ndarray, " rows"]
+    records: tuple[Record, ...]
+    response: Response
+
+    @classmethod
+    def of(
+        cls, refinement: Refinement, records: Sequence[Record], spans: Sequence[Span], substeps: int
+    ) -> "Along":
+        """Of a refinement."""
+        plant = refinement.plant
+        problem = weighed(problem_of(plant, records, spans, substeps), refinement.rmse)
+        kernel = problem.kernel
+        rows, columns = list(kernel.rows), list(kernel.columns)
+        starts = [np.concatenate([one.y[rows, columns], one.z]) for one in refinement.starts]
+        theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
+        unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
+        shown = _flat(signals(unknowns, problem))
+        basis = orthonormal(_wide(shown[..., :-1], unknowns.starts.shape[1]), _RANK)
+        residual = shown[..., -1].ravel()
+        residual = residual - basis @ (basis.T @ residual)
+        time, inputs, y, z = _steps(problem, unknowns)
+        response = response_of(
+            plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
+        )
+        stages = tuple(jnp.asarray(one) for one in _stages(problem, inputs, y, z))
+        return cls(plant, problem, stages, basis, residual, tuple(records), response)
+
+    def seen(self, placed: Placed) -> Seen:
+        """What the grids of shapes start from."""
+        _, u, y, _ = (np.asarray(one) for one in self.stages)
+        rows = (0, min(placed.row, y.shape[-2] - 1))
+        level, rate = (placed.coordinate(y[..., row, :]).ravel() for row in rows)
+        own = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
+        period = max(one.sample_period for one in self.records)
+        moving = np.std(level) or 1.0
+        band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
+        duration = max(float(one.time[-1] - one.time[0]) for one in self.records)
+        return Seen(
+            level, rate, np.ravel(own), placed.row == 0, 0.0, duration, period,
+            band or 1.0 / duration, self._peaks(period),
+        )  # fmt: skip
+
+    def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:
+        """Frequencies at which the residual stands out [rad/s]."""
+        power = np.abs(np.fft.rfft(self.residual))[1:] ** 2
+        best = np.argsort(power)[::-1][:_PEAKS]
+        ny = len(self.plant.outputs)
+        return 2.0 * np.pi * (best + 1) / (len(self.residual) / ny * period)
+
+    def tries(self, placed: Placed) -> list["Try"]:
+        """An effect at every shape of its grid, where it says something that is new."""
+        seen = self.seen(placed)
+        if not placed.effect.shows(seen):
+            return []
+        grid = np.asarray(placed.effect.grid(seen), dtype=float)
+        forces = [force for shape in grid for force in self._forces(placed, shape)]
+        if not forces:
+            return []
+        columns = self._columns(forces)
+        power = np.sum(columns**2, axis=0)
+        columns = columns - self.basis @ (self.basis.T @ columns)
+        left = np.sum(columns**2, axis=0)
+        new = np.isfinite(left) & (left > _NOVEL * power)
+        count = len(forces) // len(grid)
+        parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
+        return [Try(placed, shape, columns[:, part])
+                for shape, part in zip(grid, parts, strict=True) if np.all(new[part])]  # fmt: skip
+
+    def pair_shares(self, tries: Sequence["Try"]) -> Float[np.ndarray, "tries tries"]:
+        """Share of the residual's power that each two of them explain; 0 below the diagonal."""
+        shares = np.zeros((len(tries), len(tries)))
+        if not tries:
+            return shares
+        whole = np.concatenate([one.columns for one in tries], axis=1)
+        square, along = whole.T @ whole, whole.T @ self.residual
+        size = np.sqrt(np.diagonal(square))
+        square, along = square / np.outer(size, size), along / size
+        counts = np.array([one.columns.shape[1] for one in tries])
+        first = np.cumsum(counts) - counts
+        i, j = np.triu_indices(len(tries), 1)
+        effects = [one.placed for one in tries]
+        number = np.array([effects.index(one) for one in effects])
+        for sizes in sorted(
+            set(itertools.product(counts, counts))
+        ):  # all pairs of one size at once
+            these = (number[i] != number[j]) & (counts[i] == sizes[0]) & (counts[j] == sizes[1])
+            own = np.concatenate(
+                [first[one[these], None] + np.arange(count)
+                 for one, count in zip((i, j), sizes, strict=True)], axis=1
+            )  # fmt: skip
+            part = square[own[:, :, None], own[:, None, :]]
+            inverse = np.linalg.pinv(part, rcond=1e-6, hermitian=True)
+            shares[i[these], j[these]] = np.einsum("pa,pab,pb->p", along[own], inverse, along[own])
+        return shares / float(self.residual @ self.residual)
+
+    def share(self, several: Sequence["Try"]) -> float | None:
+        """Share of the residual's power that some effects explain; None where not physical then."""
+        values, after = self._fitted(several)
+        return None if values is None else self._share(after)
+
+    def candidate(self, several: Sequence["Try"], tries: int) -> Candidate | None:
+        """Least squares of the residual on some effects; None where they are not physical then."""
+        values, after = self._fitted(several)
+        if values is None:
+            return None
+        share = self._share(after)
+        count = sum(len(one.placed.effect.parameters) for one in several)
+        chance = _chance(share, after, len(self.plant.outputs), count)
+        placed = tuple(one.placed for one in several)
+        return Candidate(placed, values, share, min(tries * chance, 1.0))
+
+    def _share(self, after: Float[np.ndarray, " rows"]) -> float:
+        return 1.0 - float(after @ after) / float(self.residual @ self.residual)
+
+    def _fitted(self, several: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
+        """Parameters by least squares, and the residual that they leave."""
+        columns = np.concatenate([one.columns for one in several], axis=1)
+        inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
+        gains = inverse @ (columns.T @ self.residual)
+        after, values = self.residual - columns @ gains, {}
+        for one in several:
+            own, gains = gains[: one.columns.shape[1]], gains[one.columns.shape[1] :]
+            if not one.physical(own):
+                return None, after
+            values |= one.named(own)
+        return values, after
+
+    def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
+        """What the effect adds to y^(r) along the runs for each gain, (runs, samples, 3, ny)."""
+        t, u, y, _ = self.stages
+        effect = placed.effect
+        if isinstance(effect, AbstractTerm):
+            known = placed.row < y.shape[-2]
+            rate = placed.coordinate(y[..., placed.row, :]) if known else 0.0 * t
+            level = placed.coordinate(y[..., 0, :])
+            own = u[..., 0] if u.shape[-1] else 0.0 * t
+            at = At(*(jnp.asarray(one) for one in (t, level, rate, own)), z=None)
+            units = np.eye(len(effect.gains))
+            terms = (effect.term(at, list(gain), list(shape)) for gain in units)
+            pushes = self._pushes(placed)
+            return [np.broadcast_to(one, t.shape)[..., None] * pushes for one in terms]
+        return [self._changed(placed, shape)]
+
+    def _pushes(self, placed: Placed) -> np.ndarray:
+        """What one unit of an effect adds to y^(r) of each output, (runs, samples, 3, ny)."""
+        if placed.through is None:
+            return np.arange(len(self.plant.outputs)) == placed.output
+        return np.asarray(_pushed(self.plant, self.stages, placed.through))
+
+    def _changed(self, placed: Placed, shape: np.ndarray) -> np.ndarray:
+        """f with the changed input less f."""
+        t, u, y, z = self.stages
+        effect, i = placed.effect, placed.channel
+        new = np.array(u)
+        if isinstance(effect, AbstractActuator):
+            mean = (u[..., 0, i] + 4.0 * u[..., 1, i] + u[..., 2, i]) / 6.0
+            for run in range(len(u)):
+                late = np.asarray(_acted(effect, t[run, :, 1], mean[run], shape))
+                new[run, ..., i] += (late - mean[run])[:, None]
+        else:
+            assert isinstance(effect, AbstractInputEffect)
+            at = At(t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i], None)
+            new[..., i] = np.asarray(effect.changed(at, shape))
+        before, after = (_drift(self.plant, t, y, z, one) for one in (u, new))
+        return np.asarray(after - before)
+
+    def _columns(self, forces: Sequence[np.ndarray]) -> Columns:
+        """Weighed slopes of all outputs with the gains of some forces."""
+        whole = np.stack(forces, axis=-1)
+        pushed = np.flatnonzero(np.any(whole, axis=(0, 1, 2, 4))).tolist() or [0]
+        moved = sum(self.response.to(whole[..., k, :], k) for k in pushed)
+        scale, use = np.asarray(self.problem.scale)[:, None], self.problem.use[..., None]
+        return np.where(use, scale * moved, 0.0).reshape(-1, len(forces))
+
+
+@dataclass(frozen=True)
+class Try:
+    """An effect at one shape: what its gains do to the errors beside the model's own unknowns."""
+
+    placed: Placed
+    shape: Float[np.ndarray, " shapes"]
+    columns: Columns
+
+    def named(self, gains: np.ndarray) -> dict[str, float]:
+        """Its parameters."""
+        values = [*(gains if self.placed.effect.gains else ()), *self.shape]
+        return dict(zip(self.placed.names, (float(value) for value in values), strict=True))
+
+    def physical(self, gains: np.ndarray) -> bool:
+        """Whether all parameters may be; a change of the input about as large as it says."""
+        effect = self.placed.effect
+        values = self.named(gains).values()
+        pairs = zip(values, effect.parameters, strict=True)
+        inside = all(one.lower <= value <= one.upper for value, one in pairs)
+        return inside and (bool(effect.gains) or bool(0.5 < gains[0] < 2.0))
+
+
+def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
+    """Start, inputs, y and z of all steps of all runs; one more state, at their end."""
+    plant, tables = problem.kernel.plant, np.asarray(problem.tables)
+    nu, h = len(plant.inputs), np.asarray(problem.steps)
+    time, inputs = tables[:, :-1, 0], tables[:, :-1, 1 : 1 + 3 * nu]
+    inputs = inputs.reshape(*time.shape, 3, nu)
+    theta, parts = jnp.asarray(problem.theta), []
+    for i in range(len(tables)):
+        start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
+        one = Drive(time[i], np.asarray(h[i]), inputs[i], 1)
+        parts.append(free_run(plant, theta, one, start, problem.kernel.friction))
+    y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
+    return time, inputs, y, z
+
+
+def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Times, inputs and states of all runs at the start, the middle and the end of each sample."""
+    n, h = problem.substeps, np.asarray(problem.steps)[:, None, None]
+    before, after = (n - 1) // 2, n // 2  # steps whose ends and starts are nearest to the middle
+    first = np.asarray(problem.tables)[:, :-1:n, 0, None]
+    time = first + n * h * np.array([0.0, 0.5, 1.0])
+    middle = inputs[:, after::n, 0 if after > before else 1]
+    u = np.stack([inputs[:, ::n, 0], middle, inputs[:, n - 1 :: n, 2]], axis=2)
+
+    def at(values: np.ndarray) -> np.ndarray:
+        ends = values[:, 1:]
+        middle = 0.5 * (ends[:, before::n] + values[:, after:-1:n])
+        return np.stack([values[:, :-1:n], middle, ends[:, n - 1 :: n]], axis=2)
+
+    return time, u, *(at(one) for one in states)
+
+
+@jit
+def _acted(effect: AbstractActuator, *args: Any) -> Any:
+    return effect.along(*(jnp.asarray(one) for one in args))
+
+
+@jit
+def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
+    def one(t: Any, y: Any, z: Any, u: Any) -> Any:
+        return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
+
+    return jax.vmap(jax.vmap(jax.vmap(one)))(t, y, z, u)
+
+
+@jit
+def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
+    """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
+
+    def one(t: Any, u: Any, y: Any, z: Any) -> Any:
+        return plant.input_slopes(t, State(y, z), u, jnp.asarray(plant.theta))[:, i]
+
+    return jax.vmap(jax.vmap(jax.vmap(one)))(*stages)
+
+
+def _drift(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> np.ndarray:
+    return np.asarray(_rates(plant, *map(jnp.asarray, (t, y, z, u))))
+
+
+def _flat(shown: np.ndarray) -> Float[np.ndarray, "runs rows size"]:
+    return shown.reshape(len(shown), -1, shown.shape[-1])
+
+
+def _wide(columns: np.ndarray, own: int) -> Columns:
+    """Columns of all unknowns over all rows: each start in the rows of its run alone."""
+    runs, rows = columns.shape[:2]
+    wide = np.zeros((runs * rows, runs * own + columns.shape[2] - own))
+    for i, one in enumerate(columns):
+        part = slice(i * rows, (i + 1) * rows)
+        wide[part, i * own : (i + 1) * own] = one[:, :own]
+        wide[part, runs * own :] = one[:, own:]
+    return wide
+
+
+def _chance(share: float, after: np.ndarray, ny: int, parameters: int) -> float:
+    """Probability of as large a share by chance: likelihood ratio of the independent samples."""
+    from scipy.special import chdtrc
+
+    independent = len(after) / ny / correlation_time(after.reshape(-1, ny))
+    return float(chdtrc(parameters, -independent * np.log(max(1.0 - share, 1e-300))))

@@ -1,7 +1,0 @@
-"""Least squares on the injection: batch and recursive form, and the index of a pass."""
-
-from eoi_jax.regression.index import index as index
-from eoi_jax.regression.least_squares import Solution as Solution
-from eoi_jax.regression.least_squares import least_squares as least_squares
-from eoi_jax.regression.least_squares import untraced as untraced
-from eoi_jax.regression.recursive import recursive_least_squares as recursive_least_squares

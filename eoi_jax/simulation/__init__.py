@@ -1,0 +1,1 @@
+"""Free runs of a model."""

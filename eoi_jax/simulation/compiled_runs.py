@@ -1,0 +1,395 @@
+"""Free runs with sensitivities (`sensitivity.py`), compiled whole; runs and lanes on all cores.
+
+The sums of many lanes are added up as they run. A single lane's run shows c of every sample: there
+the state is of single numbers, and its derivatives with the unknowns stand side by side in a vector
+(`one_vector.py`), which takes a half to a third of the time.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from eoi_jax._status import NATIVE, EngineUsed
+from eoi_jax.compiler.graph import Untranslatable, evaluated
+from eoi_jax.compiler.jit import Compiled, aligned, cores, numbers, spread, together, translated
+from eoi_jax.compiler.loop import AbstractLoop, shapes_of
+from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.models.plant import State
+from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
+
+_ALONE = 4  # so many lanes run one by one: a vector of them would take longer
+_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
+
+Table = Float[np.ndarray, "runs rows columns"]
+
+
+class _Along(eqx.Module):
+    """State, and its derivative with one unknown."""
+
+    x: State
+    slope: State
+
+
+@dataclass(frozen=True, eq=False)
+class _OneRun(AbstractLoop):
+    """What is traced of a single lane: it is the same for all, what differs is the unknown."""
+
+    kernel: RunKernel
+    lane: Direction
+    run: RunLane
+    step: RunRow
+    dtype: np.dtype
+    branches: ClassVar[bool] = True
+
+    @property
+    def row(self) -> RunRow:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """The plant, the lane, and the length of a step."""
+        return self.kernel, self.run, jax.ShapeDtypeStruct((), self.dtype)
+
+    def begin(self, lane: Direction, fixed: tuple) -> _Along:
+        """Before the first step."""
+        kernel, run, _ = fixed
+        return _Along(*kernel.begun(run, lane))
+
+    def advance(
+        self, lane: Direction, fixed: tuple, carry: _Along, row: RunRow
+    ) -> tuple[_Along, Any]:
+        """One step, and c of its start, for each output: the error, and the part of an unknown."""
+        kernel, run, h = fixed
+        shown = jnp.stack(kernel.scored(run, carry.x, carry.slope, row), axis=1)
+        return _Along(*kernel.moved(run, carry.x, carry.slope, lane, row, h)), shown
+
+    def result(self, carry: _Along) -> Any:
+        """Nothing: all of it is shown."""
+        del carry
+        return ()
+
+
+@dataclass(frozen=True, eq=False)
+class _FreeRun(AbstractLoop):
+    """What is traced."""
+
+    kernel: RunKernel
+    lane: RunLane
+    step: RunRow
+    dtype: np.dtype
+    branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
+
+    @property
+    def row(self) -> RunRow:
+        """What a step reads of the record."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """The plant and the length of a step."""
+        return self.kernel, jax.ShapeDtypeStruct((), self.dtype)
+
+    def begin(self, lane: RunLane, fixed: tuple) -> RunCarry:
+        """Before the first step."""
+        return fixed[0].init(lane)
+
+    def advance(
+        self, lane: RunLane, fixed: tuple, carry: RunCarry, row: RunRow
+    ) -> tuple[RunCarry, Any]:
+        """One step."""
+        kernel, h = fixed
+        return kernel.step(lane, carry, row, h)
+
+    def result(self, carry: RunCarry) -> Any:
+        """The normal equations."""
+        return carry.sums
+
+
+def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
+    """Why free runs of a plant cannot be compiled here (JAX runs any); None if they are, now.
+
+    Args:
+        kernel: the recursion.
+        lanes: how many will run side by side.
+    """
+    plant = kernel.plant
+    if plant.actuator is not None:
+        return "inputs behind an actuator"
+    own = len(kernel.rows)
+    if plant.internal is not None:
+        theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
+        own += jax.eval_shape(plant.internal_start, theta).shape[0]
+    try:
+        if lanes == 1:
+            _one_run(kernel, own)
+        else:
+            _code(kernel, own, lanes)
+    except Untranslatable as reason:
+        return str(reason)
+    return None
+
+
+def used(kernel: RunKernel, lanes: int = 1) -> EngineUsed:
+    """Which engine free runs of a plant take, and why; arguments as of `supports`."""
+    reason = supports(kernel, lanes)
+    return NATIVE if reason is None else EngineUsed("scan", reason)
+
+
+def columns(nu: int, ny: int) -> tuple[slice, slice, slice, slice]:
+    """Where a table of `RunRow` has its parts: time, inputs at three instants, outputs, weights."""
+    edges = [0, *itertools.accumulate((1, 3 * nu, ny, ny))]
+    time, inputs, y, use = (slice(*pair) for pair in itertools.pairwise(edges))
+    return time, inputs, y, use
+
+
+def summed(
+    kernel: RunKernel,
+    lanes: RunLane,
+    tables: Table,
+    steps: Float[np.ndarray, " runs"],
+    counts: Int[np.ndarray, " runs"],
+    substeps: int = 1,
+) -> Float[np.ndarray, "lanes runs size size"]:
+    """Normal equations of every run, from every lane's parameters.
+
+    Args:
+        kernel: the recursion; its plant's own parameter values are not used.
+        lanes: leading axes (lanes, runs) on each part.
+        tables: of each run, padded to one length.
+        steps: their length, of each run [s].
+        counts: rows of each run that are not padding.
+        substeps: rows in each sample, of which the first alone may be scored.
+
+    Raises:
+        Untranslatable: what `supports` says.
+    """
+    many, runs = lanes.theta.shape[:2]
+    if many == 1:
+        single = _OneLane(kernel, lanes, tables, steps, counts)
+        return np.stack(single.each(lambda run: single.sums(run, substeps)))[None]
+    code = _code(kernel, lanes.start.shape[2], many)
+    jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
+            for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
+    out = np.empty((many, runs, *code.program.sums.shape))
+    waiting = iter(jobs)
+
+    def work() -> None:
+        for job in waiting:  # threads take from one iterator
+            out[job.which, job.run] = job.sums()
+
+    together(work, min(cores(), len(jobs)))
+    return out
+
+
+def shown(
+    kernel: RunKernel,
+    lane: RunLane,
+    tables: Table,
+    steps: Float[np.ndarray, " runs"],
+    counts: Int[np.ndarray, " runs"],
+    substeps: int,
+) -> Float[np.ndarray, "runs samples ny size"]:
+    """c of every sample of one lane's runs: minus the slopes of ŷ, and the error, weighed.
+
+    Args:
+        kernel: the recursion.
+        lane: leading axes (1, runs) on each part.
+        tables: as in `summed`, like `steps` and `counts`; zero beyond a run's end.
+        steps: their length, of each run [s].
+        counts: rows of each run that are not padding.
+        substeps: rows in each sample.
+    """
+    single = _OneLane(kernel, lane, tables, steps, counts)
+    samples = -(-tables.shape[1] // substeps)
+    out = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
+
+    def write(run: int) -> None:
+        last = 0
+        for blocks in single.blocks(run, substeps):
+            now = slice(last, last + len(blocks[0]))
+            last = now.stop
+            for j, block in enumerate(blocks):
+                out[run, now, j, :-1], out[run, now, j, -1] = block[:, 1:], block[:, 0]
+
+    single.each(write)
+    return out
+
+
+class _OneLane:
+    """All runs of a single lane."""
+
+    def __init__(
+        self,
+        kernel: RunKernel,
+        lane: RunLane,
+        tables: Table,
+        steps: np.ndarray,
+        counts: np.ndarray,
+    ):
+        self._threshold = np.asarray(lane.threshold)[0]
+        # In the order of the loop's `fixed`: plant and lane; the length of a step follows.
+        self._plant = numbers(kernel, float)
+        self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
+        self._tables, self._steps, self._counts = tables, steps, counts
+        own = lane.start.shape[2]
+        along = kernel.directions(own)
+        self._code, self._along = _one_run(kernel, own), numbers(along, float, skip=1).T
+        self.size = len(along.theta) + 1
+
+    def each(self, job: Callable[[int], Any]) -> list[Any]:
+        """What a job gives for each run."""
+        runs = len(self._tables)
+        found, waiting = [None] * runs, iter(range(runs))
+
+        def work() -> None:
+            for run in waiting:  # threads take from one iterator
+                found[run] = job(run)
+
+        together(work, min(cores(), runs))
+        return found
+
+    def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:
+        """The normal equations; nothing is kept of the samples."""
+        threshold, total = float(self._threshold[run]), np.zeros((self.size, self.size))
+        for blocks in self.blocks(run, substeps):
+            for block in blocks:
+                total += added_up(block, threshold, error=0)
+        return np.roll(total, -1, axis=(0, 1))
+
+    def blocks(self, run: int, substeps: int) -> Iterator[list[Float[np.ndarray, "samples size"]]]:
+        """c of some samples after the other, the error first: views of what is written over."""
+        lane = [leaf[run].ravel() for leaf in self._lane]
+        fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
+        rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
+        begun, count = self._code.begin(self._along, fixed), max(_CHUNK // substeps, 1) * substeps
+        first = [place.start for place in self._code.shown[::2]]
+        for shown in begun.through(rows, count):
+            yield [shown[::substeps, at : at + self.size] for at in first]
+
+
+def _one_run(kernel: RunKernel, own: int) -> FewLanes:
+    dtype, plant = np.dtype(float), kernel.plant
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    run, step = _shapes(len(plant.names), own, nu, ny)
+    along = kernel.directions(own)
+    lane = shapes_of(along, dtype, skip=1)
+    what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
+    code = few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
+    if any(place.stop - place.start < len(along.theta) for place in code.shown[1::2]):
+        raise Untranslatable("an output that no unknown moves")
+    return code
+
+
+def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
+    dtype, plant = np.dtype(float), kernel.plant
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    what = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), own, nu, ny), dtype)
+    return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
+
+
+@functools.cache
+def _shapes(size: int, own: int, nu: int, ny: int) -> tuple[RunLane, RunRow]:
+    """Of a lane and a row."""
+    none = np.zeros(())
+    lane = RunLane(np.zeros(size), np.zeros(own), none, np.zeros(ny), none)
+    row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
+    return shapes_of((lane, row), np.dtype(float))
+
+
+def _parts(lanes: int, width: int, runs: int) -> list[slice]:
+    """Lanes for each job: whole vectors, so many that there is a job for every core."""
+    vectors = -(-lanes // width)
+    pieces = min(vectors, max(1, -(-cores() // runs)))
+    edges = width * np.round(np.linspace(0, vectors, pieces + 1)).astype(int)
+    return [slice(int(a), min(int(b), lanes)) for a, b in itertools.pairwise(edges)]
+
+
+class _Job:
+    """Some lanes of one run, with their memory."""
+
+    def __init__(
+        self,
+        code: Compiled,
+        kernel: RunKernel,
+        lanes: RunLane,
+        tables: Table,
+        steps: np.ndarray,
+        counts: np.ndarray,
+        run: int,
+        which: slice,
+    ):
+        self.run, self.which = run, which
+        self._code = code
+        self._rows = np.ascontiguousarray(tables[run, : counts[run]], float)
+        own = jax.tree.map(lambda leaf: np.asarray(leaf)[which, run], lanes)
+        self._count = len(own.theta)
+        self._begin(kernel, own, float(steps[run]))
+
+    def _begin(self, kernel: RunKernel, lanes: RunLane, h: float) -> None:
+        program, where = self._code.program, self._code.where
+        groups = {"lane": numbers(lanes, float, skip=1).T, "fixed": numbers((kernel, h), float)}
+        vectors = -(-self._count // where.width)
+        room = np.minimum(np.arange(vectors * where.width), self._count - 1)
+        memory = aligned((vectors, where.rows, where.width), float)
+        wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
+        values = evaluated(wanted, lambda at: groups[at[0]][at[1]], float)
+        rows = spread(values, self._count, float)
+        self._spoilt = np.any(np.isnan(rows), axis=0)
+        lines = rows[:, room].reshape(len(rows), vectors, where.width)
+        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
+        self._memory = memory
+        self._fixed, self._carries = (
+            np.array([*evaluated(nodes, lambda at: groups[at[0]][at[1]], float), 0.0])
+            for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
+        )
+
+    def sums(self) -> np.ndarray:
+        """The normal equations of the lanes."""
+        self._go()
+        program, where = self._code.program, self._code.where
+        carries = [program.same[i] for i in program.sums.flat]
+        rows = np.array([where.carries.get(i, -1) for i in carries])
+        out = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
+        for at in np.flatnonzero(rows < 0):
+            out[:, at] = program.initial[carries[at]].value
+        out[self._spoilt] = np.nan
+        return out.reshape(-1, *program.sums.shape)
+
+    def _go(self) -> None:
+        where, total = self._code.where, len(self._rows)
+        count, vectors = min(_CHUNK, total), len(self._memory)
+        shared = aligned((count, max(len(where.shared), 1)), float)
+        none, zeros = np.zeros(1), np.zeros(count, np.int64)
+        for first in range(0, total, count):
+            now = min(count, total - first)
+            self._code.steps(
+                self._rows[first:].ctypes.data,
+                self._fixed.ctypes.data,
+                self._carries.ctypes.data,
+                shared.ctypes.data,
+                now,
+            )
+            taken = np.zeros(1, np.int64)
+            self._code.lanes(
+                self._memory.ctypes.data,
+                vectors,
+                vectors,
+                0,
+                taken.ctypes.data,
+                shared.ctypes.data,
+                zeros.ctypes.data,  # no row has a flag
+                self._fixed.ctypes.data,
+                none.ctypes.data,
+                zeros.ctypes.data,
+                1,
+                now,
+            )

@@ -1,0 +1,467 @@
+r"""Trajectories of a plant: fixed-step Runge-Kutta with dry friction that sticks.
+
+The state is integrated by the classical fourth-order Runge-Kutta rule under one `lax.scan`. Where
+$f$ jumps as an output's velocity changes sign (dry friction), the velocity is never put through
+the jump. Over a step each such output is moving up, moving down or stuck, and that is decided once
+(a Filippov solution; event location as in Hairer, Nørsett, Wanner, *Solving Ordinary Differential
+Equations I*, section II.6):
+
+1. at rest, it sticks while $f(0^+) \le 0 \le f(0^-)$, else leaves the way the force points;
+2. moving, it sees $f$ with its velocity held on its own side of zero; stuck, it does not move;
+3. if its velocity would change sign, the step is cut at that instant, found from the parabola
+   through the velocity at both ends and the acceleration at the start, and sharpened by one Newton
+   step; its velocity is then exactly zero, and the rest of the step starts again from 1.
+
+Masses may be coupled by inertia: the friction of one output then acts on others too. While it
+sticks its friction is what keeps it at rest, between $f(0^-)$ and $f(0^+)$, and the others get
+their share of the same mixture (Filippov's convex combination). Two outputs whose frictions act on
+each other leave rest, or stay, as the linear complementarity problem of both has it
+(`complementarity.py`).
+
+Each output can stop at most once within a step (to stop again it would have to leave with a force
+that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
+plant has outputs with dry friction, and never more.
+"""
+
+import math
+from functools import partial, reduce
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from eoi_jax._checks import check
+from eoi_jax._compilation import jit
+from eoi_jax._types import Flags, Input, Output, Scalar, Theta
+from eoi_jax.models.plant import REST, Plant, State, velocity_of, with_velocity
+from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
+
+_GRAIN = 3  # a length is rounded up by an eighth at most
+_PAIR = 2  # outputs whose frictions may act on each other
+REACHES = 2  # of `frictional`: what sticks acts on other outputs too
+
+Motion = Float[Array, "time r ny"]
+Internal = Float[Array, "time nz"]
+Fraction = Scalar | float
+
+
+class Drive(eqx.Module):
+    """What drives a run, on the grid of its steps; made by `simulate.drive`.
+
+    Attributes:
+        time: start of each step [s].
+        step: length of a step [s].
+        inputs: u at the start, the middle and the end of each step, shape (steps, 3, nu).
+        substeps: steps per sample.
+
+    Several runs of one length stand side by side on leading axes.
+    """
+
+    time: Float[Array | np.ndarray, "*runs steps"]
+    step: Float[Array | np.ndarray, "*runs"]
+    inputs: Float[Array | np.ndarray, "*runs steps 3 nu"]
+    substeps: int = eqx.field(static=True)
+
+
+def frictional(plant: Plant) -> tuple[int, ...]:
+    """For each output, whether it sticks: dry friction at relative degree 2, or of a speed.
+
+    Returns:
+        0: it does not. 1: it does. `REACHES`: it does, and its friction acts on others as well.
+
+    Raises:
+        ValueError: a jump that this simulation does not cover: with the sign of the velocity of an
+            output of higher degree, which cannot stick; or of more than two outputs that stick, in
+            each other's acceleration.
+    """
+    jumps = plant.jumps
+    flags = np.diagonal(jumps)
+    rule = "must have relative degree 2 or 1 wherever f jumps with the sign of the velocity"
+    for key, degree in zip(
+        np.asarray(plant.outputs)[flags], np.asarray(plant.degrees)[flags], strict=True
+    ):
+        check(degree <= 2, "plant", rule, f"degree {degree} of output {key}")
+    mutual = jumps & np.outer(flags, flags) & ~np.eye(len(flags), dtype=bool)
+    struck = np.any(mutual | mutual.T, axis=0)
+    reaches = (np.sum(jumps, axis=0) > 1) | struck
+    if np.any(struck):
+        names = ", ".join(np.asarray(plant.outputs)[reaches])
+        rule = "must have no more than two outputs whose dry frictions act on each other"
+        advice = "Leave the friction of one of them out."
+        check(np.sum(reaches) <= _PAIR, "plant", rule, names, advice)
+    return tuple(np.where(flags, np.where(reaches, REACHES, 1), 0).tolist())
+
+
+def trajectory(
+    plant: Plant, theta: Theta, driven_by: Drive, start: State, friction: tuple[int, ...]
+) -> tuple[Motion, Internal]:
+    """States at every sample, for use inside other JAX code (forward-mode derivatives, `vmap`).
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        theta: parameter values.
+        driven_by: inputs and steps, see `simulate.drive`; behind the plant's actuators, see
+            `simulate.acted`.
+        start: state at the first sample.
+        friction: which outputs stick, see `frictional`.
+
+    Returns:
+        Outputs with their derivatives, shape (N, r, ny), and internal states (N, nz). Where the
+        solution leaves the finite numbers, so do they.
+    """
+    one_step = _sticking_step if any(friction) else _smooth_step
+    h = jnp.asarray(driven_by.step)
+
+    def body(x: State, now: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
+        t, u = now
+        x = one_step(_Problem(plant, theta, t, h, u, friction), x)
+        return x, x
+
+    steps = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
+    _, x = lax.scan(body, start, steps)
+    every = slice(driven_by.substeps - 1, None, driven_by.substeps)
+    y, z = x.y[every], x.z[every]
+    return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
+
+
+@jit  # traced and differentiated once, however many loops contain it
+def advanced(
+    plant: Plant,
+    theta: Theta,
+    time: Scalar,
+    step: Scalar,
+    inputs: Float[Array, "3 nu"],
+    x: State,
+    friction: tuple[int, ...],
+) -> State:
+    """The state one step later, without a loop of unknown length: for `engines`.
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        theta: parameter values.
+        time: start of the step [s].
+        step: its length [s].
+        inputs: at its start, middle and end.
+        x: state at its start.
+        friction: which outputs stick, see `frictional`.
+    """
+    problem = _Problem(plant, theta, time, step, inputs, friction)
+    return (_sticking_step_unrolled if any(friction) else _smooth_step)(problem, x)
+
+
+def chained(
+    plant: Plant, theta: Theta, drives: Drive, starts: State, friction: tuple[int, ...]
+) -> Float[np.ndarray, "runs time ny"]:
+    """Outputs of several runs of one length, one after the other in one scan.
+
+    One kernel serves a whole record and its windows; with dry friction it is also faster than runs
+    side by side, of which each step would look for the stops of all.
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        theta: parameter values.
+        drives: runs on the leading axis.
+        starts: likewise.
+        friction: which outputs stick, see `frictional`.
+
+    Returns:
+        Outputs at every sample, the first one too.
+    """
+    runs, steps = np.shape(drives.time)
+    total = runs * steps
+    # Lengths that differ by little share a kernel; what is run beyond the end is thrown away.
+    grain = 2 ** max(int(math.log2(total)) - _GRAIN, 0)
+    index = np.minimum(np.arange(-(-total // grain) * grain), total - 1)
+    again = index % steps == 0
+    begun = jax.tree.map(lambda leaf: np.asarray(leaf)[index // steps], starts)
+    time = np.asarray(drives.time).reshape(total)[index]
+    inputs = np.asarray(drives.inputs).reshape(total, *np.shape(drives.inputs)[2:])[index]
+    y = _chained(plant, theta, time, drives.step[0], inputs, again, begun, friction)
+    y = np.asarray(y)[:total].reshape(runs, steps, -1)
+    first = np.asarray(starts.y)[:, :1]
+    return np.concatenate([first, y[:, drives.substeps - 1 :: drives.substeps]], axis=1)
+
+
+@jit
+def _chained(
+    plant: Plant,
+    theta: Theta,
+    time: Any,
+    step: Any,
+    inputs: Any,
+    again: Any,
+    begun: State,
+    friction: tuple[int, ...],
+) -> Float[Array, "steps ny"]:
+    one_step, h = _sticking_step if any(friction) else _smooth_step, jnp.asarray(step)
+
+    def body(x: State, now: tuple) -> tuple[State, Output]:
+        t, u, anew, start = now
+        x = jax.tree.map(lambda old, new: jnp.where(anew, new, old), x, start)
+        x = one_step(_Problem(plant, theta, t, h, u, friction), x)
+        return x, x.y[0]
+
+    rows = jax.tree.map(jnp.asarray, (time, inputs, again, begun))
+    return lax.scan(body, jax.tree.map(lambda leaf: leaf[0], rows[3]), rows)[1]
+
+
+# -- one step -----------------------------------------------------------------------------
+
+
+class _Problem(eqx.Module):
+    """What stays the same within a step."""
+
+    plant: Plant
+    theta: Theta
+    time: Scalar
+    step: Scalar
+    inputs: Float[Array, "3 nu"]
+    friction: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def sticks(self) -> np.ndarray:
+        """Whether each output does."""
+        return np.asarray(self.friction) > 0
+
+    @property
+    def reaching(self) -> tuple[int, ...]:
+        """Outputs whose friction acts on others."""
+        return tuple(j for j, one in enumerate(self.friction) if one == REACHES)
+
+    def input_at(self, fraction: Fraction) -> Input:
+        """A parabola through start, middle and end: exact for held and linear inputs."""
+        first, middle, last = self.inputs
+        slope = 4.0 * middle - 3.0 * first - last
+        return first + fraction * (slope + fraction * (2.0 * (first - 2.0 * middle + last)))
+
+    def rate(self, t: Scalar, x: State, u: Input, direction: Output | None) -> State:
+        """dx/dt, with outputs that stick moving only the way of `direction`."""
+        if direction is None:
+            return rate_of(self.plant, self.theta, t, x, u)
+        frozen = self._frozen(x, direction)
+        if self.reaching:
+            slope = self._held(t, frozen, u, direction)
+        else:
+            slope = rate_of(self.plant, self.theta, t, frozen, u)
+        y, friction = slope.y, self.sticks
+        chained = friction & (np.asarray(self.plant.degrees) > 1)
+        if np.any(chained):  # and it sees the true velocity: `_frozen` is for f and g alone
+            y = y.at[0].set(jnp.where(chained, x.y[1], y[0]))
+        stuck = friction & (direction == 0)
+        return State(self.moved(y, jnp.where(stuck, 0.0, self.velocity(y))), slope.z)
+
+    def _held(self, t: Scalar, frozen: State, u: Input, direction: Output) -> State:
+        """dx/dt, with the shares of their friction that keep stuck outputs at rest."""
+        mean, halves = self.mixture(t, frozen, u, direction == 0)
+        matrix, rates = self._at_reaching(mean, halves)
+        stuck = [direction[j] == 0 for j in self.reaching]
+        shares = balanced(matrix, rates, stuck)
+        for share, half in zip(shares, halves, strict=True):
+            mean = _add(mean, jnp.clip(share, -1.0, 1.0), half)
+        return mean
+
+    def leaving(self, t: Scalar, x: State, u: Input) -> Output:
+        """Which way outputs whose frictions act on each other leave rest: +1, −1, or 0."""
+        velocity = self.velocity(x.y)
+        matrix, rates = self._at_reaching(*self.mixture(t, x, u, velocity == 0))
+        ways = leaving(matrix, rates, [velocity[j] == 0 for j in self.reaching])
+        return jnp.zeros_like(velocity).at[np.asarray(self.reaching)].set(jnp.stack(ways))
+
+    def mixture(self, t: Scalar, x: State, u: Input, free: Flags) -> tuple[State, list[State]]:
+        """dx/dt in the middle between both sides of rest of outputs, and what a side changes.
+
+        Args:
+            t: time [s].
+            x: state.
+            u: inputs.
+            free: of which outputs whose friction reaches others the velocity is put to either side.
+
+        Returns:
+            The mean over all sides, and for each such output half of what its side changes.
+        """
+        velocity = self.velocity(x.y)
+
+        def rates(above: int | None) -> State:
+            moved = velocity
+            for j in self.reaching:
+                side = REST if j == above else -REST
+                moved = moved.at[j].set(jnp.where(free[j], side, velocity[j]))
+            there = State(self.moved(x.y, moved), x.z)
+            return rate_of(self.plant, self.theta, t, there, u)
+
+        # Forces add up: what one output's side changes does not depend on the other's.
+        below = rates(None)
+        halves = [_scaled(0.5, _add(rates(j), -1.0, below)) for j in self.reaching]
+        return reduce(lambda mean, half: _add(mean, 1.0, half), halves, below), halves
+
+    def _at_reaching(self, mean: State, halves: list[State]) -> tuple[Matrix, list[Scalar]]:
+        """Accelerations of those outputs: what each share of friction adds, and the mean."""
+        rates = self.velocity(mean.y)
+        matrix = [[self.velocity(half.y)[j] for half in halves] for j in self.reaching]
+        return matrix, [rates[j] for j in self.reaching]
+
+    def _frozen(self, x: State, direction: Output) -> State:
+        """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
+        velocity = self.velocity(x.y)
+        held = direction * jnp.maximum(direction * velocity, REST)
+        return State(self.moved(x.y, jnp.where(self.sticks, held, velocity)), x.z)
+
+    def velocity(self, y: Any) -> Output:
+        """Velocities, or rates of them, out of `State.y`."""
+        return velocity_of(y, self.plant.degrees)
+
+    def moved(self, y: Any, velocity: Output) -> Any:
+        """`State.y` with other velocities."""
+        return with_velocity(y, velocity, self.plant.degrees)
+
+
+def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
+    """dx/dt: a chain of integrators for each output, with f at its end."""
+    f = plant.derivative(t, x, u, theta)
+    shifted = jnp.concatenate([x.y[1:], jnp.zeros_like(x.y[:1])])
+    last = np.arange(x.y.shape[0])[:, None] == np.asarray(plant.degrees)[None, :] - 1
+    y = jnp.where(last, f[None, :], shifted)
+    return State(y, plant.internal_rate(t, x, u, theta))
+
+
+def _add(x: State, scale: Fraction, slope: State) -> State:
+    return State(x.y + scale * slope.y, x.z + scale * slope.z)
+
+
+def _scaled(scale: Fraction, x: State) -> State:
+    return State(scale * x.y, scale * x.z)
+
+
+def _advance(
+    problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
+) -> State:
+    """One classical Runge-Kutta step between two fractions of the step, in fixed directions."""
+    fractions = (start, 0.5 * (start + end), end)
+    t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
+    u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
+    h = (end - start) * problem.step
+    k1 = problem.rate(t0, x, u0, direction)
+    k2 = problem.rate(t1, _add(x, 0.5 * h, k1), u1, direction)
+    k3 = problem.rate(t1, _add(x, 0.5 * h, k2), u1, direction)
+    k4 = problem.rate(t2, _add(x, h, k3), u2, direction)
+    slope = _add(_add(_add(k1, 2.0, k2), 2.0, k3), 1.0, k4)
+    return _add(x, h / 6.0, slope)
+
+
+def _smooth_step(problem: _Problem, x: State) -> State:
+    return _advance(problem, x, 0.0, 1.0, None)
+
+
+# -- dry friction -------------------------------------------------------------------------
+
+
+def _sticking_step(problem: _Problem, x: State) -> State:
+    """A step, cut wherever an output comes to rest."""
+    most = np.count_nonzero(problem.friction)
+
+    def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
+        return now[1] < 1.0
+
+    def piece(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
+        x, done, cuts = now
+        return *_until_stop(problem, x, done, cuts < most), cuts + 1.0
+
+    # A loop, although nearly every step is one piece: the equations are then compiled once.
+    start = jnp.zeros_like(problem.step)
+    return lax.while_loop(unfinished, piece, (x, start, start))[0]
+
+
+def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
+    """The same, piece by piece: at most one cut for each output that sticks."""
+    most = np.count_nonzero(problem.friction)
+    done = jnp.zeros_like(problem.step)
+    for cuts in range(most + 1):
+        piece = partial(_until_stop, problem, x, done, jnp.asarray(cuts < most))
+        # The first piece always runs; the others where the one before ended at a stop.
+        x, done = lax.cond(done < 1.0, piece, partial(_kept, x, done)) if cuts else piece()
+    return x
+
+
+def _kept(x: State, done: Scalar) -> tuple[State, Scalar]:
+    return x, done
+
+
+@jit  # as `advanced`
+def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
+    """Advance from the fraction `done` to the first stop, or to the end of the step."""
+    direction = _direction(problem, x, done)
+    whole = _advance(problem, x, done, jnp.ones_like(done), direction)
+    before, after = problem.velocity(x.y), problem.velocity(whole.y)
+    stops = direction * after < 0
+
+    def cut() -> tuple[State, Scalar]:
+        length = (1.0 - done) * problem.step
+        slope = problem.velocity(_slope(problem, x, done, direction).y)
+        first = _first_zero(before, length * slope, after, direction, stops)
+        to = done + (1.0 - done) * jnp.min(first)
+        landed = _advance(problem, x, done, to, direction)
+        return _land(problem, landed, to, direction, stops & (first == jnp.min(first)))
+
+    def end() -> tuple[State, Scalar]:
+        return _at_rest(problem, whole, stops), jnp.ones_like(done)
+
+    return lax.cond(may_stop & jnp.any(stops), cut, end)
+
+
+def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
+    """+1 moving up, −1 moving down, 0 stuck (or without dry friction)."""
+    t = problem.time + done * problem.step
+    u, pair = problem.input_at(done), len(problem.reaching) == _PAIR
+    leaving = problem.leaving(t, x, u) if pair else jnp.zeros_like(problem.velocity(x.y))
+    if not pair or np.count_nonzero(problem.friction) > _PAIR:
+        above, below = problem.plant.at_rest(t, x, u, problem.theta)
+        alone = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
+        leaving = jnp.where(pair & (np.asarray(problem.friction) == REACHES), leaving, alone)
+    velocity = problem.velocity(x.y)
+    moving = jnp.where(velocity == 0, leaving, jnp.sign(velocity))
+    return jnp.where(problem.sticks, moving, jnp.zeros_like(moving))
+
+
+def _slope(problem: _Problem, x: State, done: Scalar, direction: Output) -> State:
+    t = problem.time + done * problem.step
+    return problem.rate(t, x, problem.input_at(done), direction)
+
+
+def _first_zero(v0: Output, dv: Output, v1: Output, direction: Output, stops: Flags) -> Output:
+    """Where the parabola v0 + dv σ + (v1 − v0 − dv) σ² falls through zero, σ in [0, 1].
+
+    `dv` is the initial slope over the whole length. 1 where an output does not stop.
+    """
+    # Seen in the direction of motion: starts at v0 ≥ 0, ends below zero, so one root lies between.
+    v0, dv, v1 = direction * v0, direction * dv, direction * v1
+    bend = v1 - v0 - dv
+    root = jnp.sqrt(jnp.where(stops, jnp.maximum(dv * dv - 4.0 * bend * v0, 0.0), 1.0))
+    # The form of the root that does not cancel; each has a divisor ≠ 0 where it is used.
+    rising = stops & (dv > 0)
+    falling = stops & ~rising & (v0 > 0)
+    late = (dv + root) / jnp.where(rising, -2.0 * bend, 1.0)
+    early = 2.0 * v0 / jnp.where(falling, root - dv, 1.0)
+    zero = jnp.where(rising, late, jnp.where(falling, early, 0.0))
+    return jnp.where(stops, jnp.clip(zero, 0.0, 1.0), 1.0)
+
+
+def _land(
+    problem: _Problem, x: State, at: Scalar, direction: Output, stopped: Flags
+) -> tuple[State, Scalar]:
+    """One Newton step in time onto the exact zero of the velocity that stops here."""
+    slope = _slope(problem, x, at, direction)
+    before = np.tri(len(stopped), k=-1, dtype=bool)
+    first = stopped & ~jnp.any(before & stopped, axis=1)
+    v, a = (jnp.sum(jnp.where(first, problem.velocity(one.y), 0.0)) for one in (x, slope))
+    shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
+    # A grazing stop has next to no acceleration: never leave the step.
+    shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)
+    return _at_rest(problem, _add(x, shift * problem.step, slope), stopped), at + shift
+
+
+def _at_rest(problem: _Problem, x: State, stopped: Flags) -> State:
+    return State(problem.moved(x.y, jnp.where(stopped, 0.0, problem.velocity(x.y))), x.z)

@@ -1,0 +1,220 @@
+r"""Free runs with their forward sensitivities, as a recursion that adds up normal equations.
+
+With unknowns $\vartheta$ (the start of the run, then the free parameters) and
+$S = \partial x/\partial\vartheta$, a step $x_{k+1} = \Phi_k(x_k; \theta)$ of `trajectory.py` gives
+
+$S_{k+1} = \frac{\partial\Phi_k}{\partial x} S_k + \frac{\partial\Phi_k}{\partial\vartheta}$
+
+by forward-mode differentiation, through every stop of dry friction. With the weighed error
+$r = (y - \hat y)/\sigma$ of a scored output and
+$c = (-\partial\hat y/\partial\vartheta/\sigma, r)$, the sums are $\sum w\,c\,c^\top$:
+information, gradient and cost, and no trajectory is stored.
+The weights are those of Huber's loss (P. J. Huber, *Robust Statistics*, section 7.8):
+$w = 1$ up to $|r| = \kappa$, $\kappa/|r|$ beyond.
+"""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax._types import Scalar
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import advanced
+
+Host = Array | np.ndarray
+
+
+class RunLane(eqx.Module):
+    """What differs between lanes; every array may have a leading axis (lanes,).
+
+    Attributes:
+        theta: all parameters, shape (np,).
+        start: unknowns of the initial state: outputs and derivatives, then z, shape (own,).
+        declared: 1 where z starts as the plant declares, 0 where `start` says how.
+        scale: 1/σ of each output, shape (ny,).
+        threshold: κ of Huber's loss; infinite for squares.
+    """
+
+    theta: Float[Host, "*lanes np"]
+    start: Float[Host, "*lanes own"]
+    declared: Float[Host, "*lanes"]
+    scale: Float[Host, "*lanes ny"]
+    threshold: Float[Host, "*lanes"]
+
+
+class RunRow(eqx.Module):
+    """A step: when, with which inputs, and what was measured at its start.
+
+    Attributes:
+        time: of its start [s].
+        inputs: at its start, middle and end, shape (3, nu).
+        y: outputs at its start, anything finite where not scored.
+        use: 1 where scored, 0 where not; shape (ny,).
+        slope: derivatives of the inputs with θ at the lane's own, behind actuators; else None.
+    """
+
+    time: Float[Host, "*steps"]
+    inputs: Float[Host, "*steps 3 nu"]
+    y: Float[Host, "*steps ny"]
+    use: Float[Host, "*steps ny"]
+    slope: Float[Host, "*steps 3 nu np"] | None = None
+
+
+class Direction(eqx.Module):
+    """Of one unknown, or of several (a leading axis).
+
+    Attributes:
+        start: in the initial state, shape (own,).
+        theta: in all parameters, shape (np,).
+    """
+
+    start: Float[Host, "*unknowns own"]
+    theta: Float[Host, "*unknowns np"]
+
+
+class RunCarry(eqx.Module):
+    """State, its derivatives with the unknowns (a leading axis), and the sums."""
+
+    x: State
+    slopes: State
+    sums: Float[Array, "size size"]
+
+
+class RunKernel(eqx.Module):
+    """The recursion of one lane.
+
+    Attributes:
+        plant: the equations.
+        friction: which outputs stick.
+        free: numbers of the parameters that are unknown.
+        rows, columns: of `State.y` that are states, in the order of `RunLane.start`.
+        store: ``"sums"`` adds up the normal equations; ``"signals"`` shows c instead.
+    """
+
+    plant: Plant
+    friction: tuple[int, ...] = eqx.field(static=True)
+    free: tuple[int, ...] = eqx.field(static=True)
+    rows: tuple[int, ...] = eqx.field(static=True)
+    columns: tuple[int, ...] = eqx.field(static=True)
+    store: str = eqx.field(static=True)
+
+    def start(self, values: Host, theta: Host, declared: Any) -> State:
+        """Initial state from its unknowns; internal states by the plant where it declares them."""
+        count = len(self.rows)
+        empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
+        y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
+        z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
+        return State(y, z)
+
+    def directions(self, own: int) -> Direction:
+        """Of each unknown; so many are in the start."""
+        size = own + len(self.free)
+        theta = np.zeros((size, len(self.plant.names)))
+        theta[own + np.arange(len(self.free)), list(self.free)] = 1.0
+        return Direction(np.eye(size, own), theta)
+
+    def init(self, lane: RunLane) -> RunCarry:
+        """Before the first step."""
+        along = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(partial(self.begun, lane), out_axes=(None, 0))(along)
+        size = len(along.theta) + 1
+        return RunCarry(x, slopes, jnp.zeros((size, size), jnp.asarray(lane.theta).dtype))
+
+    def begun(self, lane: RunLane, along: Direction) -> tuple[State, State]:
+        """State before the first step, and its derivative in one direction."""
+        values, theta = jnp.asarray(lane.start), jnp.asarray(lane.theta)
+
+        def start(values: Array, theta: Array) -> State:
+            return self.start(values, theta, lane.declared)
+
+        tangents = (jnp.asarray(one, theta.dtype) for one in (along.start, along.theta))
+        return jax.jvp(start, (values, theta), tuple(tangents))
+
+    def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:
+        """Score the sample at the start of a step, then take it; also what is shown."""
+        shown = self._scored(lane, carry, row)
+        sums = carry.sums
+        if self.store == "sums":
+            sums, shown = sums + self._square(lane, shown), ()
+
+        def moved(slope: State, along: Direction) -> tuple[State, State]:
+            return self.moved(lane, carry.x, slope, along, row, h)
+
+        along = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(moved, out_axes=(None, 0))(carry.slopes, along)
+        return RunCarry(x, slopes, sums), shown
+
+    def moved(
+        self, lane: RunLane, x: State, slope: State, along: Direction, row: RunRow, h: Scalar
+    ) -> tuple[State, State]:
+        """State after a step, and its derivative in one direction."""
+        theta, time, u = (jnp.asarray(one) for one in (lane.theta, row.time, row.inputs))
+
+        def flow(x: State, moved: Array) -> State:
+            inputs = u if row.slope is None else u + row.slope @ (moved - theta)
+            return advanced(self.plant, moved, time, h, inputs, x, self.friction)
+
+        return jax.jvp(flow, (x, theta), (slope, jnp.asarray(along.theta, theta.dtype)))
+
+    def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
+        """A whole run by `lax.scan`: the sums, and what each row shows."""
+
+        def step(carry: RunCarry, row: RunRow) -> tuple[RunCarry, Any]:
+            return self.step(lane, carry, row, h)
+
+        last, shown = jax.lax.scan(step, self.init(lane), rows)
+        return last.sums, shown
+
+    def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
+        """c of each output."""
+        error, columns = jax.vmap(
+            lambda slope: self.scored(lane, carry.x, slope, row), out_axes=(None, 1)
+        )(carry.slopes)
+        return jnp.concatenate([columns, error[:, None]], axis=1)
+
+    def scored(
+        self, lane: RunLane, x: State, slope: State, row: RunRow
+    ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
+        """The error and the part of c in one direction, of each output; zero where not scored."""
+        weight, used = jnp.asarray(lane.scale), row.use > 0
+        error, part = weight * (row.y - x.y[0]), -weight * slope.y[0]
+        return jnp.where(used, error, 0.0), jnp.where(used, part, 0.0)
+
+    def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
+        """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
+        weight, beyond = _huber(jnp, scored[:, -1], lane.threshold)
+        square = (weight[:, None] * scored).T @ scored
+        return square.at[-1, -1].add(jnp.sum(beyond))
+
+
+def added_up(
+    rows: Float[np.ndarray, "*runs rows size"], threshold: float, error: int = -1
+) -> Float[np.ndarray, "*runs size size"]:
+    """The sums of rows c that are known.
+
+    Args:
+        rows: of any samples and outputs.
+        threshold: κ of Huber's loss.
+        error: the column of the errors.
+    """
+    errors = rows[..., error]
+    with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+        if not np.any(np.abs(errors) > threshold):
+            return np.swapaxes(rows, -1, -2) @ rows
+        weight, beyond = _huber(np, errors, threshold)
+        sums = np.swapaxes(weight[..., None] * rows, -1, -2) @ rows
+        sums[..., error, error] += np.sum(beyond, axis=-1)
+    return sums
+
+
+def _huber(xp: Any, error: Any, threshold: Any) -> tuple[Any, Any]:
+    """Weight of each error, and what its loss is beyond the square weighed so; by NumPy or JAX."""
+    far = xp.abs(error) > threshold
+    size = xp.where(far, xp.abs(error), 1.0)
+    weight = xp.where(far, threshold / size, 1.0)
+    return weight, xp.where(far, threshold * (size - threshold), 0.0)

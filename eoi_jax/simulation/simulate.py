@@ -1,0 +1,264 @@
+"""Free run of a plant over time, on a record's grid, and what drives it.
+
+Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent route.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape
+from eoi_jax._compilation import jit
+from eoi_jax._jax_setup import check_process
+from eoi_jax._types import Scalar, Theta
+from eoi_jax.data.ingest import SHORTEST, choose_hold
+from eoi_jax.data.record import Record
+from eoi_jax.data.resample import HOLDS, inputs_within_steps
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
+
+Pieces = Float[np.ndarray, "steps order nu"]
+
+# Compiled once for each plant and shape.
+free_run = jit(trajectory)
+
+
+def simulate(
+    plant: Plant,
+    time: ArrayLike,
+    inputs: ArrayLike,
+    initial: Any = None,
+    *,
+    hold: str = "auto",
+    internal: ArrayLike | None = None,
+    solver: str = "fixed",
+    substeps: int = 1,
+    name: str = "simulation",
+) -> Record:
+    """Free run of a plant.
+
+    Args:
+        plant: the plant, with the parameters to use.
+        time: uniform grid, shape (N,) [s].
+        inputs: shape (N,) or (N, nu).
+        initial: the outputs and their derivatives at ``time[0]``, shape (r, ny); for one output
+            (r,) or the output alone. Zeros by default.
+        hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
+            spline), or ``"auto"``: zero if it is piecewise constant, else linear.
+        internal: internal states at ``time[0]``, shape (nz,); by default the plant's own start.
+        solver: ``"fixed"`` (Runge-Kutta 4, dry friction sticks) or ``"adaptive"`` (Dormand-Prince 8
+            of diffrax to a relative tolerance of 1e-10, smooth plants only).
+        substeps: steps per sample, of the fixed solver.
+        name: name of the record.
+
+    Returns:
+        Record with `time`, `inputs` and the simulated outputs.
+
+    Raises:
+        ValueError: a wrong shape, a grid that is not uniform, dry friction with the adaptive
+            solver, or a trajectory that is not finite (with the first time at which it is not).
+    """
+    check_process()
+    check_kind("plant", plant, Plant, "a Plant")
+    time = _uniform(np.asarray(time, dtype=np.float64))
+    u = np.asarray(inputs, dtype=np.float64)
+    u = u[:, None] if u.ndim == 1 else u
+    check_shape("inputs", u, (len(time), len(plant.inputs)), "one row a sample, a column an input")
+    _check_finite("inputs", u)
+    check_choice("solver", solver, ("fixed", "adaptive"))
+    start = State(_initial(plant, initial), _internal(plant, internal))
+    check_choice("hold", hold, ("auto", *HOLDS))
+    used, _ = choose_hold(u, hold)
+    theta = jnp.asarray(plant.theta)
+    if solver == "adaptive":
+        rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
+        slow = plant.actuator is not None
+        rule = 'must be "fixed" for a plant with a delay or lag of its inputs'
+        check(not slow, "solver", rule, '"adaptive"')
+        rule = 'must be "fixed" for a plant with dry friction'
+        check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
+        pieces = jnp.asarray(_input_pieces(u, used))
+        y, _ = _adaptive(plant, theta, jnp.asarray(time), pieces, start)
+    else:
+        driven_by = acted(plant, drive(time, u, used, substeps))
+        y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
+    outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
+    bad = ~np.all(np.isfinite(outputs), axis=1)
+    when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
+    advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
+    check(not bad.any(), "simulation", "must stay finite", when, advice)
+    return Record(
+        time,
+        u,
+        outputs,
+        name,
+        input_names=plant.inputs,
+        output_names=plant.outputs,
+        units={key: plant.units[key] for key in plant.inputs + plant.outputs if key in plant.units},
+        hold=hold,
+    )
+
+
+def drive(
+    time: Float[np.ndarray, " time"],
+    inputs: Float[np.ndarray, "time nu"],
+    hold: str,
+    substeps: int = 1,
+) -> Drive:
+    """Inputs on the grid of a run's steps.
+
+    Args:
+        time: uniform grid [s].
+        inputs: one row a sample.
+        hold: ``"zero"``, ``"linear"`` or ``"smooth"``.
+        substeps: steps per sample.
+
+    Returns:
+        The drive of `trajectory`.
+
+    Raises:
+        ValueError: an unknown hold, or less than one sub-step.
+    """
+    check_count("substeps", substeps)
+    fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
+    values = inputs_within_steps(inputs, fractions, hold)
+    stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    steps = (len(time) - 1) * substeps
+    return Drive(
+        time[0] + period / substeps * np.arange(steps),
+        np.asarray(period / substeps),
+        stages.reshape(steps, 3, inputs.shape[1]),
+        substeps,
+    )
+
+
+def acted(plant: Plant, driven_by: Drive) -> Drive:
+    """The drive of a whole record behind the actuators of a plant, at its parameters.
+
+    Between the steps it is taken to be continuous: parabolas with the means over the steps.
+    """
+    if plant.actuator is None:
+        return driven_by
+    inputs = behind(plant, jnp.asarray(plant.theta), driven_by)
+    return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
+
+
+@jit
+def behind(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
+    """Inputs behind the actuators of a plant, for use inside other JAX code.
+
+    Args:
+        plant: with an actuator; its own parameter values are not used.
+        theta: parameter values; derivatives with them are those of the actuator.
+        driven_by: of a whole record, from whose start on the past of the inputs is known.
+
+    Returns:
+        The inputs of `acted`, at the start, the middle and the end of each step.
+    """
+    first, middle, last = jnp.moveaxis(jnp.asarray(driven_by.inputs), 1, 0)
+    mean = (first + 4.0 * middle + last) / 6.0
+    mean = plant.driven(jnp.asarray(driven_by.time) + 0.5 * driven_by.step, mean, theta)
+    ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
+    first, last = ends[:-1], ends[1:]
+    return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)
+
+
+# -- starts ------------------------------------------------------------------------------
+
+
+def _check_finite(name: str, value: np.ndarray) -> None:
+    check(bool(np.all(np.isfinite(value))), name, "must be finite", "NaN or infinity")
+
+
+def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
+    rule = f"must be a line of at least {SHORTEST} samples"
+    check(time.ndim == 1 and len(time) >= SHORTEST, "time", rule, f"shape {time.shape}")
+    _check_finite("time", time)
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    check(period > 0, "time", "must increase", f"{time[0]:g} to {time[-1]:g}")
+    off = np.abs(time - (time[0] + period * np.arange(len(time))))
+    worst = f"a sample {np.max(off) / period:.3g} periods off, at index {int(np.argmax(off))}"
+    advice = "Resample the inputs onto a uniform grid."
+    check(bool(np.max(off) <= 1e-3 * period), "time", "must be a uniform grid", worst, advice)
+    return time
+
+
+def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
+    r, ny = plant.relative_degree, len(plant.outputs)
+    value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
+    if ny == 1 and value.shape == ():
+        value = np.concatenate([value[None], np.zeros(r - 1)])
+    if ny == 1 and value.shape == (r,):
+        value = value[:, None]
+    check_shape("initial", value, (r, ny), "the outputs, then each of their derivatives")
+    _check_finite("initial", value)
+    owned = np.arange(r)[:, None] < np.asarray(plant.degrees)
+    return jnp.asarray(np.where(owned, value, 0.0))
+
+
+def _internal(plant: Plant, internal: ArrayLike | None) -> Float[Array, " nz"]:
+    start = plant.internal_start(jnp.asarray(plant.theta))
+    if internal is None:
+        return start
+    value = np.atleast_1d(np.asarray(internal, dtype=np.float64))
+    check_shape("internal", value, start.shape, "one value an internal state")
+    _check_finite("internal", value)
+    return jnp.asarray(value)
+
+
+# -- the independent route ----------------------------------------------------------------
+
+
+def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
+    """The input within each step: a polynomial in the fraction of the step, lowest power first."""
+    places = np.linspace(0.0, 1.0, {"zero": 1, "linear": 2}.get(hold, 6))
+    values = inputs_within_steps(samples, places, hold)
+    return np.einsum("pf,kfu->kpu", np.linalg.inv(np.vander(places, increasing=True)), values)
+
+
+@jit
+def _adaptive(
+    plant: Plant,
+    theta: Theta,
+    time: Float[Array, " time"],
+    pieces: Float[Array, "steps order nu"],
+    start: State,
+) -> tuple[Motion, Internal]:
+    """Solve from sample to sample, so that no step of the solver crosses a kink of the input."""
+    # Imported here: only this route needs it.
+    import diffrax
+
+    solver, tolerances = diffrax.Dopri8(), diffrax.PIDController(rtol=1e-10, atol=1e-12)
+
+    def field(t: Any, x: State, args: Any) -> State:
+        t0, t1, piece = args
+        powers = ((t - t0) / (t1 - t0)) ** jnp.arange(piece.shape[0], dtype=piece.dtype)
+        return rate_of(plant, theta, t, x, powers @ piece)
+
+    term = diffrax.ODETerm(field)
+
+    def body(x: State, span: tuple[Scalar, Scalar, Array]) -> tuple[State, State]:
+        t0, t1, piece = span
+        solution = diffrax.diffeqsolve(
+            term,
+            solver,
+            t0,
+            t1,
+            t1 - t0,
+            x,
+            args=(t0, t1, piece),
+            stepsize_controller=tolerances,
+            throw=False,
+        )
+        assert solution.ys is not None
+        x = jax.tree.map(lambda leaf: leaf[-1], solution.ys)
+        return x, x
+
+    _, x = lax.scan(body, start, (time[:-1], time[1:], pieces))
+    return jnp.concatenate([start.y[None], x.y]), jnp.concatenate([start.z[None], x.z])
