@@ -25,8 +25,8 @@ def main() -> None:
     report.add(
         f"White noise on every output, its standard deviation σ a share of that output's rms; "
         f"records of 20 s (three masses 10 s) at 1 ms from `independent.py`, {seeds} seeds, "
-        "implicit form, plain passes (with instruments: `instruments.py`), sub-steps and smoothing "
-        "decided by the library. *Error* is that of an "
+        "implicit form, plain passes (instruments: `instrumental_variables.py`), sub-steps and "
+        "smoothing decided by the library. *Error* is that of an "
         "increment Δθ over the true Δθ: the median over all increments and seeds, then the worst "
         "increment of a seed: its median and its largest value over the seeds. h² c3 / σ, the "
         "relay's reach over one sample, takes the σ of the raw record: smoothing (zero phase, five "

@@ -31,7 +31,7 @@ class Compiled:
 
     Attributes:
         program: what it computes. where: its numbers lie.
-        steps, lanes: the functions of `machine_code.py`.
+        steps, lanes: the functions of `instructions.py`.
         owner: of the code's memory.
     """
 
@@ -74,7 +74,7 @@ def cores() -> int:
 
 def functions(text: str) -> tuple[Callable, Callable, Any]:
     """The two functions of a source, and what must live as long as they do."""
-    # Of lanes one by one (`free_runs.py`) like operations side by side become vectors.
+    # Of lanes one by one (`compiled_runs.py`) like operations side by side become vectors.
     engine = engine_of(text, slp=True)
     pointer, number = ctypes.c_void_p, ctypes.c_int64
     steps = ctypes.CFUNCTYPE(None, *[pointer] * 4, number)

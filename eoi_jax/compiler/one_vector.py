@@ -1,7 +1,7 @@
 """A lane program whose lanes fill one vector, as one loop that keeps all it carries in registers.
 
 What all lanes share is computed beside it, in single numbers. The two wait for each other hardly at
-all, where the two loops of `machine_code.py` go through the record one after the other, and read
+all, where the two loops of `instructions.py` go through the record one after the other, and read
 and write what they carry in every step.
 """
 

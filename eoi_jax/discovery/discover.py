@@ -105,7 +105,7 @@ def discover(
 
     Source:
         Equations (1)-(14) of the paper for the residual; the search over effects, its score and its
-        tests are our own and stand in `search.py`, `modes.py` and `noise_model.py`.
+        tests are our own and stand in `search.py`, `cosine_modes.py` and `noise_spectrum.py`.
     """
     several = check_records(plant, records)
     if isinstance(validation, float | int):

@@ -1,6 +1,6 @@
 r"""The estimator: passes over the records, the one with the smallest index is the answer.
 
-Section 4 of the paper, around the compiled pass of `passes.py`: `iteration.py` is its rule.
+Section 4 of the paper, around the compiled pass of `kernel.py`: `iteration.py` is its rule.
 """
 
 import warnings
@@ -151,9 +151,9 @@ def identify(
             by default so that the step is short against the band of F, 1 for the explicit form.
         smoothing: zero-phase cut-off [rad/s] applied to outputs and inputs alike; False for
             none; by default chosen when the measurement noise hides the velocity.
-        instruments: whether passes with instrumental variables follow (`instruments.py`), whose
-            estimate neither measurement noise nor the discretisation biases; False is the paper's
-            method. By default they do where the records are noisy and that noise is what the plain
+        instruments: whether passes with instrumental variables follow
+            (`instrumental_variables.py`), whose estimate neither measurement noise nor the
+            discretisation biases; False is the paper's method. By default they do where the records are noisy and that noise is what the plain
             passes leave unexplained.
         callback: called after each pass with its number from 1, `passes` and its index (ny,).
 

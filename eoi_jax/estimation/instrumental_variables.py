@@ -4,9 +4,9 @@ Least squares on F[φ], with φ along the noisy output, is biased: the noise of 
 cure is a free run of the model at θ on the record's own inputs. Its regressors know nothing of the
 noise; as instruments ζ they give
 
-    Σ ζᵀψ Δθ = Σ ζᵀe        (`pairs.py` says what ζ, ψ and e are; `regression/instrumental.py`)
+    Σ ζᵀψ Δθ = Σ ζᵀe
 
-and the run is repeated at the new θ until Δθ is small against its standard error. θ to start with
+(`instrument_kernel.py` says what ζ, ψ and e are; `regression/instrumental.py` solves it), and the run is repeated at the new θ until Δθ is small against its standard error. θ to start with
 comes from the plain passes, initial states from the first samples of a run (`validate`); they enter
 the instruments alone. Where a free run over the whole record departs from it (unstable or chaotic
 plants, models that lack something), runs start anew in windows, in which noise reaches the

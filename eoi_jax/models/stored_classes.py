@@ -231,7 +231,7 @@ def tag_of(item: Any) -> str:
     """
     name = f"{getattr(item, '__module__', '')}:{item.__qualname__}"
     if isinstance(item, type) and name.startswith(_PACKAGE) and name not in _TAGS:
-        raise TypeError(f"{name} has no tag: give it one in `stored.py`")
+        raise TypeError(f"{name} has no tag: give it one in `stored_classes.py`")
     return _TAGS.get(name, name)
 
 

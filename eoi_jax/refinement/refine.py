@@ -5,7 +5,7 @@ the free parameters and the initial state of every run, $\sigma_j$ the rms resid
 A run is a whole record or a window of one (multiple shooting without continuity): short runs are
 easy to fit and forgive what the model lacks, long ones use the most of a model that lacks nothing.
 
-Runs and sensitivities are in `output_error.py`, the solver in `levenberg_marquardt.py`.
+Runs and sensitivities are in `problem.py`, the solver in `levenberg_marquardt.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -119,7 +119,7 @@ def refine(
         Output-error method: L. Ljung, *System Identification*, 2nd ed., section 3.2; elimination of
         what enters one block only: Å. Björck, *Numerical Methods for Least Squares Problems*,
         section 6.3; loss: P. J. Huber, *Robust Statistics*, section 7.8; covariance:
-        `regression/long_run.py`.
+        `estimation/regression/long_run.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     several = check_records(nominal, records)

@@ -1,7 +1,7 @@
 r"""What a refined model still lacks, seen in its free run: a score test of every effect.
 
 The injection (`discover`) weighs what is missing by its force, the free run by its consequences
-(`linearised.py`): a damping that grows with the velocity is lost in the noise of the injection, and
+(`score_test.py`): a damping that grows with the velocity is lost in the noise of the injection, and
 is a third of the free run's error. Two effects are tried together as well, for one may hide the
 other; held-out records judge what is most significant.
 """

@@ -1,6 +1,6 @@
 r"""What small forces do to a simulated trajectory.
 
-A step of `trajectory.py` along the trajectory, $x_{k+1} = \Phi_k(x_k, w_k)$ with a force $w$ added
+A step of `integrator.py` along the trajectory, $x_{k+1} = \Phi_k(x_k, w_k)$ with a force $w$ added
 to each $y^{(r)}$ (at the start, the middle and the end of the step) and $w = 0$: to first order, a
 small force moves the state by
 

@@ -1,7 +1,7 @@
 r"""Free runs with their forward sensitivities, as a recursion that adds up normal equations.
 
 With unknowns $\vartheta$ (the start of the run, then the free parameters) and
-$S = \partial x/\partial\vartheta$, a step $x_{k+1} = \Phi_k(x_k; \theta)$ of `trajectory.py` gives
+$S = \partial x/\partial\vartheta$, a step $x_{k+1} = \Phi_k(x_k; \theta)$ of `integrator.py` gives
 
 $S_{k+1} = \frac{\partial\Phi_k}{\partial x} S_k + \frac{\partial\Phi_k}{\partial\vartheta}$
 

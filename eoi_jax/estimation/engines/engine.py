@@ -1,4 +1,4 @@
-"""What an engine is: it runs the pass of `passes.py` for many lanes over one record.
+"""What an engine is: it runs the pass of `kernel.py` for many lanes over one record.
 
 All engines run the same observers, plants and filter; they differ in who compiles the loop and for
 what. The scan (`scan.py`) is the reference of the others.

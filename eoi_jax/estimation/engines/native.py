@@ -1,7 +1,7 @@
 """The engine of CPUs: the loop compiled whole, as C would be, and lanes spread over the cores.
 
-The step of the pass is traced for one lane (`scalars.py`), sorted by what depends on what
-(`lane_program.py`) and written for LLVM (`machine_code.py`). Here it is compiled, kept, and run.
+The step of the pass is traced for one lane (`graph.py`), sorted by what depends on what
+(`loop.py`) and written for LLVM (`instructions.py`). Here it is compiled, kept, and run.
 """
 
 import functools

@@ -2,7 +2,7 @@
 
 Under `lax.scan` every step of a record launches kernels anew, and the launches take longer than
 the arithmetic. Here a Pallas kernel runs over the record with its carry in registers. What it
-computes is a lane program (`lane_program.py`), number by number, for Triton knows neither small
+computes is a lane program (`loop.py`), number by number, for Triton knows neither small
 arrays nor sizes that are no powers of two. A kernel of one thread goes before it: through all that
 depends on the record alone, of which it writes what the lanes need, one row a step.
 
