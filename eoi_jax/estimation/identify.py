@@ -153,8 +153,8 @@ def identify(
             none; by default chosen when the measurement noise hides the velocity.
         instruments: whether passes with instrumental variables follow
             (`instrumental_variables.py`), whose estimate neither measurement noise nor the
-            discretisation biases; False is the paper's method. By default they do where the records are noisy and that noise is what the plain
-            passes leave unexplained.
+            discretisation biases; False is the paper's method. By default they do where the
+            records are noisy and that noise is what the plain passes leave unexplained.
         callback: called after each pass with its number from 1, `passes` and its index (ny,).
 
     Returns:

@@ -6,9 +6,10 @@ noise; as instruments ζ they give
 
     Σ ζᵀψ Δθ = Σ ζᵀe
 
-(`instrument_kernel.py` says what ζ, ψ and e are; `regression/instrumental.py` solves it), and the run is repeated at the new θ until Δθ is small against its standard error. θ to start with
-comes from the plain passes, initial states from the first samples of a run (`validate`); they enter
-the instruments alone. Where a free run over the whole record departs from it (unstable or chaotic
+(`instrument_kernel.py` says what ζ, ψ and e are; `regression/instrumental.py` solves it), and the
+run is repeated at the new θ until Δθ is small against its standard error. θ to start with comes
+from the plain passes, initial states from the first samples of a run (`validate`); they enter the
+instruments alone. Where a free run over the whole record departs from it (unstable or chaotic
 plants, models that lack something), runs start anew in windows, in which noise reaches the
 instruments through the initial states.
 
