@@ -5,8 +5,8 @@ linearised along it, $\delta^{(r)} = \partial_x f\,\delta + w$ (`linear_response
 term of an effect along the simulated states, at unit gain, and all that the parameters and the
 initial states can do taken out of $\hat y_w$ and of the residual $r$, least squares of $r$ on
 $\hat y_w$ gives the gain and the share of the residual that it explains. With a share s,
-$-n \log(1 - s)$ is χ², n the number of independent samples: all of them over the correlation time Σ ρ²
-of what is left (M. S. Bartlett).
+$-n \log(1 - s)$ is χ², n the number of independent samples: all of them over the correlation time
+Σ ρ² of what is left (M. S. Bartlett).
 
 **Source.** C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test).
 """
