@@ -79,7 +79,7 @@ def test_memory_that_compilation_freed_is_given_back_every_so_often(monkeypatch)
 
 FREED = """
 from pathlib import Path
-from eoi_jax import compilation
+from eoi_jax import _compilation as compilation
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1])
 blocks = [bytes(3000) + bytes([i % 256]) for i in range(50_000)]

@@ -27,7 +27,7 @@ def names(folder: Path) -> list[str]:
 def killed(folder: Path, patch: str, act: str) -> None:
     """Run `act` in a process that `patch` has end itself by SIGKILL on the way."""
     code = (
-        "import os, signal, sys\nfrom pathlib import Path\nfrom eoi_jax import drafts\n"
+        "import os, signal, sys\nfrom pathlib import Path\nfrom eoi_jax import _atomic as drafts\n"
         "def kill(*_, **__): os.kill(os.getpid(), signal.SIGKILL)\n"
         f"folder = Path(sys.argv[1])\n{patch}\n{act}\n"
     )

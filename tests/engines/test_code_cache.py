@@ -12,7 +12,7 @@ RUN = """
 import sys, warnings
 import numpy as np
 import eoi_jax as eoi
-from eoi_jax.estimation.engines import compiled
+from eoi_jax.compiler import jit as compiled
 eoi.configure()
 made = []
 translate = compiled._translate
