@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eoi_jax.observers import SecondOrder, gains
 
 import eoi_jax as eoi
+from eoi_jax.observers import SecondOrder, gains
 
 
 def main(folder: Path, relays: int = 40, dampings: int = 25) -> Any:
