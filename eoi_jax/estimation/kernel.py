@@ -216,7 +216,7 @@ class Kernel(eqx.Module):
         return step_rows(steps, *self.inputs(steps), each)
 
     def inputs(self, steps: Steps) -> tuple[Array, Array | None]:
-        """Behind the actuators, and their derivative with θ, shape (S, nu, np)."""
+        """Inputs behind the actuators, (S, nu), and their derivative with θ, (S, nu, np)."""
         time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
         if self.plant.actuator is None:
             return u, None
