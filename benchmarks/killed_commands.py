@@ -27,7 +27,7 @@ from common import ROOT, Report, arguments, table
 COUNT = 50  # of each command
 COMMANDS = ("sweep", "discover", "refine", "report")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
-START = (sys.executable, "-c", "from eoi_command import main; main()")
+START = (sys.executable, "-c", "from eoi_jax.cli.main import main; main()")
 MARK = "mark"  # a file beside those of the run that stands already
 LIMIT = 300.0  # [s]
 _PNG_END = b"IEND\xaeB`\x82"

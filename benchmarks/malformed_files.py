@@ -43,7 +43,7 @@ FORBIDDEN = (
     "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "socket.",
     "pickle.find_class", "webbrowser.open", "urllib.Request",
 )  # fmt: skip
-START = (sys.executable, "-c", "from eoi_command import main; main()")
+START = (sys.executable, "-c", "from eoi_jax.cli.main import main; main()")
 
 
 @dataclass
@@ -70,13 +70,12 @@ def use(case: Case, path: Path) -> None:
     elif case.use == "data":
         read(case, path)
     elif case.use == "config":
-        from eoi_jax.cli import config
-        from eoi_jax.cli import run_folder as runs
+        from eoi_jax.cli import config, run_folder
 
-        runs.job(config.load(path), path.parent, None)
+        run_folder.job(config.load(path), path.parent, None)
     else:
-        from eoi_jax.cli.finished import export_run
         from eoi_jax.cli.html_report import write_report
+        from eoi_jax.cli.run_model import export_run
 
         try:
             write_report(path.parent)
@@ -160,7 +159,7 @@ def command(case: Case, path: Path) -> None:
     """Read a file as the command does."""
     from typer.testing import CliRunner
 
-    from eoi_command.commands import app
+    from eoi_jax.cli.commands import app
 
     top = path.parent.parent if case.use == "run" else path.parent
     output = str(top / "runs")

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("eoi_jax", "eoi_command")
+PACKAGES = ("eoi_jax",)
 
 # Rooms of the package: its folders; the files at its root are the ground.
 ROOMS = {
-    "command": "eoi_command cli",
+    "command": "cli",
     "report": "report",
     "discovery": "discovery",
     "comparison": "comparison",
@@ -130,9 +130,8 @@ def modules(root: Path) -> dict[str, list[Path]]:
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             parts = path.relative_to(root).with_suffix("").parts
-            if path.stem not in ("__init__", "__main__") or package == "eoi_command":
-                name = parts[0] if package == "eoi_command" else parts[1]
-                rooms[ROOM.get(name, REST)].append(path)
+            if path.stem not in ("__init__", "__main__"):
+                rooms[ROOM.get(parts[1], REST)].append(path)
     return dict(rooms)
 
 

@@ -1,54 +1,12 @@
-"""Identify dynamical systems from the equivalent output injection of sliding-mode observers."""
+"""Identify dynamical systems from the equivalent output injection of sliding-mode observers.
 
-from eoi_jax import comparators as comparators
-from eoi_jax import effects as effects
-from eoi_jax import engines as engines
-from eoi_jax import observers as observers
-from eoi_jax import plants as plants
-from eoi_jax._checks import FigureWarning as FigureWarning
-from eoi_jax._checks import RecordWarning as RecordWarning
-from eoi_jax._checks import StoreWarning as StoreWarning
-from eoi_jax._jax_setup import configure as configure
-from eoi_jax._status import Status as Status
-from eoi_jax.comparison.compare import Comparison as Comparison
-from eoi_jax.comparison.compare import compare as compare
-from eoi_jax.data import excitation as excitation
-from eoi_jax.data.exchange import record_from_benchmark as record_from_benchmark
-from eoi_jax.data.exchange import record_from_pandas as record_from_pandas
-from eoi_jax.data.exchange import record_from_xarray as record_from_xarray
-from eoi_jax.data.exchange import record_to_pandas as record_to_pandas
-from eoi_jax.data.exchange import record_to_xarray as record_to_xarray
-from eoi_jax.data.inspection import Inspection as Inspection
-from eoi_jax.data.inspection import inspect as inspect
-from eoi_jax.data.long_record import LongRecord as LongRecord
-from eoi_jax.data.readers import read_record as read_record
-from eoi_jax.data.record import Record as Record
-from eoi_jax.discovery.diagnose import diagnose as diagnose
-from eoi_jax.discovery.diagnosis import Diagnosis as Diagnosis
-from eoi_jax.discovery.discover import discover as discover
-from eoi_jax.discovery.result import Discovery as Discovery
-from eoi_jax.estimation.identify import Identification as Identification
-from eoi_jax.estimation.identify import identify as identify
-from eoi_jax.estimation.lowpass import LowPass as LowPass
-from eoi_jax.estimation.sweep.best import best as best
-from eoi_jax.estimation.sweep.store import open_sweep as open_sweep
-from eoi_jax.estimation.sweep.sweep import sweep as sweep
-from eoi_jax.models.equations.model import plant_from_text as plant_from_text
-from eoi_jax.models.export.export import export as export
-from eoi_jax.models.linear_system import plant_from_control as plant_from_control
-from eoi_jax.models.plant import Plant as Plant
-from eoi_jax.models.plant import State as State
-from eoi_jax.models.storage import load as load
-from eoi_jax.refinement.refine import refine as refine
-from eoi_jax.refinement.remaining import Remaining as Remaining
-from eoi_jax.refinement.remaining import remaining as remaining
-from eoi_jax.refinement.result import Refinement as Refinement
-from eoi_jax.report import displays as _displays  # noqa: F401 - it registers tables and figures
-from eoi_jax.simulation.simulate import simulate as simulate
-from eoi_jax.simulation.validate import Validation as Validation
-from eoi_jax.simulation.validate import validate as validate
-from eoi_jax.uncertainty.bootstrap import bootstrap as bootstrap
-from eoi_jax.uncertainty.profile_likelihood import Profile as Profile
-from eoi_jax.uncertainty.profile_likelihood import profile as profile
-from eoi_jax.uncertainty.uncertainty import Uncertainty as Uncertainty
-from eoi_jax.uncertainty.uncertainty import uncertainty as uncertainty
+Names are imported at their first use (`lazy_loader`); the stub beside this file says from where.
+"""
+
+import lazy_loader
+
+from eoi_jax import _display
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+_display.register_in("eoi_jax.models.storage", "eoi_jax.report.displays")

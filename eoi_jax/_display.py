@@ -4,30 +4,70 @@ A result is data. It knows neither tables nor figures nor files: `str(result)`, 
 `result.save(path)` ask the function here, which goes by the class of the result.
 """
 
-from functools import singledispatch
+import importlib
+from collections.abc import Callable
+from functools import cache, singledispatch
 from pathlib import Path
 from typing import Any
 
+_MODULES: list[str] = []
 
-@singledispatch
+
+def register_in(*modules: str) -> None:
+    """Say which modules register tables, figures and files; they are imported at the first result.
+
+    Args:
+        modules: their full names.
+    """
+    _MODULES.extend(modules)
+
+
+@cache
+def _import_registrations() -> None:
+    for name in _MODULES:
+        importlib.import_module(name)
+
+
+class _ByClass:
+    """A function with one implementation for each class of its first argument."""
+
+    def __init__(self, default: Callable):
+        self.__doc__ = default.__doc__
+        self._implementations = singledispatch(default)
+
+    def register(self, kind: type, implementation: Callable) -> None:
+        """Use an implementation for a class and those that extend it.
+
+        Args:
+            kind: class of the first argument.
+            implementation: with the arguments of the function.
+        """
+        self._implementations.register(kind, implementation)
+
+    def __call__(self, result: Any, *arguments: Any) -> Any:
+        _import_registrations()
+        return self._implementations(result, *arguments)
+
+
+@_ByClass
 def text(result: Any) -> str:
     """A result as a table; its fields where no table is registered for its class."""
     return repr(result)
 
 
-@singledispatch
+@_ByClass
 def figure(result: Any) -> Any:
     """A result as a matplotlib figure."""
     raise TypeError(f"no figure is registered for {type(result).__name__}")
 
 
-@singledispatch
+@_ByClass
 def save(result: Any, path: str | Path) -> None:
     """A result in a file."""
     raise TypeError(f"{type(result).__name__} cannot be saved to {path}")
 
 
-@singledispatch
+@_ByClass
 def findings(result: Any, status: Any) -> tuple[str, ...]:
     """What the numbers of a result say, in sentences."""
     raise TypeError(f"no findings are registered for {type(result).__name__}, {status}")

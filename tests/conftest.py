@@ -27,13 +27,14 @@ _SCALAR = {"graph", "trace", "loop", "llvm", "instructions", "one_vector"}
 _MODULES = [
     ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
     for path in (_REPOSITORY / "eoi_jax").rglob("*.py")
-    # It checks shapes itself, across calls; the hook would give each call a context of its own.
-    if path.stem not in {"__init__", "stored_classes", *_SCALAR}
+    # `stored_classes` checks shapes itself, across calls; the hook would give each call a context of
+    # its own. Typer calls a command with values that are not of the annotated types.
+    if path.stem not in {"__init__", "stored_classes", "commands", *_SCALAR}
 ]
 
-with install_import_hook(_MODULES, "beartype.beartype"):
-    import eoi_jax  # noqa: F401
-    from eoi_jax._jax_setup import configure
+install_import_hook(_MODULES, "beartype.beartype")  # for good: names are imported at first use
+
+from eoi_jax.compiler.jax_setup import configure  # noqa: E402
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", RuntimeWarning)  # the backend may run already under plugins

@@ -8,25 +8,23 @@ from found import DECLARED, HELD_OUT, discovery, record
 
 import eoi_jax as eoi
 from eoi_jax._atomic import write_folder
-from eoi_jax.cli import config as configs
-from eoi_jax.cli import html_report as pages
-from eoi_jax.cli import run_folder as runs
+from eoi_jax.cli import config, html_report, run_folder
 from eoi_jax.cli import summary as summaries
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "hidden_friction.toml"
 HOSTILE = "<script>hacked=1</script>"
 
 
-def job(model: eoi.Plant, records, held_out=()) -> runs.Job:
-    return runs.Job(configs.load(CONFIG), model, list(records), list(held_out))
+def job(model: eoi.Plant, records, held_out=()) -> run_folder.Job:
+    return run_folder.Job(config.load(CONFIG), model, list(records), list(held_out))
 
 
 def discovered(folder: Path, result: eoi.Discovery) -> Path:
     given = job(DECLARED, [record(1)], [HELD_OUT])
     summary = summaries.discovery_summary(given, result)
     text = "# eoi discover mine.toml\n" + CONFIG.read_text()
-    write_folder(folder, lambda draft: runs.write_discovery(draft, result, summary, text))
-    pages.write_report(folder)
+    write_folder(folder, lambda draft: run_folder.write_discovery(draft, result, summary, text))
+    html_report.write_report(folder)
     return folder
 
 
@@ -77,9 +75,9 @@ def hostile_run(folder: Path) -> Path:
     text = "# eoi identify </code></pre><script>hacked=5</script>\n</pre><script>hacked=6</script>"
     write_folder(
         folder,
-        lambda draft: runs.write_identification(draft, result, validation, summary, text),
+        lambda draft: run_folder.write_identification(draft, result, validation, summary, text),
     )
-    pages.write_report(folder)
+    html_report.write_report(folder)
     return folder
 
 

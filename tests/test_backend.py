@@ -35,7 +35,7 @@ import eoi_jax
 after = dict(jax.config.values)
 assert before == {key: after[key] for key in before}, "jax.config"
 assert os.environ.get("XLA_FLAGS") == flags, "XLA_FLAGS"
-from eoi_jax._jax_private import backend_runs
+from eoi_jax.compiler.jax_private import backend_runs
 assert not backend_runs(), "backend"
 """
     assert fresh(code) == ("", "")

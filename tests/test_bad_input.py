@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eoi_command.commands import app
-from eoi_jax import _jax_setup as backend
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 
 CONFIG = """
 name = "run"
@@ -38,7 +38,7 @@ outputs = ["y"]
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 def columns(samples: int = 2000) -> dict[str, np.ndarray]:
@@ -130,7 +130,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
 def no_work(monkeypatch: pytest.MonkeyPatch):
     """A command that gets as far as its work fails."""
     for name in ("run_passes", "run_discovery", "run_sweep", "look"):
-        monkeypatch.setattr(cli, name, lambda *_, **__: pytest.fail("it began to work"))
+        monkeypatch.setattr(actions, name, lambda *_, **__: pytest.fail("it began to work"))
 
 
 @pytest.mark.parametrize("command", ["identify", "discover", "refine", "sweep", "inspect", "init"])
@@ -201,7 +201,7 @@ def test_a_wrong_call_is_refused_with_status_2(arguments: list[str]):
 def test_the_process_itself_ends_with_status_2_and_no_traceback(tmp_path: Path):
     path = prepared(tmp_path, ("c3 = 5000.0", "c33 = 5000.0"))
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_command import main; main()", "identify", path.name],
+        [sys.executable, "-c", "from eoi_jax.cli.main import main; main()", "identify", path.name],
         cwd=tmp_path,
         env={**os.environ, "EOI_CACHE": str(tmp_path / "cache")},
         capture_output=True,

@@ -12,14 +12,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_command.commands import app
-from eoi_jax import _atomic as drafts
-from eoi_jax import _jax_setup as backend
+from eoi_jax import _atomic
 from eoi_jax._atomic import write_folder
 from eoi_jax._status import Status
-from eoi_jax.cli import build
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions, build
 from eoi_jax.cli import config as configs
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 from eoi_jax.data.record import Record
 
 SHORT = """
@@ -46,7 +45,7 @@ FILES = {"result.json", "figure.png", "config.toml", "result.npz", "report.npz",
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 @pytest.fixture
@@ -91,7 +90,7 @@ def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_pa
     assert result["validation"] is None
 
 
-@pytest.mark.parametrize("command", [cli.identify, cli.discover, cli.refine])
+@pytest.mark.parametrize("command", [actions.identify, actions.discover, actions.refine])
 def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Path, command):
     seen: dict[str, list[tuple[int, int | None]]] = {}
 
@@ -99,7 +98,7 @@ def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Pat
         assert isinstance(text, str)
         seen.setdefault(kind, []).append((done, total))
 
-    passes = (2,) if command is cli.identify else ()
+    passes = (2,) if command is actions.identify else ()
     command(config, None, tmp_path / "runs", *passes, shown)
     assert next(iter(seen)) == "reading"
     for steps in seen.values():
@@ -112,7 +111,7 @@ def test_an_inspection_is_shown_from_nothing_on(tmp_path: Path):
     record = Record(0.01 * np.arange(300), np.ones(300), np.sin(np.arange(300.0)))
     write_csv(tmp_path / "run.csv", record)
     seen = []
-    cli.inspect(tmp_path / "run.csv", tmp_path / "runs", lambda *told: seen.append(told))
+    actions.inspect(tmp_path / "run.csv", tmp_path / "runs", lambda *told: seen.append(told))
     assert seen == [("reading", 0, None, ""), ("drawing", 0, None, "")]
 
 
@@ -168,14 +167,14 @@ def write_csv(path: Path, record: Record) -> None:
 def test_an_identification_without_an_answer_says_so(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    whole = cli.run_passes
+    whole = actions.run_passes
 
     def diverged(*arguments, **options):
         found = whole(*arguments, **options)
         status = Status("diverged", "it does not stay finite")
         return replace(found, status=status, unexplained=np.full(1, np.nan))
 
-    monkeypatch.setattr(cli, "run_passes", diverged)
+    monkeypatch.setattr(actions, "run_passes", diverged)
     done = eoi("identify", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     result = json.loads(done.stdout)
@@ -220,7 +219,7 @@ def test_an_old_run_returns_if_the_exchange_itself_fails(
             raise OSError("disk full")
         return rename(self, target)
 
-    monkeypatch.setattr(drafts, "_exchanged", lambda *_: False)
+    monkeypatch.setattr(_atomic, "_exchanged", lambda *_: False)
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(OSError, match="disk full"):
         write_folder(folder, lambda draft: None)
@@ -234,7 +233,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "run_passes", interrupted)
+    monkeypatch.setattr(actions, "run_passes", interrupted)
     done = eoi("identify", config, "--output", tmp_path / "runs")
     assert done.exit_code == 130
     assert "nothing half-written is left" in done.stderr
@@ -247,7 +246,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
 def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_command import main; main()", "identify", "--json"],
+        [sys.executable, "-c", "from eoi_jax.cli.main import main; main()", "identify", "--json"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

@@ -10,12 +10,10 @@ from found import discovery
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
-from eoi_command.commands import app
-from eoi_jax import _jax_setup as backend
-from eoi_jax.cli import build
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions, build, run_folder
 from eoi_jax.cli import config as configs
-from eoi_jax.cli import run_folder as runs
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 from eoi_jax.models.equations.display import equation_lines
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -55,7 +53,7 @@ FILES = {
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 @pytest.fixture
@@ -82,11 +80,11 @@ def known(found, monkeypatch: pytest.MonkeyPatch):
         asked.update(options, plant=plant, records=records)
         return asked.get("answer", found)
 
-    monkeypatch.setattr(cli, "run_discovery", answer)
+    monkeypatch.setattr(actions, "run_discovery", answer)
     return asked
 
 
-def eoi_command(*arguments: object):
+def run_command(*arguments: object):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
 
@@ -108,7 +106,7 @@ OBSERVER = '[observer]\nkind = "second_order"\nc1 = 20.0\nc2 = 100.0\nc3 = 500.0
 )
 def test_tables_that_a_discovery_does_not_take_are_named(known, config, tmp_path, tables, said):
     config.write_text(HIDDEN.replace("[discover]", f"{tables}[discover]"))
-    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     notes = json.loads((tmp_path / "runs" / "hidden" / "discovery.json").read_text())["notes"]
     assert ("not used" in done.stdout) == any("not used" in note for note in notes)
@@ -116,7 +114,7 @@ def test_tables_that_a_discovery_does_not_take_are_named(known, config, tmp_path
 
 
 def test_a_discovery_prints_its_report_and_writes_all_of_it(known, found, config, tmp_path):
-    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "hidden"
     assert {path.name for path in folder.iterdir()} == FILES
@@ -134,7 +132,7 @@ def test_a_discovery_prints_its_report_and_writes_all_of_it(known, found, config
 
 
 def test_json_is_one_object_with_everything(known, found, config, tmp_path):
-    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--json")
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     assert result == json.loads((tmp_path / "runs" / "hidden" / "discovery.json").read_text())
@@ -162,13 +160,13 @@ def test_json_is_one_object_with_everything(known, found, config, tmp_path):
 
 
 def test_quiet_prints_only_the_folder(known, config, tmp_path):
-    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--quiet")
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--quiet")
     assert done.stdout == f"{tmp_path / 'runs' / 'hidden'}\n"
 
 
 def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_path):
     config.write_text(HIDDEN, encoding="utf-8-sig")
-    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     copy = tmp_path / "runs" / "hidden" / "config.toml"
     assert copy.read_text(encoding="utf-8").endswith(f"\n{HIDDEN}")
@@ -181,7 +179,7 @@ def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, confi
         found, effects=(), added=(), found=found.declared, plant=found.declared.plant,
         after=found.before, windows_after=found.windows_before, status=status,
     )  # fmt: skip
-    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--json")
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     assert "something that no effect tried explains" in done.stderr
     result = json.loads(done.stdout)
@@ -193,7 +191,7 @@ def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, confi
 def test_nothing_missing_is_an_answer(known, found, config, tmp_path):
     status = eoi.Status("nothing_missing", "The residual is noise.")
     known["answer"] = dataclasses.replace(found, effects=(), added=(), status=status)
-    assert eoi_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
+    assert run_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
 
 
 def test_a_fit_that_fails_ends_with_1_and_writes_nothing(known, found, config, tmp_path):
@@ -201,7 +199,7 @@ def test_a_fit_that_fails_ends_with_1_and_writes_nothing(known, found, config, t
         found, before=None, after=None, windows_before=None, windows_after=None,
         status=eoi.Status("no_data", "Nothing is left to score."),
     )  # fmt: skip
-    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--json")
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     assert "no answer (no_data: Nothing is left to score.)" in done.stderr
     assert json.loads(done.stdout)["before"] is None
@@ -213,7 +211,7 @@ def test_the_discover_table_reaches_discover(known, config, tmp_path):
         "[discover]", "[discover]\nalpha = 0.05\nmost = 2\nwindow = 1.5\nrefine = true"
     )
     config.write_text(text + "\n[lowpass]\ncutoff = 30.0\n")
-    assert eoi_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
+    assert run_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
     assert (known["alpha"], known["most"], known["window"]) == (0.05, 2, 1.5)
     assert known["refine"] is True
     names = [one.name for one in known["effects"]]
@@ -227,7 +225,7 @@ def test_without_a_discover_table_everything_is_tried_and_without_held_out_data_
 ):
     start, _, rest = HIDDEN.partition("[discover]")
     config.write_text(start + rest[rest.index("[simulate]") : rest.index("[simulate.held_out")])
-    assert eoi_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
+    assert run_command("discover", config, "--output", tmp_path / "runs").exit_code == 0
     assert known["effects"] is None
     assert known["validation"] is None
 
@@ -260,7 +258,7 @@ def test_without_a_discover_table_everything_is_tried_and_without_held_out_data_
 def test_a_mistake_in_the_config_is_named(known, config, tmp_path, old, new, message):
     assert old in HIDDEN
     config.write_text(HIDDEN.replace(old, new))
-    done = eoi_command("discover", config, "--output", tmp_path / "runs")
+    done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 2
     assert message in done.stderr
     assert not (tmp_path / "runs").exists()
@@ -270,9 +268,9 @@ def test_a_mistake_in_the_config_is_named(known, config, tmp_path, old, new, mes
 
 
 def test_a_hidden_effect_is_in_the_records_and_not_in_the_model(config):
-    job = runs.job(configs.load(config), config.parent, None)
+    job = run_folder.job(configs.load(config), config.parent, None)
     config.write_text(HIDDEN.replace("effects = { coulomb_friction = 0.3 }", ""))
-    plain = runs.job(configs.load(config), config.parent, None)
+    plain = run_folder.job(configs.load(config), config.parent, None)
     assert job.model.names == plain.model.names
     for with_it, without in ((job.records, plain.records), (job.held_out, plain.held_out)):
         difference = with_it[0].outputs - without[0].outputs
@@ -285,9 +283,9 @@ def test_a_hidden_effect_is_in_the_records_and_not_in_the_model(config):
 def test_an_effect_with_several_parameters_is_a_table(config):
     stop = "end_stop = { stiffness = 500.0, position = 0.01 }"
     config.write_text(HIDDEN.replace("coulomb_friction = 0.3", stop))
-    (free,) = runs.job(configs.load(config), config.parent, None).records
+    (free,) = run_folder.job(configs.load(config), config.parent, None).records
     config.write_text(HIDDEN.replace("effects = { coulomb_friction = 0.3 }", ""))
-    (plain,) = runs.job(configs.load(config), config.parent, None).records
+    (plain,) = run_folder.job(configs.load(config), config.parent, None).records
     below = np.cumsum(plain.outputs[:, 0] > 0.01 - 1e-4) == 0
     np.testing.assert_allclose(free.outputs[below], plain.outputs[below], atol=1e-9)
     assert np.max(free.outputs) < 0.9 * np.max(plain.outputs)
@@ -300,7 +298,7 @@ def test_with_an_effect_the_declared_parameters_may_be_right(config):
 
 
 def test_the_command_names_what_a_config_hides(config, tmp_path):
-    done = eoi_command("discover", config, "--output", tmp_path / "runs", "--json")
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     assert result["effects"] == ["coulomb_friction"]

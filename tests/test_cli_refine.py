@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from eoi_command.commands import app
-from eoi_jax import _jax_setup as backend
 from eoi_jax._status import Status
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 
 SHORT = """
 name = "short"
@@ -53,7 +53,7 @@ FILES = {
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 @pytest.fixture
@@ -176,14 +176,14 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
 
 
 def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, monkeypatch):
-    whole = cli.run_refinement
+    whole = actions.run_refinement
 
     def diverged(*args, **options):
         return replace(
             whole(*args, **options), status=Status("diverged", "it does not stay finite")
         )
 
-    monkeypatch.setattr(cli, "run_refinement", diverged)
+    monkeypatch.setattr(actions, "run_refinement", diverged)
     done = run(config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     result = json.loads(done.stdout)
@@ -197,7 +197,7 @@ def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, m
 def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_command import main; main()", "refine", "--json"],
+        [sys.executable, "-c", "from eoi_jax.cli.main import main; main()", "refine", "--json"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

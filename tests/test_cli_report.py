@@ -10,12 +10,12 @@ from report_runs import discovered, explained
 from test_report_discovery import Jerk
 from typer.testing import CliRunner
 
-from eoi_command.commands import app
-from eoi_jax.cli import html_report as pages
+from eoi_jax.cli import html_report
+from eoi_jax.cli.commands import app
 from eoi_jax.discovery.result import Added
 
 
-def eoi_command(*arguments: object):
+def run_command(*arguments: object):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
 
@@ -42,7 +42,7 @@ def run(written: Path, tmp_path: Path) -> Path:
 def test_the_page_is_made_anew_the_same_without_model_or_data(run):
     first = (run / "report.html").read_text()
     (run / "report.html").unlink()
-    done = eoi_command("report", run)
+    done = run_command("report", run)
     assert done.exit_code == 0, done.output
     assert done.stdout == f"{run / 'report.html'}\n"
     assert (run / "report.html").read_text() == first
@@ -50,14 +50,14 @@ def test_the_page_is_made_anew_the_same_without_model_or_data(run):
 
 
 def test_json_says_where_the_page_is(run):
-    done = eoi_command("report", run, "--json")
+    done = run_command("report", run, "--json")
     assert json.loads(done.stdout) == {"report": str(run / "report.html")}
 
 
 def test_open_shows_it_in_the_browser(run, monkeypatch: pytest.MonkeyPatch):
     shown = []
     monkeypatch.setattr(webbrowser, "open", shown.append)
-    assert eoi_command("report", run, "--open").exit_code == 0
+    assert run_command("report", run, "--open").exit_code == 0
     assert shown == [(run / "report.html").as_uri()]
 
 
@@ -87,7 +87,7 @@ def test_an_older_page_stays_where_a_new_one_cannot_be_written(run, monkeypatch)
         raise OSError("disk full")
 
     monkeypatch.setattr(Path, "write_text", full)
-    done = eoi_command("report", run)
+    done = run_command("report", run)
     assert done.exit_code == 2
     assert "disk full" in done.stderr
     assert (run / "report.html").read_text() == before
@@ -132,7 +132,7 @@ SPOILT = [
 def test_a_folder_that_is_no_whole_run_ends_with_2_and_a_sentence(run, spoil, message):
     (run / "report.html").unlink()
     spoil(run)
-    done = eoi_command("report", run, "--json")
+    done = run_command("report", run, "--json")
     assert done.exit_code == 2
     assert message in done.stderr
     assert message in json.loads(done.stdout)["error"]
@@ -146,7 +146,7 @@ def test_what_is_no_folder_of_a_run_is_said(tmp_path, what):
         path.write_text("")
     if what == "an empty folder":
         path.mkdir()
-    done = eoi_command("report", path)
+    done = run_command("report", path)
     assert done.exit_code == 2
     wanted = "must hold" if what == "an empty folder" else "must be the folder of a run"
     assert wanted in done.stderr
@@ -157,7 +157,7 @@ def test_results_stay_where_the_page_fails(found, tmp_path, monkeypatch):
     def broken(folder: Path) -> None:
         raise OSError("disk full")
 
-    monkeypatch.setattr(pages, "write_report", broken)
+    monkeypatch.setattr(html_report, "write_report", broken)
     with pytest.raises(OSError, match="disk full"):
         discovered(tmp_path / "kept", found)
     assert (tmp_path / "kept" / "discovery.json").is_file()

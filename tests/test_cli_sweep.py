@@ -12,11 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
-from eoi_command.commands import app
-from eoi_jax import _jax_setup as backend
-from eoi_jax.cli import build
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions, build
 from eoi_jax.cli import config as configs
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 from eoi_jax.estimation.engines import Scan
 from eoi_jax.estimation.sweep.sweep import sweep
 from eoi_jax.report.sweep import sweep_figure
@@ -65,7 +64,7 @@ FILES = {"sweep.json", "report.txt", "figure.png", "config.toml", "sweep.zarr"}
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 @pytest.fixture
@@ -94,7 +93,7 @@ def test_a_config_stands_for_the_same_call(config: Path):
 
 def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: Path, monkeypatch):
     calls = iter(range(100))
-    whole = cli.run_sweep
+    whole = actions.run_sweep
 
     def interrupted(*args, **options):
         class Once(Scan):
@@ -105,11 +104,11 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
 
         return whole(*args, **options, engine=Once())
 
-    monkeypatch.setattr(cli, "run_sweep", interrupted)
+    monkeypatch.setattr(actions, "run_sweep", interrupted)
     first = run(config, "--output", tmp_path)
     assert first.exit_code == 130
     assert "the same command goes on" in first.stderr
-    monkeypatch.setattr(cli, "run_sweep", whole)
+    monkeypatch.setattr(actions, "run_sweep", whole)
     second = run(config, "--output", tmp_path, "--json")
     assert second.exit_code == 0, second.stderr
     summary = json.loads(second.stdout)
@@ -173,7 +172,7 @@ def test_a_store_of_another_config_is_not_touched(config: Path, tmp_path: Path):
 def test_the_installed_command_sweeps_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", "from eoi_command import main; main()", "sweep"],
+        [sys.executable, "-c", "from eoi_jax.cli.main import main; main()", "sweep"],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

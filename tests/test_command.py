@@ -16,12 +16,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_command.commands import app
-from eoi_command.options import complete_config, complete_data
-from eoi_command.terminal import progress, say
-from eoi_jax.cli import commands as cli
+from eoi_jax.cli import actions
+from eoi_jax.cli.commands import app
+from eoi_jax.cli.options import complete_config, complete_data
+from eoi_jax.cli.terminal import progress, say
 
-START = [sys.executable, "-c", "from eoi_command import main; main()"]
+START = [sys.executable, "-c", "from eoi_jax.cli.main import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 COLOUR = re.compile(r"\x1b\[[0-9;]*3[0-8][0-9;]*m")
 
@@ -75,11 +75,11 @@ def on_a_terminal(tmp_path: Path, *words: str, **more: str) -> tuple[int, str]:
 
 
 def test_help_and_completion_do_not_import_jax(tmp_path: Path):
-    """The reason for a package of its own; time itself depends on the machine."""
+    """The reason why names are imported at first use; time itself depends on the machine."""
     code = (
-        "import sys; from typer.testing import CliRunner; from eoi_command.commands import app; "
+        "import sys; from typer.testing import CliRunner; from eoi_jax.cli.commands import app; "
         "r = CliRunner().invoke(app, ['identify', '--help']); assert r.exit_code == 0, r.output; "
-        "heavy = {'jax', 'numpy', 'pandas', 'matplotlib', 'eoi_jax'} & set(sys.modules); "
+        "heavy = {'jax', 'numpy', 'pandas', 'matplotlib', 'eoi_jax.data'} & set(sys.modules); "
         "assert not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -218,7 +218,7 @@ def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
 def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
     """`nohup` asks for that."""
     code = (
-        "import signal; from eoi_command.signals import handled, ENDING; "
+        "import signal; from eoi_jax.cli.signals import handled, ENDING; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "  # a shell's `&` ignores it
         "signal.signal(signal.SIGHUP, signal.SIG_IGN); "
         "heard = []; "
@@ -236,7 +236,7 @@ def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatc
     def fail(*_):
         raise KeyError("lost")
 
-    monkeypatch.setattr(cli, "export", fail)
+    monkeypatch.setattr(actions, "export", fail)
     words = ["export", str(tmp_path), "--language", "c"]
     done = CliRunner().invoke(app, words)
     assert (done.exit_code, done.stdout) == (2, "")
@@ -249,14 +249,14 @@ def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatc
     assert "(KeyError: 'lost')" in json.loads(done.stdout)["error"]
     for debugged in (["--debug", *words], [*words, "--debug"]):
         assert isinstance(CliRunner().invoke(app, debugged).exception, KeyError)
-    monkeypatch.setattr(cli, "export", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr(actions, "export", lambda *_: (_ for _ in ()).throw(MemoryError()))
     assert "eoi: out of memory" in CliRunner().invoke(app, words).stderr
 
 
 def test_an_error_before_any_command_is_one_sentence_too(tmp_path: Path):
     code = (
-        "import sys; sys.modules['eoi_command.commands'] = None; "
-        "from eoi_command import main; main()"
+        "import sys; sys.modules['eoi_jax.cli.commands'] = None; "
+        "from eoi_jax.cli.main import main; main()"
     )
     for more, said in (([], "ModuleNotFoundError"), (["--debug"], "Traceback")):
         done = subprocess.run([sys.executable, "-c", code, *more], capture_output=True, text=True)
@@ -326,7 +326,7 @@ def test_inspect_tells_what_is_in_a_file_and_draws_it(tmp_path: Path):
 def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("EOI_DATA", raising=False)
-    monkeypatch.setattr("eoi_jax._jax_setup.configure", lambda: None)
+    monkeypatch.setattr("eoi_jax.compiler.jax_setup.configure", lambda: None)
     motor(tmp_path / "motor.csv")
     done = CliRunner().invoke(app, ["init", "motor.csv"])
     assert done.exit_code == 0, done.output

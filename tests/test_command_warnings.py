@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from eoi_command.terminal import debug, failures
+from eoi_jax.cli.terminal import debug, failures
 
 pytestmark = pytest.mark.filterwarnings("default")  # not errors, as everywhere else in the tests
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax import _compilation as compilation
-from eoi_jax._compilation import fingerprint, jit
+from eoi_jax.compiler import programs as compilation
+from eoi_jax.compiler.programs import fingerprint, jit
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_memory_that_compilation_freed_is_given_back_every_so_often(monkeypatch)
 
 FREED = """
 from pathlib import Path
-from eoi_jax import _compilation as compilation
+from eoi_jax.compiler import programs as compilation
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1])
 blocks = [bytes(3000) + bytes([i % 256]) for i in range(50_000)]

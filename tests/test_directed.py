@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.simulation.known_direction import directed, turn
 
 VALUES = {"c": 0.5, "q": 0.7, "b": 2.0}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from eoi_jax import _atomic as drafts
+from eoi_jax import _atomic
 from eoi_jax._atomic import make_draft, sweep_up, write_file, write_files, write_folder
 
 
@@ -78,9 +78,9 @@ def test_two_paths_are_exchanged_or_neither_is_touched(tmp_path: Path):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         put(name)(tmp_path / name)
-    swapped = drafts._exchanged(tmp_path / "one", tmp_path / "other")
+    swapped = _atomic._exchanged(tmp_path / "one", tmp_path / "other")
     assert (tmp_path / "one" / "content").read_text() == ("other" if swapped else "one")
-    assert not drafts._exchanged(tmp_path / "one", tmp_path / "absent")
+    assert not _atomic._exchanged(tmp_path / "one", tmp_path / "absent")
     assert names(tmp_path) == ["one", "other"]
 
 
@@ -154,7 +154,7 @@ def test_an_empty_draft_that_another_process_removed_is_made_again(tmp_path: Pat
             assert not made[0].exists()
         return made[-1]
 
-    monkeypatch.setattr(drafts, "make_draft", lose_the_first)
+    monkeypatch.setattr(_atomic, "make_draft", lose_the_first)
     write_file(tmp_path / "file", write("x"))
     assert len(made) == 2
     assert names(tmp_path) == ["file"]
@@ -162,12 +162,12 @@ def test_an_empty_draft_that_another_process_removed_is_made_again(tmp_path: Pat
 
 def test_nothing_waits_where_locks_are_unknown(tmp_path: Path, monkeypatch):
     """Some shared file systems have none: then leftovers stay, and nothing else changes."""
-    assert drafts.fcntl is not None
+    assert _atomic.fcntl is not None
 
     def refuse(*_):
-        raise OSError(drafts.errno.ENOLCK, "No locks available")
+        raise OSError(_atomic.errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(drafts.fcntl, "flock", refuse)
+    monkeypatch.setattr(_atomic.fcntl, "flock", refuse)
     write_file(tmp_path / "file", write("x"))
     (tmp_path / ".run-abcdefgh.draft").mkdir()
     (tmp_path / ".run-abcdefgh.draft" / "lock").write_text("")

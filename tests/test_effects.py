@@ -10,7 +10,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.discovery.candidates import atoms
 from eoi_jax.discovery.cosine_modes import stretch
 from eoi_jax.discovery.regression import fitted

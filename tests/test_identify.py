@@ -22,7 +22,7 @@ from problems import (
 )
 from scipy.integrate import solve_ivp
 
-from eoi_jax._jax_private import Tracer
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.identify import identify as identify_by_default

@@ -11,8 +11,7 @@ from scipy.io import savemat
 
 import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
-from eoi_jax.cli import build
-from eoi_jax.cli import config as configs
+from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
 from eoi_jax.data.inspection import Inspection, _band, inspect
 
@@ -263,7 +262,7 @@ def test_a_file_without_a_record_is_named(tmp_path, text, message):
 def drafted(path, target):
     text = checked(draft(inspect(path), target), target)
     target.write_text(text, encoding="utf-8")
-    settings = configs.load(target)
+    settings = config.load(target)
     model = build.plant(settings, target.parent)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
@@ -313,7 +312,7 @@ def test_the_draft_starts_near_the_truth(tmp_path, monkeypatch):
     monkeypatch.delenv(build.DATA_VARIABLE, raising=False)
     written(tmp_path / "run.csv", t=T, u=U, y=Y)
     drafted(tmp_path / "run.csv", tmp_path / "run.toml")
-    settings = configs.load(tmp_path / "run.toml")
+    settings = config.load(tmp_path / "run.toml")
     values = sorted(abs(one) for one in build.plant(settings, tmp_path).parameters.values())
     # y'' = -30 y - 2 y' + 15 u, but for the half-step of the discrete twin.
     assert values[-1] == pytest.approx(30.0, rel=0.3)
@@ -325,7 +324,7 @@ def test_the_drafted_model_has_the_units_of_its_columns(tmp_path):
     file.write_text(FILES["units row"][0], encoding="utf-8")
     target = tmp_path / "run.toml"
     target.write_text(checked(draft(inspect(file), target), target), encoding="utf-8")
-    plant = build.plant(configs.load(target), tmp_path)
+    plant = build.plant(config.load(target), tmp_path)
     assert plant.units["y"] == "rad"
     assert plant.units["u"] == "V"
 
@@ -383,7 +382,7 @@ def test_symbols_of_the_drafted_model_are_the_last_part_of_column_names(tmp_path
     """As tables of several devices name them: device, signal, unit."""
     written(tmp_path / "run.csv", **{"rig.time [s]": T, "drive.force [N]": U, "arm/angle (rad)": Y})
     drafted(tmp_path / "run.csv", tmp_path / "run.toml")
-    plant = build.plant(configs.load(tmp_path / "run.toml"), tmp_path)
+    plant = build.plant(config.load(tmp_path / "run.toml"), tmp_path)
     assert (plant.inputs, plant.outputs) == (("force",), ("angle",))
 
 

@@ -9,7 +9,7 @@ import pytest
 from problems import grid
 
 from eoi_jax.data.record import Record
-from eoi_jax.estimation import instrument_kernel as pairs
+from eoi_jax.estimation import instrument_kernel
 from eoi_jax.estimation import instrumental_variables as module
 from eoi_jax.estimation.identify import identify
 from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, together
@@ -198,7 +198,7 @@ def test_a_pass_in_parts_is_the_same_as_in_one_go(clean, monkeypatch):
     record = simulate(moved, clean.time, clean.inputs, hold="zero", substeps=4)
     whole = paired(TRUTH, record, clean, observer)
     count = 4 * (len(record) - 1)
-    monkeypatch.setattr(pairs, "_AT_ONCE", 300)
+    monkeypatch.setattr(instrument_kernel, "_AT_ONCE", 300)
     assert count % -(-count // -(-count // 300))  # the last part is a shorter one
     in_parts = paired(TRUTH, record, clean, observer)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(in_parts), strict=True):

@@ -12,7 +12,7 @@ import pytest
 from jax.extend.core import jaxpr_as_fun
 
 import eoi_jax
-from eoi_jax import _jax_private as jax_private
+from eoi_jax.compiler import jax_private
 
 PACKAGE = Path(eoi_jax.__file__).parent
 PRIVATE = ("jax._src", "jax.extend", "jax.core", "jax.interpreters", "jaxlib",
@@ -29,7 +29,7 @@ def equation(function, *arguments, name):
 
 def test_only_one_module_reaches_into_jax():
     for path in PACKAGE.rglob("*.py"):
-        if path.name == "_jax_private.py":
+        if path.name == "jax_private.py":
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -108,7 +108,7 @@ def test_the_state_of_the_backend_is_asked_where_jax_tells_it(known):
     spoil = "" if known else "del xla_bridge.backends_are_initialized"
     code = f"""
 from jax._src import xla_bridge
-from eoi_jax._jax_private import backend_runs
+from eoi_jax.compiler.jax_private import backend_runs
 assert not backend_runs()
 import jax.numpy as jnp
 jnp.ones(1).block_until_ready()
@@ -128,7 +128,7 @@ def test_what_operations_were_lowered_to_is_let_go_and_they_run_as_before():
 import ctypes, gc
 from pathlib import Path
 import jax, jax.numpy as jnp, numpy as np
-from eoi_jax._jax_private import forget_lowered
+from eoi_jax.compiler.jax_private import forget_lowered
 
 def resident():
     gc.collect()

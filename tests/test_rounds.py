@@ -8,7 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import round as rounds
+from eoi_jax.discovery import round
 from eoi_jax.discovery.candidates import Atom
 from eoi_jax.discovery.cosine_modes import Stretch, stretch
 from eoi_jax.discovery.noise_spectrum import known_power
@@ -74,5 +74,5 @@ def test_an_output_at_rest_has_some_power_all_the_same():
 
 @pytest.mark.parametrize(("waiting", "threads"), [(True, 0), (False, os.cpu_count())])
 def test_models_that_xla_waits_for_are_evaluated_by_one_thread(monkeypatch, waiting, threads):
-    monkeypatch.setattr(rounds, "waits", lambda plant: waiting)
-    assert rounds.Task.threads.func(SimpleNamespace(plant=None)) == threads
+    monkeypatch.setattr(round, "waits", lambda plant: waiting)
+    assert round.Task.threads.func(SimpleNamespace(plant=None)) == threads

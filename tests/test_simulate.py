@@ -7,7 +7,7 @@ import pytest
 from problems import stiff_response
 from scipy.integrate import solve_ivp
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.library import (
     Plant,
     State,

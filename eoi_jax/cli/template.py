@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import check
-from eoi_jax.cli import config as configs
+from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.data.inspection import Channel, Inspection
 from eoi_jax.data.record import Record
@@ -65,7 +65,7 @@ def checked(text: str, target: Path) -> str:
     try:
         trial.parent.mkdir(parents=True, exist_ok=True)
         trial.write_text(text, encoding="utf-8")
-        configs.load(trial)
+        config.load(trial)
     finally:
         trial.unlink(missing_ok=True)
     return text

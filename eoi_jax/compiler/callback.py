@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from eoi_jax._jax_private import BUFFER_CALLBACK
+from eoi_jax.compiler.jax_private import BUFFER_CALLBACK
 
 
 def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:

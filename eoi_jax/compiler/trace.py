@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from eoi_jax._jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
+from eoi_jax.compiler.jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
 
 MOST_UNROLLED = 64  # turns of a loop
 

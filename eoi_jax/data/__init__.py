@@ -1,1 +1,5 @@
 """Records of measured signals: reading, resampling, excitation."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submodules=["excitation"])

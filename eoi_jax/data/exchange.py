@@ -3,6 +3,7 @@
 None of the packages is imported to read its objects: what they are is told by what they have.
 """
 
+import difflib
 from collections.abc import Sequence
 from typing import Any
 
@@ -242,8 +243,6 @@ def _names(given: Columns) -> list[str]:
 
 
 def _check_known(field: str, key: str, known: list[str]) -> None:
-    import difflib
-
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
     hint = f"Did you mean `{close[0]}`?" if close else ""
     listed = ", ".join(known[:30]) or "none"

@@ -4,6 +4,7 @@ A reader turns a file into columns by name, each (N,). Those of a matrix variabl
 ``name[0]`` … ``name[k-1]``.
 """
 
+import difflib
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -181,8 +182,6 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
         f"`{key}`",
         table.objects.get(owner or "", ""),
     )
-    import difflib
-
     close = difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
     hint = f" Did you mean `{close[0]}`?" if close else ""
     check(

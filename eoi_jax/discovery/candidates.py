@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.discovery.cosine_modes import Stretch, each_of, integrated, internal_along, model_rows
 from eoi_jax.discovery.thinning import averaged, thinned
 from eoi_jax.models.augmented import Placed, augmented

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import runs
 from eoi_jax.discovery.thinning import averaged, averaging, thinned, thinning

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import default_substeps, velocity_noise
 from eoi_jax.estimation.identify import Identification

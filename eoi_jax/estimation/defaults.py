@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.ingest import SHORTEST
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass

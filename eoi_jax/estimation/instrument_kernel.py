@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
 from eoi_jax._types import Output, Scalar, Theta
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.kernel import Carry, Kernel, Step, Steps, step_rows
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver

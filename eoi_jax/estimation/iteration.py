@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.regression.bounded import bounded, outside
 from eoi_jax.estimation.regression.index import index as index_of

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._compilation import jit
 from eoi_jax._types import Output, Regressor, Scalar, Theta
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver, Observation
 from eoi_jax.models.plant import Plant, State

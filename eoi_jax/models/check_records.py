@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from eoi_jax._checks import check, check_kind
-from eoi_jax._jax_setup import check_process
+from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
 
 # Arrays of the host go into kernels as they are: to hand each over first takes a kernel of its own.

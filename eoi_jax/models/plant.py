@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
-from eoi_jax._compilation import jit
-from eoi_jax._jax_private import inputs_read
 from eoi_jax._types import Input, Output, Regressor, Scalar
+from eoi_jax.compiler.jax_private import inputs_read
+from eoi_jax.compiler.programs import jit
 
 # Velocity at which f is just above or just below rest: in whatever unit so small that only a jump
 # shows between the two, and that its square is still a number in single precision.

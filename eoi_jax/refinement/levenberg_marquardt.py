@@ -17,8 +17,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from eoi_jax._compilation import jit
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.programs import jit
 from eoi_jax.refinement.problem import (
     PROMISE,
     Outcome,
@@ -29,7 +29,7 @@ from eoi_jax.refinement.problem import (
     errors,
     signals,
 )
-from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import Host, added_up
 
 _DAMPING = 1e-2  # of the first step, relative to the squared length of each column
@@ -244,7 +244,7 @@ def _sums(shown: np.ndarray, problem: Problem) -> Float[np.ndarray, "runs size s
 def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
-        problem = replace(problem, engine=free_runs.used(problem.kernel, len(unknowns.theta)))
+        problem = replace(problem, engine=compiled_runs.used(problem.kernel, len(unknowns.theta)))
     return _solve_many(problem, unknowns, np.asarray(max_steps))
 
 

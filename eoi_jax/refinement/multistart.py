@@ -17,6 +17,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.estimation.preparation import starting_points
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.levenberg_marquardt import solve_many
 from eoi_jax.refinement.problem import Problem, Unknowns, signals
 
 _REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
@@ -216,8 +217,6 @@ def _tournament(
         stages: steps of the solver, after each of which all but one of `_SHARE` are dropped.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
-    from eoi_jax.refinement.levenberg_marquardt import solve_many
-
     starts = np.broadcast_to(np.asarray(own), (len(theta), *own.shape))
     several, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
     for stage, steps in enumerate(stages):

@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from eoi_jax._compilation import jit
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.callback import on_host
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulation.simulate import behind, drive
@@ -172,7 +172,7 @@ def _samples(
 ) -> tuple[Float[np.ndarray, "runs time ny"], Bool[np.ndarray, "runs time ny"]]:
     """Outputs, zero where not scored, and which samples are scored."""
     rows = tables[:, ::substeps]
-    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    _, _, y, use = compiled_runs.columns(len(plant.inputs), len(plant.outputs))
     return rows[..., y], rows[..., use] > 0
 
 
@@ -207,7 +207,7 @@ def problem_of(
         upper=np.asarray(plant.upper)[free],
         known=None,
         substeps=substeps,
-        engine=free_runs.used(kernel),
+        engine=compiled_runs.used(kernel),
     )
 
 
@@ -241,7 +241,7 @@ def beginning(problem: Problem, share: float) -> Problem:
     plant, n = problem.kernel.plant, problem.substeps
     counts = n * np.maximum(np.round(share * (problem.counts - 1) / n), 1).astype(int) + 1
     tables = np.array(problem.tables)
-    _, _, y, use = free_runs.columns(len(plant.inputs), len(plant.outputs))
+    _, _, y, use = compiled_runs.columns(len(plant.inputs), len(plant.outputs))
     for table, count in zip(tables, counts, strict=True):
         table[count:, y] = table[count:, use] = 0.0
     squares = np.sum(_samples(plant, tables, n)[0] ** 2, axis=1)
@@ -259,7 +259,7 @@ def _tables(
     """Rows of every run; a last row scores its last sample."""
     n, longest = drives[0].substeps, max(span.count for span in spans)
     nu, ny = records[0].inputs.shape[1], records[0].outputs.shape[1]
-    time, inputs, y, use = free_runs.columns(nu, ny)
+    time, inputs, y, use = compiled_runs.columns(nu, ny)
     # Written in place: the tables are the largest arrays of a fit.
     tables = np.zeros((len(spans), n * longest + 1, use.stop))
     for table, span in zip(tables, spans, strict=True):
@@ -308,7 +308,7 @@ def _heads(problem: Problem, count: int) -> Drive:
     plant, rows = problem.kernel.plant, slice(problem.substeps * count)
     head = np.asarray(problem.tables)[:, rows]
     nu, ny = len(plant.inputs), len(plant.outputs)
-    time, inputs, _, _ = free_runs.columns(nu, ny)
+    time, inputs, _, _ = compiled_runs.columns(nu, ny)
     inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
     if problem.places is not None:
         theta = jnp.asarray(problem.theta)
@@ -354,7 +354,7 @@ def _summed(lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int) -> np.n
     else:
         kernel, runs = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
     tables, steps, counts = runs
-    out = free_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
+    out = compiled_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
     return out[0] if one else out
 
 
@@ -386,7 +386,7 @@ def _scanned(
     kernel = replace(problem.kernel, store=store)
     plant, tables = kernel.plant, problem.tables
     ny, nu = len(plant.outputs), len(plant.inputs)
-    time, inputs, y, use = (tables[..., one] for one in free_runs.columns(nu, ny))
+    time, inputs, y, use = (tables[..., one] for one in compiled_runs.columns(nu, ny))
     inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
     if problem.places is not None:
         inputs, slope = _acted(problem, theta)
@@ -423,7 +423,7 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
     lane = _lanes(*(np.asarray(one)[None] for one in lanes))
     tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
-    return free_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
+    return compiled_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
 
 
 @jit

@@ -19,8 +19,8 @@ from jaxtyping import Bool, Float
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
-from eoi_jax._compilation import jit
 from eoi_jax._status import Status
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
@@ -28,6 +28,7 @@ from eoi_jax.estimation.regression.long_run import long_run
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.refinement.levenberg_marquardt import solve
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     PROMISE,
@@ -212,8 +213,6 @@ def _fitted(
     minimisation of the likelihood over the unknowns and σ, which never goes up.
     """
     # Imported here: optimistix is heavy, and only a fit needs it.
-    from eoi_jax.refinement.levenberg_marquardt import solve
-
     steps = 0
     for _ in range(1 + _ROUNDS):
         outcome, shown = solve(problem, unknowns, shown, effort.max_steps, effort.watch)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.long_run import correlation_time
 from eoi_jax.estimation.regression.orthonormal import orthonormal

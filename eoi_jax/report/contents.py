@@ -12,8 +12,7 @@ from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
-from eoi_jax.report import discovery as discoveries
-from eoi_jax.report import discovery_figures, estimate_figures, figures
+from eoi_jax.report import discovery, discovery_figures, estimate_figures, figures
 from eoi_jax.report.health import Check, health
 from eoi_jax.report.tables import parameter_rows, quantity, refined_rows, validation_rows
 from eoi_jax.simulation.validate import Validation
@@ -83,14 +82,14 @@ def discovery_contents(result: Discovery, beside: Mapping[str, Any]) -> Contents
     """
     tables = []
     if result.added:
-        rows = discoveries.change_rows(result)
+        rows = discovery.change_rows(result)
         tables.append(_table("Parameters before and after", rows, (1, 2, 3, 4, 5)))
     else:
         tables.append(_table("Parameters", parameter_rows(result.declared), (1, 2, 3, 4)))
-    rows = discoveries.error_rows(result)
+    rows = discovery.error_rows(result)
     title = "Errors before and after" if result.added else "Errors"
     tables.append(_table(title, rows, (1, 2, 3) if result.added else (1,)))
-    others = discoveries.candidate_rows(result)
+    others = discovery.candidate_rows(result)
     beneath: tuple[Table, ...] = ()
     if others:
         text = "" if not result.ambiguous_with else (
@@ -105,7 +104,7 @@ def discovery_contents(result: Discovery, beside: Mapping[str, Any]) -> Contents
         (*_discovery_shown(result), *_maps(diagnosis)),
         beneath,
         health(diagnosis, searched=True),
-        tuple(filter(None, [discoveries.lead(result), *result.notes])),
+        tuple(filter(None, [discovery.lead(result), *result.notes])),
         added=bool(result.added),
     )
 
@@ -208,7 +207,7 @@ def _table(
 
 def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
     tiles = []
-    before, after, short = discoveries.told_runs(result)
+    before, after, short = discovery.told_runs(result)
     if before is not None and after is not None:
         where = ("same data" if result.in_sample else "held-out data") + ", windows" * short
         for j, name in enumerate(before.outputs[:_MOST]):

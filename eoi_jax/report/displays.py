@@ -13,7 +13,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.stored_classes import stored_form
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report import diagnosis as diagnoses
+from eoi_jax.report import diagnosis
 from eoi_jax.report.comparison import comparison_figure, comparison_text
 from eoi_jax.report.discovery import discovery_text, texts
 from eoi_jax.report.discovery_figures import discovery_figure
@@ -36,7 +36,7 @@ TABLES: dict[type, Callable] = {
     Inspection: inspection_text,
     Identification: identification_text,
     Validation: validation_text,
-    Diagnosis: diagnoses.diagnosis_text,
+    Diagnosis: diagnosis.diagnosis_text,
     Refinement: refinement_table,
     Remaining: remaining_text,
     Uncertainty: uncertainty_text,
@@ -49,7 +49,7 @@ FIGURES: dict[type, Callable] = {
     Inspection: inspection_figure,
     Identification: identification_figure,
     Validation: validation_figure,
-    Diagnosis: diagnoses.diagnosis_figure,
+    Diagnosis: diagnosis.diagnosis_figure,
     Refinement: refinement_figure,
     Remaining: remaining_figure,
     Uncertainty: uncertainty_figure,
@@ -61,7 +61,7 @@ for kind, function in TABLES.items():
     text.register(kind, function)
 for kind, function in FIGURES.items():
     figure.register(kind, function)
-findings.register(Diagnosis, diagnoses.findings)
+findings.register(Diagnosis, diagnosis.findings)
 
 
 @stored_form.register

@@ -35,8 +35,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from eoi_jax._checks import check
-from eoi_jax._compilation import jit
 from eoi_jax._types import Flags, Input, Output, Scalar, Theta
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import REST, Plant, State, velocity_of, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
 

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import advanced, frictional
 from eoi_jax.simulation.known_direction import OwnInputs

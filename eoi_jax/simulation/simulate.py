@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape
-from eoi_jax._compilation import jit
-from eoi_jax._jax_setup import check_process
 from eoi_jax._types import Scalar, Theta
+from eoi_jax.compiler.jax_setup import check_process
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.ingest import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import HOLDS, inputs_within_steps

@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
-from eoi_jax._compilation import jit
 from eoi_jax._display import Result
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import joined, late_starts, plan
 from eoi_jax.models.check_records import check_records

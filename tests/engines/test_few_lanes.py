@@ -9,15 +9,14 @@ from eoi_jax import plants
 from eoi_jax.compiler import one_vector
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.runtime import few_lanes
-from eoi_jax.estimation.engines import Lanes
-from eoi_jax.estimation.engines import single as alone
+from eoi_jax.estimation.engines import Lanes, single
 from eoi_jax.estimation.engines.native import pass_of
 from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import SecondOrder
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.problem import kernel_of
-from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import RunLane, RunRow
 
 PERIOD, COUNT = 5e-3, 700
@@ -44,7 +43,7 @@ def run_of(plant, start):
 def shown(plant, lane, table):
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
     ends = np.array([PERIOD]), np.array([len(table)])
-    return free_runs.shown(kernel_of(plant, "signals"), one, table[None], *ends, 1)[0]
+    return compiled_runs.shown(kernel_of(plant, "signals"), one, table[None], *ends, 1)[0]
 
 
 WIDE = Plant(waves, dict.fromkeys(TERMS, 0.5), 1, ("u",), ("y",))
@@ -62,7 +61,7 @@ def test_a_record_may_go_through_in_pieces(monkeypatch, rows):
     plant = plants.pendulum()  # it sticks and leaves
     lane, table, _ = run_of(plant, [0.1, 0.0])
     whole = shown(plant, lane, table)
-    monkeypatch.setattr(free_runs, "_CHUNK", rows)
+    monkeypatch.setattr(compiled_runs, "_CHUNK", rows)
     np.testing.assert_array_equal(shown(plant, lane, table), whole)
 
 
@@ -86,8 +85,8 @@ def test_flags_are_refused():
 def test_branches_that_lanes_take_each_for_itself_are_refused():
     """Dry friction stops lanes of other parameters at other times."""
     kernel = kernel_of(plants.pendulum(), "sums")
-    dtype, (lane, row) = np.dtype(float), free_runs._shapes(4, 2, 1, 1)
-    what = free_runs._FreeRun(free_runs.shapes_of(kernel, dtype), lane, row, dtype)
+    dtype, (lane, row) = np.dtype(float), compiled_runs._shapes(4, 2, 1, 1)
+    what = compiled_runs._FreeRun(compiled_runs.shapes_of(kernel, dtype), lane, row, dtype)
     with pytest.raises(Untranslatable, match="branches"):
         few_lanes(what, 6, 4)
 
@@ -97,7 +96,7 @@ def test_a_parameter_that_is_no_number_leaves_none(store):
     plant, observer = plants.mass_spring_damper(), SecondOrder(20.0, 100.0, 500.0)
     steps, one = steps_of(np.sin(TIME)[:, None]), LowPass(40.0).discretise(PERIOD)
     several, filters = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (steps, one))
-    run = alone.alone(plant, observer, filters, several)
+    run = single.alone(plant, observer, filters, several)
     theta = np.asarray(plant.theta)
     good, _ = run(theta, store)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(good))

@@ -13,7 +13,7 @@ from eoi_jax import plants
 from eoi_jax.compiler.subnormals import ARCHITECTURES
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.problem import kernel_of
-from eoi_jax.simulation import compiled_runs as free_runs
+from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.integrator import frictional, trajectory
 from eoi_jax.simulation.sensitivity import RunLane, RunRow
 from eoi_jax.simulation.simulate import drive
@@ -98,14 +98,14 @@ def of_lane(lanes, i):
 def summed(plant, table, lanes):
     several = jax.tree.map(lambda leaf: leaf[:, None], lanes)
     kernel = kernel_of(plant, "sums")
-    return free_runs.summed(
+    return compiled_runs.summed(
         kernel, several, table[None], np.array([PERIOD]), np.array([len(table)])
     )
 
 
 def shown(plant, table, lane):
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
-    return free_runs.shown(
+    return compiled_runs.shown(
         kernel_of(plant, "signals"), one, table[None], np.array([PERIOD]), np.array([len(table)]), 1
     )[0]
 
@@ -170,10 +170,10 @@ def test_nothing_beyond_the_last_row_is_read(rows):
     plant, _, table, lanes = case_of("tanks, an internal state", lanes=20)
     several = jax.tree.map(lambda leaf: leaf[:, None], lanes)
     kernel, step = kernel_of(plant, "sums"), np.array([PERIOD])
-    short = free_runs.summed(kernel, several, table[None, :rows], step, np.array([rows]))
+    short = compiled_runs.summed(kernel, several, table[None, :rows], step, np.array([rows]))
     spoilt = np.concatenate([table[:rows], np.full_like(table[:9], 7.0)])
     for _ in range(20):  # memory that was freed is not always clean
-        found = free_runs.summed(kernel, several, spoilt[None], step, np.array([rows]))
+        found = compiled_runs.summed(kernel, several, spoilt[None], step, np.array([rows]))
         np.testing.assert_array_equal(found, short)
         _ = np.full((rows + 1, 64), 7.0)
 
@@ -193,8 +193,8 @@ def test_what_cannot_be_compiled_is_named():
         return -p.a * x.y[0] + turns
 
     kernel = kernel_of(Plant(looping, {"a": 1.0}, 1), "sums")
-    assert "while" in (free_runs.supports(kernel) or "")
-    assert free_runs.supports(kernel_of(plants.pendulum(), "sums")) is None
+    assert "while" in (compiled_runs.supports(kernel) or "")
+    assert compiled_runs.supports(kernel_of(plants.pendulum(), "sums")) is None
 
 
 def test_the_start_is_the_plants_own_where_it_declares_one():

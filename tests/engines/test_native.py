@@ -9,9 +9,7 @@ import pytest
 from problems import LEVEL, SWAY, grid
 
 from eoi_jax import plants
-from eoi_jax.compiler import jit as compiled_code
-from eoi_jax.compiler import llvm as llvm_text
-from eoi_jax.compiler import loop as lane_program
+from eoi_jax.compiler import jit, llvm, loop
 from eoi_jax.compiler.graph import Untranslatable, ordered
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.engines import Lanes, Native, Scan, native
@@ -185,12 +183,12 @@ def test_a_diverged_lane_shows_that_it_is(swinging):
 def program_of(plant, observer, steps, store="nothing"):
     lanes = lanes_of(plant, observer, 1)
     what, _ = native.pass_of(plant, lanes, LOWPASS, steps, store)
-    return lane_program.lane_program(what)
+    return loop.lane_program(what)
 
 
 def each_lane_and_step(program):
     nodes = ordered([update.node for update in program.plain])
-    return [node.op for node in nodes if program.level(node) == lane_program.BOTH and node.args]
+    return [node.op for node in nodes if program.level(node) == loop.BOTH and node.args]
 
 
 def test_what_the_record_decides_is_computed_once_for_all_lanes(swinging):
@@ -229,8 +227,8 @@ def test_one_compilation_for_all_lanes_and_lengths(monkeypatch):
     def dynamics(t, x, u, p):
         return -p.k * jnp.tanh(x.y[0]) - p.d * x.y[1] + u
 
-    compiled, original = [], compiled_code._translate
-    monkeypatch.setattr(compiled_code, "_translate", lambda *a: compiled.append(1) or original(*a))
+    compiled, original = [], jit._translate
+    monkeypatch.setattr(jit, "_translate", lambda *a: compiled.append(1) or original(*a))
     plant = Plant(dynamics, {"k": 5.0, "d": 0.4}, 2)
     for count, samples in ((3, 200), (40, 200), (3, 321)):
         steps = steps_of(plant, RELAY, samples)
@@ -244,13 +242,13 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
     lanes = lanes_of(PENDULUM, RELAY, 3)
     before = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    compiled_code.translated.cache_clear()
-    compiled_code.engine_of.cache_clear()
+    jit.translated.cache_clear()
+    jit.engine_of.cache_clear()
     Native().run(PENDULUM, lanes, LOWPASS, swinging)
     assert len(list((tmp_path / "native").iterdir())) == 1
-    compiled_code.translated.cache_clear()
-    compiled_code.engine_of.cache_clear()
-    monkeypatch.setattr(compiled_code, "_translate", lambda *a: pytest.fail("compiled again"))
+    jit.translated.cache_clear()
+    jit.engine_of.cache_clear()
+    monkeypatch.setattr(jit, "_translate", lambda *a: pytest.fail("compiled again"))
     again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     close(again, before, rtol=0)
 
@@ -258,8 +256,8 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
 def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, swinging):
     (tmp_path / "native").write_text("a file where the folder should be")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    compiled_code.translated.cache_clear()
-    compiled_code.engine_of.cache_clear()
+    jit.translated.cache_clear()
+    jit.engine_of.cache_clear()
     with pytest.warns(RuntimeWarning, match="cannot be made"):
         Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
 
@@ -294,8 +292,8 @@ def test_what_is_not_supported_has_a_name(name):
 
 
 def test_a_function_that_the_machine_lacks_has_a_name(monkeypatch):
-    missing = {**llvm_text.LIBRARY, "tanh": "no_such_tanh"}
-    monkeypatch.setattr(llvm_text, "LIBRARY", missing)
+    missing = {**llvm.LIBRARY, "tanh": "no_such_tanh"}
+    monkeypatch.setattr(llvm, "LIBRARY", missing)
     plant = Plant(lambda t, x, u, p: u - p.k * jnp.tanh(x.y[0] / 3.0), {"k": 1.0}, 1)
     steps, observer = steps_of(plants.level_tank(), FirstOrder(200.0)), FirstOrder(200.0)
     reason = Native().supports(plant, lanes_of(plant, observer, 2), LOWPASS, steps)

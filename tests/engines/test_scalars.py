@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax._compilation import jit
 from eoi_jax.compiler.graph import Graph, Untranslatable, evaluated, ordered
+from eoi_jax.compiler.programs import jit
 from eoi_jax.compiler.trace import translated
 
 DRAW = np.random.default_rng(3)

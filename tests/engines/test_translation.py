@@ -8,9 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax._status import NATIVE, EngineUsed
-from eoi_jax.compiler import jit as compiled
-from eoi_jax.compiler import runtime as few_lanes
-from eoi_jax.compiler import trace as jaxprs
+from eoi_jax.compiler import jit, runtime, trace
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.translation import kept_translation
 
@@ -36,7 +34,7 @@ def case():
 @pytest.fixture
 def nothing_kept():
     """What other tests have translated is forgotten, and what this one fails to is not kept."""
-    caches = compiled.translated, compiled.program_of, few_lanes.few_lanes
+    caches = jit.translated, jit.program_of, runtime.few_lanes
     for one in caches:
         one.cache_clear()
     yield
@@ -53,9 +51,9 @@ def unwilling(*_):
 
 
 FAULTS = {
-    "a parameter of an equation is renamed": (jaxprs, "_equation", renamed),
-    "LLVM fails": (compiled, "_translate", unwilling),
-    "LLVM fails, few lanes": (few_lanes, "engine_of", unwilling),
+    "a parameter of an equation is renamed": (trace, "_equation", renamed),
+    "LLVM fails": (jit, "_translate", unwilling),
+    "LLVM fails, few lanes": (runtime, "engine_of", unwilling),
 }
 
 
@@ -66,9 +64,9 @@ def test_any_failure_of_the_translation_falls_back_to_the_scan(
     plant, record = case
     wanted = eoi.identify(plant, record), eoi.refine(plant, record)
     assert {one.engine for one in wanted} == {NATIVE}
-    for one in (compiled.translated, compiled.program_of, few_lanes.few_lanes):
+    for one in (jit.translated, jit.program_of, runtime.few_lanes):
         one.cache_clear()
-    compiled.engine_of.cache_clear()
+    jit.engine_of.cache_clear()
     monkeypatch.setattr(*FAULTS[fault])
     found = eoi.identify(plant, record), eoi.refine(plant, record)
     for one, other in zip(found, wanted, strict=True):
@@ -89,9 +87,9 @@ def test_a_sweep_says_which_engine_ran(case, nothing_kept, monkeypatch):
     )
     fast = eoi.sweep(plant, record, observers, eoi.LowPass(20.0))
     assert (fast.attrs["engine"], fast.attrs["engine_reason"]) == ("native", "")
-    for one in (compiled.translated, compiled.program_of):
+    for one in (jit.translated, jit.program_of):
         one.cache_clear()
-    monkeypatch.setattr(jaxprs, "_equation", renamed)
+    monkeypatch.setattr(trace, "_equation", renamed)
     slow = eoi.sweep(plant, record, observers, eoi.LowPass(20.0))
     assert slow.attrs["engine"] == "scan"
     assert "KeyError" in slow.attrs["engine_reason"]

@@ -12,9 +12,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax._compilation import jit
 from eoi_jax._schema import struct
 from eoi_jax.cli import build, config
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.display import equation_latex, equation_text

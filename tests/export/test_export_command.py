@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
-from eoi_command.commands import app
-from eoi_jax import _jax_setup as backend
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
 
 CONFIG = """
 name = "rig"
@@ -45,7 +45,7 @@ def rig():
 @pytest.fixture(autouse=True)
 def configured(monkeypatch: pytest.MonkeyPatch):
     """JAX runs already in this process, set up by conftest."""
-    monkeypatch.setattr(backend, "configure", lambda: None)
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
 
 
 def called(*arguments):
@@ -68,7 +68,7 @@ def run(request, tmp_path_factory, monkeypatch_module):
 @pytest.fixture(scope="module")
 def monkeypatch_module():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(backend, "configure", lambda: None)
+        patch.setattr(jax_setup, "configure", lambda: None)
         yield
 
 

@@ -23,7 +23,7 @@ from problems import (
 from scipy.interpolate import BSpline
 
 from eoi_jax import observers
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.observers import (
     AbstractObserver,
     FirstOrder,

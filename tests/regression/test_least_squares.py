@@ -4,8 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.estimation.regression import index, least_squares, recursive_least_squares, untraced
-from eoi_jax.estimation.regression import recursive as rls
+from eoi_jax.estimation.regression import (
+    index,
+    least_squares,
+    recursive,
+    recursive_least_squares,
+    untraced,
+)
 
 NAMES = ("a", "b", "c", "d")
 TRUE = np.array([1.5, -0.7, 20.0, 0.3])
@@ -65,10 +70,10 @@ def test_recursive_equals_batch_after_every_sample():
 
 def test_innovation_is_what_the_last_estimate_does_not_predict():
     Phi = regressors(5)
-    state = rls.init(4)
+    state = recursive.init(4)
     for row in Phi:
         old = state
-        state, innovation = rls.step(state, jnp.asarray(row), jnp.asarray(row @ TRUE))
+        state, innovation = recursive.step(state, jnp.asarray(row), jnp.asarray(row @ TRUE))
         np.testing.assert_allclose(innovation, row @ (TRUE - old.increment), rtol=1e-9, atol=1e-9)
 
 
@@ -152,4 +157,4 @@ def test_index_without_samples_is_nan():
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
 def test_starting_covariance_must_be_positive(wrong):
     with pytest.raises(ValueError, match="`covariance` must be positive and finite"):
-        rls.init(3, wrong)
+        recursive.init(3, wrong)

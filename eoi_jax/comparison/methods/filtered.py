@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.resample import low_pass
 from eoi_jax.estimation.defaults import check_runs_of_samples, default_lowpass, velocity_noise

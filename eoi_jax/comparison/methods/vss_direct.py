@@ -32,7 +32,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
 from eoi_jax._status import Status
 from eoi_jax._types import Flags, Output, Scalar
 from eoi_jax.comparison.methods.comparator import (
@@ -42,6 +41,7 @@ from eoi_jax.comparison.methods.comparator import (
     not_applicable,
 )
 from eoi_jax.comparison.methods.filtered import Equation, along, equation
+from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import least_squares, untraced
 from eoi_jax.models.library.mass_spring_damper import mass_spring_damper_dynamics

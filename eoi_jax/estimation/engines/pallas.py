@@ -24,9 +24,9 @@ from jax import lax
 from jax.experimental import pallas as pl
 
 from eoi_jax._checks import check
-from eoi_jax._compilation import jit
 from eoi_jax.compiler.graph import Node, ordered
 from eoi_jax.compiler.loop import BLOCK, CARRY, LaneProgram, lane_program, shapes_of
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.estimation.engines.pass_loop import Pass
 from eoi_jax.estimation.kernel import Step, Steps, Sums

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.lowpass import DiscreteFilter

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check_choice, check_positive
-from eoi_jax._jax_private import Tracer
 from eoi_jax._types import Output, Rates, Scalar
+from eoi_jax.compiler.jax_private import Tracer
 
 SCHEMES = ("implicit", "explicit")
 

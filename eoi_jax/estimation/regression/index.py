@@ -9,7 +9,7 @@ to be. Only samples that are scored count: after the transient, not in a gap, no
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from eoi_jax._compilation import jit
+from eoi_jax.compiler.programs import jit
 
 
 @jit(static=())

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._compilation import jit
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.programs import jit
 
 # An eigenvalue of the scaled information matrix below this many rounding errors is no information.
 _ROUNDING = 100.0

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import check, check_choice, check_count, check_kind
-from eoi_jax._jax_private import jaxprs_within
+from eoi_jax.compiler.jax_private import jaxprs_within
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass

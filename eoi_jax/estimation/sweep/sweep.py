@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from eoi_jax._checks import check, is_whole
-from eoi_jax._jax_setup import configure
+from eoi_jax.compiler.jax_setup import configure
 from eoi_jax.estimation.engines import AbstractEngine, Automatic
 from eoi_jax.estimation.sweep.chunk import Arrays, engines_used, precision_error, run_chunk
 from eoi_jax.estimation.sweep.plan import Part, Plan, Settings, plan

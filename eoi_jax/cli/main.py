@@ -1,14 +1,14 @@
-"""The command ``eoi``: what may be asked, and how the answer is shown.
+"""The entry point of the command ``eoi``.
 
-A package of its own, for importing any part of `eoi_jax` imports JAX, and neither help nor a shell
-that completes a word should wait for that. What a command does is in `eoi_jax.cli.commands`.
+Its commands are imported once the signals that end a process are handled.
 """
 
 import contextlib
 import os
 import sys
 
-from eoi_command.signals import handled, ignore, interrupt
+from eoi_jax import cli
+from eoi_jax.cli.signals import handled, ignore, interrupt
 
 _WRONG, _INTERRUPTED = 2, 130
 
@@ -18,9 +18,7 @@ def main() -> None:
     try:
         try:
             with handled(interrupt):
-                from eoi_command.commands import app
-
-                app(prog_name="eoi")
+                cli.commands.app(prog_name="eoi")
         finally:
             ignore()  # what is left is to end, with the status that is due
     except KeyboardInterrupt:  # before a command has begun

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from eoi_command.signals import handled, ignore
+from eoi_jax.cli.signals import handled, ignore
 
 NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import jax
 
 from eoi_jax._checks import check, check_count
-from eoi_jax._compilation import limit
-from eoi_jax._jax_private import backend_runs
+from eoi_jax.compiler.jax_private import backend_runs
+from eoi_jax.compiler.programs import limit
 
 # XLA's CPU backend runs a `lax.scan` as one compiled function only below a size limit; above it,
 # every step pays a few microseconds of dispatch. Raising the limit makes a free run with

@@ -25,7 +25,7 @@ import jax
 import numpy as np
 
 from eoi_jax._checks import check_count
-from eoi_jax._jax_private import Literal, Tracer, forget_lowered, tracing
+from eoi_jax.compiler.jax_private import Literal, Tracer, forget_lowered, tracing
 
 PROGRAMS = 128  # a discovery needs up to a hundred; of two to five megabytes, ten to forty mappings
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end

@@ -1,0 +1,12 @@
+from . import actions as actions
+from . import build as build
+from . import commands as commands
+from . import config as config
+from . import html_report as html_report
+from . import options as options
+from . import run_folder as run_folder
+from . import run_model as run_model
+from . import signals as signals
+from . import summary as summary
+from . import template as template
+from . import terminal as terminal
