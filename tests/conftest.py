@@ -27,8 +27,8 @@ _SCALAR = {"graph", "trace", "loop", "llvm", "instructions", "one_vector"}
 _MODULES = [
     ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
     for path in (_REPOSITORY / "eoi_jax").rglob("*.py")
-    # `stored_classes` checks shapes itself, across calls; the hook would give each call a context of
-    # its own. Typer calls a command with values that are not of the annotated types.
+    # `stored_classes` checks shapes itself, across calls; the hook would give each call a context
+    # of its own. Typer calls a command with values that are not of the annotated types.
     if path.stem not in {"__init__", "stored_classes", "commands", *_SCALAR}
 ]
 

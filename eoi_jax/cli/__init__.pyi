@@ -10,3 +10,4 @@ from . import signals as signals
 from . import summary as summary
 from . import template as template
 from . import terminal as terminal
+from . import version as version

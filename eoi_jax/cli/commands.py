@@ -7,7 +7,6 @@ and a shell that completes a word do not wait for JAX.
 import sys
 import webbrowser
 from collections.abc import Callable
-from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,7 +39,7 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"eoi_jax {version_of('eoi_jax')}")
+        typer.echo(f"eoi_jax {cli.version.installed()}")
         raise typer.Exit
 
 
