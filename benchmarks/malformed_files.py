@@ -86,7 +86,7 @@ def use(case: Case, path: Path) -> None:
 def read(case: Case, path: Path) -> None:
     """Inspect a table, read its first columns, and draft a config for it."""
     from eoi_jax.cli.template import draft
-    from eoi_jax.data.readers import read_table
+    from eoi_jax.data.readers.read_record import read_table
 
     table = read_table(path, case.max_gigabytes)
     names = list(table.columns)

@@ -1,5 +1,6 @@
 """A discovery put together by hand: real fits and free runs, a ranking that is written down."""
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -91,3 +92,17 @@ def discovery() -> Discovery:
         in_sample=False,
         held_out=(HELD_OUT,),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Jerk(effects.AbstractTerm):
+    """An effect of the user's own."""
+
+    name = "jerk"
+    sentence = "a jerk"
+    gains = (effects.Parameter("", "{f}"),)
+    form = ("+ {0}", "+ {0}")
+    power: int = 3
+
+    def term(self, at, gain, shape):
+        return gain[0] * at.t**self.power

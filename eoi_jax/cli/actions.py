@@ -20,7 +20,7 @@ from eoi_jax.cli.run_model import export_run
 from eoi_jax.cli.template import checked, draft
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.inspection import inspect as look
-from eoi_jax.data.limits import MAX_GIGABYTES
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification

@@ -27,7 +27,7 @@ from eoi_jax.cli.config import (
     SweepTable,
 )
 from eoi_jax.data import excitation
-from eoi_jax.data.readers import read_record
+from eoi_jax.data.readers.read_record import read_record
 from eoi_jax.data.record import Record
 from eoi_jax.estimation import observers
 from eoi_jax.estimation.lowpass import LowPass

@@ -91,4 +91,4 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Print only where the resul
 MaxGigabytes = Annotated[
     float, typer.Option(help="What a compressed file may unpack to; inf for no limit.")
 ]
-MAX_GIGABYTES = 4.0  # as in `eoi_jax.data.limits`, which would import JAX
+MAX_GIGABYTES = 4.0  # as in `eoi_jax.data.readers.limits`, which would import JAX

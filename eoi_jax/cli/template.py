@@ -15,7 +15,7 @@ from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.data.inspection import Channel, Inspection
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import low_pass
+from eoi_jax.data.resampling import low_pass
 
 _LOOKED = 1_000_000  # samples that the first guess of the parameters is made from
 _HELD_OUT = 0.3  # of the samples, at the end

@@ -11,7 +11,7 @@ import numpy as np
 
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._types import TimeAxis
-from eoi_jax.data.resample import Real
+from eoi_jax.data.resampling import Real
 
 
 def square(

@@ -15,14 +15,14 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check
 from eoi_jax._display import Result, text
-from eoi_jax.data.clock import Clock, find_clock
-from eoi_jax.data.ingest import SHORTEST
-from eoi_jax.data.limits import MAX_GIGABYTES
-from eoi_jax.data.readers import read_table
+from eoi_jax.data.cleaning import SHORTEST
+from eoi_jax.data.clipping import saturations
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.data.readers.read_record import read_table
+from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import Real
-from eoi_jax.data.saturation import saturations
-from eoi_jax.data.table import Table
+from eoi_jax.data.resampling import Real
+from eoi_jax.data.time_axis import Clock, find_clock
 
 _LOOKED = 1_000_000  # samples whose noise, steps and spectrum are looked at
 _LINES = 1 << 17  # samples of a spectrum

@@ -9,9 +9,9 @@ from typing import Any, overload
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_positive
-from eoi_jax.data.ingest import choose_hold
+from eoi_jax.data.cleaning import choose_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import HOLDS
+from eoi_jax.data.resampling import HOLDS
 
 _SHORTEST = 1000
 _LOOKS = 64  # places whose values enter the hash, and tell the hold

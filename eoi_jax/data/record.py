@@ -17,7 +17,7 @@ from jaxtyping import Float
 from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
 from eoi_jax._display import Result
 from eoi_jax._types import Mask, TimeAxis
-from eoi_jax.data.ingest import (
+from eoi_jax.data.cleaning import (
     SHORTEST,
     Inputs,
     Names,
@@ -35,7 +35,7 @@ from eoi_jax.data.ingest import (
     read_stamps,
 )
 from eoi_jax.data.noise import white_noise
-from eoi_jax.data.resample import (
+from eoi_jax.data.resampling import (
     HOLDS,
     Real,
     covered,

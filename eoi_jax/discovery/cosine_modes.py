@@ -28,7 +28,7 @@ from jaxtyping import Array, Float, Int
 
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import runs
+from eoi_jax.data.resampling import runs
 from eoi_jax.discovery.thinning import averaged, averaging, thinned, thinning
 from eoi_jax.estimation.defaults import Spectrum, spectrum, velocity_noise
 from eoi_jax.estimation.preparation import moving, tapered

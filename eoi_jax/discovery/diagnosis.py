@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._display import Result
-from eoi_jax.data.saturation import Saturation
+from eoi_jax.data.clipping import Saturation
 
 PerOutput = Float[np.ndarray, " ny"]
 

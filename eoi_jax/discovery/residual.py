@@ -23,7 +23,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import prepare, step_inputs
-from eoi_jax.estimation.regression.coloured import ORDER
+from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
 

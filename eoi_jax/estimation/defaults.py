@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check
 from eoi_jax.compiler.programs import jit
-from eoi_jax.data.ingest import SHORTEST
+from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder

@@ -37,7 +37,7 @@ from eoi_jax.estimation.preparation import (
     ready,
 )
 from eoi_jax.estimation.regression.least_squares import standard_errors, untraced
-from eoi_jax.estimation.regression.long_run import long_run
+from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 

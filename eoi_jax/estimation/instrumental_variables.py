@@ -33,7 +33,7 @@ from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import Ready, prepare, step_inputs
 from eoi_jax.estimation.regression.instrumental import within_bounds
-from eoi_jax.estimation.regression.long_run import long_run
+from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import REACHES, frictional

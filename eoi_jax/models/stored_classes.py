@@ -26,8 +26,8 @@ _DEEPEST = 200  # objects and lists inside each other; results have fewer than f
 # stands, with its name where that is not the tag.
 CLASSES: Mapping[str, str] = {
     "Record": "data.record",
-    "Clock": "data.clock",
-    "Saturation": "data.saturation",
+    "Clock": "data.time_axis",
+    "Saturation": "data.clipping",
     "Inspection": "data.inspection",
     "Channel": "data.inspection",
     "Plant": "models.plant",

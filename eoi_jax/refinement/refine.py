@@ -24,8 +24,8 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
-from eoi_jax.estimation.regression.long_run import long_run
 from eoi_jax.estimation.regression.orthonormal import orthonormal
+from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.levenberg_marquardt import solve
@@ -120,7 +120,7 @@ def refine(
         Output-error method: L. Ljung, *System Identification*, 2nd ed., section 3.2; elimination of
         what enters one block only: Å. Björck, *Numerical Methods for Least Squares Problems*,
         section 6.3; loss: P. J. Huber, *Robust Statistics*, section 7.8; covariance:
-        `estimation/regression/long_run.py`.
+        `estimation/regression/robust_covariance.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     several = check_records(nominal, records)

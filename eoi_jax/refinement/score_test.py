@@ -23,8 +23,8 @@ from jaxtyping import Float
 
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.regression.long_run import correlation_time
 from eoi_jax.estimation.regression.orthonormal import orthonormal
+from eoi_jax.estimation.regression.robust_covariance import correlation_time
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects.effect import (
     AbstractActuator,

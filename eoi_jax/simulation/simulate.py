@@ -16,9 +16,9 @@ from eoi_jax._checks import check, check_choice, check_count, check_kind, check_
 from eoi_jax._types import Scalar, Theta
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.compiler.programs import jit
-from eoi_jax.data.ingest import SHORTEST, choose_hold
+from eoi_jax.data.cleaning import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import HOLDS, inputs_within_steps
+from eoi_jax.data.resampling import HOLDS, inputs_within_steps
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
 

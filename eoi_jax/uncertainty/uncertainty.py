@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import Result
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.regression.combinations import in_weights, told
+from eoi_jax.estimation.regression.identifiability import in_weights, told
 from eoi_jax.estimation.regression.least_squares import traceless
 from eoi_jax.models.plant import Plant, parameter_type
 from eoi_jax.refinement.result import Refinement

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from eoi_jax.data.resample import inputs_within_steps
+from eoi_jax.data.resampling import inputs_within_steps
 from eoi_jax.data.uniform_spline import within_steps
 
 FRACTIONS = np.linspace(0.0, 1.0, 9)

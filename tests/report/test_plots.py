@@ -10,7 +10,7 @@ from found import DECLARED, HELD_OUT, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.data.saturation import Saturation
+from eoi_jax.data.clipping import Saturation
 from eoi_jax.discovery.diagnosis import Confounded, Cross, Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.augmented import place

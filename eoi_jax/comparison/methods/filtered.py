@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
-from eoi_jax.data.resample import low_pass
+from eoi_jax.data.resampling import low_pass
 from eoi_jax.estimation.defaults import check_runs_of_samples, default_lowpass, velocity_noise
 from eoi_jax.estimation.preparation import TAPER, constant, moving, tapered
 from eoi_jax.models.jacobians import state_slopes

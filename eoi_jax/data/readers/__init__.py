@@ -1,0 +1,1 @@
+"""Files of several formats as columns: `read_record`."""

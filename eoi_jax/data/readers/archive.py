@@ -1,0 +1,46 @@
+"""Arrays of an ``.npz`` file: sizes are checked before anything is unpacked, nothing is run."""
+
+import math
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile, is_zipfile
+
+import numpy as np
+from numpy.lib import format as npy
+
+from eoi_jax.data.readers.limits import Allowance
+
+
+def read_arrays(path: Path, allowance: Allowance) -> dict[str, np.ndarray | None]:
+    """The arrays of an archive as `numpy.savez` writes it.
+
+    Args:
+        path: of the file.
+        allowance: bytes that it may unpack to.
+
+    Returns:
+        Arrays by name; None for one of Python objects, which could only be had by running them.
+
+    Raises:
+        ValueError: no archive of arrays, a damaged one, or more bytes than are allowed.
+    """
+    if not is_zipfile(path):
+        raise ValueError("it is no archive of arrays, as `numpy.savez` writes it")
+    allowance.take_archive(path)
+    with ZipFile(path) as archive:
+        members = [one for one in archive.infolist() if not one.is_dir()]
+        return {one.filename.removesuffix(".npy"): _array(archive, one) for one in members}
+
+
+def _array(archive: ZipFile, member: Any) -> np.ndarray | None:
+    with archive.open(member) as stream:
+        version = npy.read_magic(stream)
+        reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, dtype = reader(stream)
+    if dtype.hasobject:
+        return None
+    size = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or size > member.file_size:
+        raise ValueError(f"`{member.filename}` says that it is larger than it is")
+    with archive.open(member) as stream:
+        return npy.read_array(stream, allow_pickle=False)

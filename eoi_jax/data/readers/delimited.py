@@ -1,0 +1,374 @@
+"""Text tables: which separator, which decimal mark, where the data start, what the rows above say.
+
+Everything is decided from how the rows look: the separator is the one that makes the most cells
+numbers, the data start at the first row that looks like those further down, the row above it holds
+the names. A row of units and lines before the header are recognised by the same rule.
+"""
+
+import csv
+import gzip
+import io
+import re
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eoi_jax.data.readers.limits import Allowance
+from eoi_jax.data.readers.table import Columns, Table
+
+_HEAD = 200  # lines that are looked at
+_PIECE = 1 << 20  # bytes that are unpacked at a time, to count them
+_SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
+_EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
+_CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
+_DATE = re.compile(
+    rf"(\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/.]\d{{1,2}}[-/.]\d{{2,4}})"
+    rf"([T\s]+{_CLOCK})?\s*(Z|[+-]\d{{2}}:?\d{{2}})?$"
+)
+_TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
+# How the files begin that are no text, whatever their name says.
+_KINDS = (
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"%PDF", "a PDF document"),
+    (b"PK\x03\x04", "a zip archive, as of a spreadsheet (.xlsx)"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel file (.xls)"),
+    (b"\x1f\x8b", "compressed by gzip (.gz)"),
+    (b"\x89HDF", "an HDF5 file (.h5)"),
+    (b"PAR1", "a Parquet file (.parquet)"),
+    (b"MATLAB", "a MATLAB file (.mat)"),
+    (b"\x93NUMPY", "a NumPy array (.npy)"),
+    (b"SQLite", "an SQLite database"),
+)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a text table is written."""
+
+    separator: str
+    decimal: str
+    start: int  # line at which the data start
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read_text(path: Path, allowance: Allowance) -> Table:
+    """The columns of a text file, numbers as float64, dates as datetime64, the rest as text.
+
+    Args:
+        path: .csv, .tsv, .txt, .dat, also with .gz.
+        allowance: bytes that it may unpack to.
+
+    Raises:
+        ValueError: it is no text, holds no data, repeats a name, or unpacks to more than allowed.
+    """
+    if _is_compressed(path):
+        _check_size(path, allowance)
+    first = _beginning(path)
+    kind = next((name for mark, name in _KINDS if first.startswith(mark)), None)
+    if kind is not None:
+        raise ValueError(
+            f"it is {kind}, not text; give it the ending it should have, or export it as text"
+        )
+    encoding = _encoding(first)
+    with _opened(path, encoding) as stream:
+        return _read(path, list(islice(stream, _HEAD)), encoding)
+
+
+def line_of(path: Path, row: int) -> int:
+    """The line of a text file, from 1, that a row of its table stands on: blank lines hold none.
+
+    Args:
+        path: as of `read_text`.
+        row: from 0.
+    """
+    with _opened(path, _encoding(_beginning(path))) as stream:
+        head = list(islice(stream, _HEAD))
+        layout = _layout([line.rstrip("\r\n") for line in head])
+        blanks = " \r\n" if layout.separator == "\t" else None
+        numbered = islice(enumerate(chain(head, stream), 1), layout.start, None)
+        filled = (number for number, line in numbered if line.strip(blanks))
+        return next(islice(filled, row, None))
+
+
+def _beginning(path: Path) -> bytes:
+    with gzip.open(path, "rb") if _is_compressed(path) else path.open("rb") as stream:
+        return stream.read(4096)
+
+
+def _opened(path: Path, encoding: str) -> Any:
+    opener = gzip.open if _is_compressed(path) else open
+    return opener(path, "rt", encoding=encoding, errors="replace", newline=None)
+
+
+def _check_size(path: Path, allowance: Allowance) -> None:
+    with gzip.open(path, "rb") as stream:
+        while piece := stream.read(_PIECE):
+            allowance.take(len(piece))
+
+
+def _is_compressed(path: Path) -> bool:
+    return path.suffix.lower() == ".gz"
+
+
+def read_lines(text: str) -> Table:
+    """The same from text that is in memory already.
+
+    Args:
+        text: a whole table.
+    """
+    return _read(io.StringIO(text), list(islice(io.StringIO(text), _HEAD)), "utf-8")
+
+
+def _encoding(first: bytes) -> str:
+    if first.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\0" in first:
+        raise ValueError("it is not text")
+    for cut in range(4):  # the piece may end within a character
+        try:
+            first[: len(first) - cut].decode("utf-8")
+            return "utf-8-sig"
+        except UnicodeDecodeError:
+            continue
+    return "cp1252"  # degree signs and umlauts of Windows
+
+
+def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
+    import pandas as pd  # heavy; only files need it
+
+    layout = _layout([line.rstrip("\r\n") for line in lines])
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", pd.errors.DtypeWarning
+        )  # such a column is named if asked for
+        frame = pd.read_csv(
+            source,
+            header=None,
+            skiprows=layout.start,
+            sep=layout.separator or r"\s+",
+            skipinitialspace=True,
+            decimal=layout.decimal,
+            encoding=encoding,
+            encoding_errors="replace",
+            na_values=["-"],
+        )
+    names = list(layout.names)
+    while len(names) < frame.shape[1] > 1 and bool(frame.iloc[:, -1].isna().all()):
+        frame = frame.iloc[:, :-1]  # rows that end in a separator
+    fits = len(names) == frame.shape[1]
+    keys = names if fits else [str(i) for i in range(frame.shape[1])]
+    keys = [key or str(i) for i, key in enumerate(keys)]
+    repeated = [key for key, count in Counter(keys).items() if count > 1]
+    if repeated:
+        shown = ", ".join(repeated[:5])
+        raise ValueError(f"its header repeats a name: {shown}; give each column its own name")
+    units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
+    columns: Columns = {}
+    notes = list(layout.notes)
+    for i, key in enumerate(keys):
+        columns[key] = _column(key, frame[i], layout.decimal, notes)
+    return Table(columns, {**_named_units(keys), **units}, tuple(notes))
+
+
+def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray:
+    """Numbers as they are; text as dates if it is dates."""
+    if values.dtype.kind in "biuf":
+        return values.to_numpy()
+    texts = values.dropna()
+    first = str(texts.iloc[0]).strip() if len(texts) else ""
+    if _DATE.match(first):
+        return _dates(key, values, first, notes)
+    if _TIME_OF_DAY.match(first):
+        return _times_of_day(key, values, notes)
+    array = values.astype(object).where(values.notna(), None).to_numpy()
+    if decimal == ",":  # one odd cell keeps pandas from reading the others
+        array = np.asarray([_pointed(one) for one in array], dtype=object)
+    return array
+
+
+def _pointed(cell: Any) -> Any:
+    return cell.replace(",", ".") if isinstance(cell, str) and _COMMA.match(cell.strip()) else cell
+
+
+def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
+    """Instants as datetime64; a day before the month where points separate them, or it must be."""
+    import pandas as pd
+
+    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
+    year_first = bool(re.match(r"\d{4}", first))
+    tried = []
+    for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
+        for form in (None, "mixed"):  # one form for all is read much faster
+            try:
+                with warnings.catch_warnings():  # that the order may be the other one
+                    warnings.simplefilter("ignore", UserWarning)
+                    stamps = pd.to_datetime(texts, dayfirst=day_first, format=form, utc=True)
+            except (ValueError, TypeError):
+                continue
+            back = int((stamps.diff().dt.total_seconds() < 0).sum())
+            tried.append((back, stamps.max() - stamps.min(), day_first, stamps))
+            break
+    if tried:  # of the two, the one in which time runs on without leaps
+        _, _, day_first, stamps = min(tried, key=lambda one: one[:3])
+        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
+        notes.append(f"`{key}` holds dates, read in the order {order}.")
+        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    notes.append(f"`{key}` begins like a date, and holds something else further down.")
+    return values.astype(object).to_numpy()
+
+
+def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
+    """Times of day as timedelta64, going on over midnight."""
+    import pandas as pd
+
+    texts = values.astype("string").str.replace(",", ".").str.strip()
+    short = texts.str.count(":") == 1
+    try:
+        if texts.str.contains("m", case=False).any():
+            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
+            elapsed = (clock - pd.Timestamp("2000-01-01")).to_numpy()
+        else:
+            elapsed = pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
+    except (ValueError, TypeError):
+        notes.append(f"`{key}` begins like a time of day, and holds something else further down.")
+        return values.astype(object).to_numpy()
+    elapsed = elapsed.astype("timedelta64[ns]")
+    half, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
+    nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half)])
+    over = f", over {nights[-1]} midnight(s)" if nights[-1] else ""
+    notes.append(f"`{key}` holds times of day, read as elapsed time{over}.")
+    return elapsed + nights * day
+
+
+# -- how a table is written ---------------------------------------------------------------
+
+
+def _layout(lines: Sequence[str]) -> _Layout:
+    """Separator, decimal mark, first row of data, names and units from the first lines."""
+    shown = [(i, line) for i, line in enumerate(lines) if line.strip()]
+    remarks = [(i, line) for i, line in shown if line.lstrip()[0] in "%#"]
+    body = [(i, line) for i, line in shown if line.lstrip()[0] not in "%#"]
+    if not body:
+        raise ValueError("it holds no data")
+    lower = [line for _, line in body[len(body) // 2 :]]
+    separator = max(_SEPARATORS, key=lambda mark: _score(lower, mark))
+    rows = [(i, _cells(line, separator)) for i, line in body]
+    width, likely = _likely([cells for _, cells in rows[len(rows) // 2 :]])
+    start = next((k for k, (_, cells) in enumerate(rows) if _alike(cells, width, likely)), None)
+    if start is None and len(rows) < 2:
+        raise ValueError("it holds no data: one line of text only")
+    start = 1 if start is None else start
+    notes = []
+    decimal = "."
+    data = [cells for _, cells in rows[start:]]
+    commas = sum(bool(_COMMA.match(cell)) for cells in data for cell in cells)
+    points = sum("." in cell and bool(_POINT.match(cell)) for cells in data for cell in cells)
+    if commas > points:
+        decimal = ","
+        notes.append("Numbers are written with decimal commas.")
+    above = [cells for i, cells in rows[:start] if len(_trimmed(cells)) > 0]
+    names, units = _titles(above, remarks, rows[start][0], width, separator)
+    used = (names is not None) + bool(units) if above else 0
+    if len(above) > used and above:
+        notes.append(f"{len(above) - used} lines before the header were skipped.")
+    return _Layout(separator, decimal, rows[start][0], tuple(names or ()), units, tuple(notes))
+
+
+def _titles(
+    above: list[list[str]],
+    remarks: list[tuple[int, str]],
+    first: int,
+    width: int,
+    separator: str,
+) -> tuple[list[str] | None, tuple[str, ...]]:
+    """Names and units of the columns from the rows, or the remarks, above the data."""
+    if not above:
+        before = [line for i, line in remarks if i < first]
+        if not before:
+            return None, ()
+        text = before[-1].strip().lstrip("%#").strip()
+        return _trimmed(_cells(text, separator if separator in text else "")), ()
+    last, rows = _trimmed(above[-1]), [_trimmed(cells) for cells in above]
+    second = len(rows) > 1 and len(rows[-2]) in (width, width - 1) and all(rows[-2])
+    if second and len(set(rows[-2])) == len(rows[-2]) >= len(last) and _are_units(last):
+        return rows[-2], tuple(cell.strip("[]() ") for cell in last)
+    return last, ()
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Short texts, some in brackets or known, none of them long: what a row of units looks like."""
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and all(
+        len(cell.strip("[]()")) <= 12 and " " not in cell for cell in filled
+    )
+
+
+_BRACKETED = re.compile(r".*\S\s*[\[(]\s*([^\[\]()]{1,12}?)\s*[\])]$")
+
+
+def _named_units(keys: Sequence[str]) -> dict[str, str]:
+    """Units that stand in the names themselves: ``voltage [V]``, ``angle (rad)``."""
+    found = {key: _BRACKETED.match(key) for key in keys}
+    return {key: m[1] for key, m in found.items() if m and not m[1].isdigit()}
+
+
+def _score(lines: Sequence[str], separator: str) -> tuple[float, bool]:
+    """Share of cells that are values; then whether there are several."""
+    rows = [_cells(line, separator) for line in lines]
+    counts = Counter(len(row) for row in rows)
+    width, often = counts.most_common(1)[0]
+    cells = [cell for row in rows for cell in row]
+    values = sum(_is_value(cell) for cell in cells) / max(len(cells), 1)
+    return values * often / len(rows), width > 1
+
+
+def _likely(rows: Sequence[list[str]]) -> tuple[int, list[bool]]:
+    """How many cells a row of data has, and which of them hold values."""
+    counts = Counter(len(row) for row in rows)
+    width = max(counts, key=lambda count: (counts[count], -count))
+    same = [row for row in rows if len(row) == width]
+    return width, [2 * sum(_is_value(row[j]) for row in same) > len(same) for j in range(width)]
+
+
+def _alike(cells: list[str], width: int, likely: list[bool]) -> bool:
+    """Whether a row has values where the rows of data have them."""
+    if all(_is_value(cell) for cell in cells if cell) and any(cells):
+        return True  # numbers alone are data, be they as many or not: the reader will say so
+    filled = len(cells) == width and any(likely) and any(cells)
+    return filled and all(
+        _is_value(c) or not c for c, one in zip(cells, likely, strict=True) if one
+    )
+
+
+def _is_value(cell: str) -> bool:
+    text = cell.strip()
+    return (
+        text.lower() in _EMPTY
+        or bool(_POINT.match(text) or _COMMA.match(text))
+        or bool(_DATE.match(text) or _TIME_OF_DAY.match(text))
+    )
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    cells = list(cells)
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if not separator:
+        return line.split()
+    rows = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return [cell.strip() for cell in next(rows)]

@@ -1,0 +1,362 @@
+"""From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ, Excel.
+
+A reader turns a file into columns by name, each (N,). Those of a matrix variable are called
+``name[0]`` … ``name[k-1]``.
+"""
+
+import difflib
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax.data.readers.archive import read_arrays
+from eoi_jax.data.readers.delimited import line_of, read_text
+from eoi_jax.data.readers.excel import read_excel
+from eoi_jax.data.readers.hdf5 import read_hdf5
+from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.readers.matlab import read_mat
+from eoi_jax.data.readers.table import Columns, Table, add_columns
+from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import Real
+
+_SHOWN = 300  # characters of what a library says of a damaged file
+
+
+def read_record(
+    path: str | Path,
+    time: str | int | None = None,
+    inputs: str | int | Sequence[str | int] = (),
+    outputs: str | int | Sequence[str | int] = (),
+    name: str | None = None,
+    sample_period: Real | None = None,
+    scale: Mapping[str, Real] | Mapping[int, Real] | None = None,
+    units: Mapping[str, str] | Mapping[int, str] | None = None,
+    hold: str = "auto",
+    burn_in: Real = 0.0,
+    slice: tuple[int, int | None] | None = None,
+    renames: Mapping[str, str] | Mapping[int, str] | None = None,
+    max_gigabytes: Real = MAX_GIGABYTES,
+) -> Record:
+    """A record from named columns of a file.
+
+    Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab, bar or spaces;
+    decimal points or commas; a header line, which may start with % or #, a line of units below it,
+    or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet, .mat
+    (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
+    ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
+    counted from 0. Columns of dates and times of day count in seconds from the first.
+
+    Args:
+        path: the file.
+        time: column of the stamps [s, after `scale`]; without it, `sample_period` is needed.
+        inputs: columns of the inputs; none for a free system.
+        outputs: columns of the outputs.
+        name: of the record; default: the file's name.
+        sample_period: time between samples [s].
+        scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
+        units: ``{column: unit}`` after scaling, for tables and figures.
+        hold: of the inputs, as in `Record`.
+        burn_in: time at the start that is not to be scored [s], as in `Record`.
+        slice: ``(start, stop)``, the only samples to be taken; stop may be None. Time stays as it
+            is in the file, or counts from the file's first sample.
+        renames: ``{column: name in the record}``.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+
+    Returns:
+        The record, with `notes` on whatever was done to it.
+
+    Raises:
+        ValueError: a file that is missing, of an unknown kind or not what its name says; a column
+            that is unknown, not numeric or of another length; no stamps and no sample period;
+            a `scale`, `units` or `renames` for a column that is not read; a file that unpacks to
+            more than `max_gigabytes`; whatever `Record` finds.
+    """
+    path = Path(path)
+    _known_suffix(path)
+    _check_clock(time, sample_period)
+    table = read_table(path, max_gigabytes)
+    columns = table.columns
+    clock = None if time is None else _named("time", time)
+    u_columns, y_columns = _all_named("inputs", inputs), _all_named("outputs", outputs)
+    check(
+        len(y_columns) > 0,
+        "outputs",
+        "must name at least one column",
+        "none",
+        f"Columns present: {_listed(columns)}.",
+    )
+    picked = _pick(path, table, clock, u_columns, y_columns)
+    factors = _by_name("scale", scale, picked)
+    for key, factor in factors.items():
+        good = bool(np.isfinite(factor)) and factor != 0
+        check(good, f"scale[{key}]", "must be finite and not zero", factor)
+        picked[key] = picked[key] * float(factor)
+    count = len(picked[y_columns[0]])
+    rows = _rows(slice, count)
+    new_names, known_units = _by_name("renames", renames, picked), _by_name("units", units, picked)
+    labels = {key: new_names.get(key, key) for key in picked}
+    stamps = float(sample_period or 0) * np.arange(count) if clock is None else picked[clock]
+    return Record(
+        stamps[rows],
+        _matrix(picked, u_columns, count)[rows],
+        _matrix(picked, y_columns, count)[rows],
+        _stem(path) if name is None else name,
+        input_names=[labels[key] for key in u_columns],
+        output_names=[labels[key] for key in y_columns],
+        units={"time" if key == clock else labels[key]: unit for key, unit in known_units.items()},
+        hold=hold,
+        burn_in=burn_in,
+    )
+
+
+# -- choosing columns ---------------------------------------------------------------------
+
+
+def _named(field: str, column: str | int) -> str:
+    """A column's name; columns without one are called by their numbers."""
+    check_kind(field, column, (str, int, np.integer), "the name of a column, or its number")
+    return printable(str(column))
+
+
+def _all_named(field: str, given: str | int | Sequence[str | int]) -> list[str]:
+    several = [given] if isinstance(given, str | int | np.integer) else list(given)
+    return [_named(field, one) for one in several]
+
+
+def _by_name(field: str, given: Mapping[Any, Any] | None, picked: Columns) -> dict[str, Any]:
+    """What is said of some of the columns that are read."""
+    named = {_named(field, key): value for key, value in (given or {}).items()}
+    for key in named:
+        check_choice(field, key, tuple(picked))
+    return named
+
+
+def _pick(
+    path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str]
+) -> Columns:
+    """The columns asked for, as float64 of equal length."""
+    fields = [("time", time)] if time is not None else []
+    fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]
+    picked = {key: _numeric(path, key, _column(path, table, field, key)) for field, key in fields}
+    lengths = {key: len(values) for key, values in picked.items()}
+    check(
+        len(set(lengths.values())) == 1,
+        ", ".join(lengths),
+        f"must be equally long in {path}",
+        ", ".join(f"{key} {length}" for key, length in lengths.items()),
+    )
+    return picked
+
+
+def _matrix(picked: Columns, keys: list[str], count: int) -> np.ndarray:
+    return np.stack([picked[key] for key in keys], axis=1) if keys else np.zeros((count, 0))
+
+
+def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
+    columns = table.columns
+    if path.suffix.lower() == ".mat" and key not in columns:
+        key = key.replace("/", ".")  # as in the HDF5 file that a new MAT file is
+    if key in columns:
+        return columns[key]
+    wide = sum(re.fullmatch(re.escape(key) + r"\[\d+\]", one) is not None for one in columns)
+    shape = f"`{key}` of shape ({len(columns[f'{key}[0]'])}, {wide})" if wide else ""
+    advice = f"Write {key}[0] for the first one."
+    check(not wide, field, f"must name one column of {path}", shape, advice)
+    match = re.fullmatch(r"(.+)\[(\d+)\]", key)
+    if match and (match[1] in columns or f"{match[1]}[0]" in columns):
+        if match[1] in columns and int(match[2]) == 0:
+            return columns[match[1]]
+        wide = sum(one.startswith(f"{match[1]}[") for one in columns) or 1
+        rule = f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}"
+        check(False, field, rule, key)
+    owner = next((one for one in table.objects if f"{key}.".startswith(f"{one}.")), None)
+    check(
+        owner is None,
+        field,
+        f"must be readable in {path}",
+        f"`{key}`",
+        table.objects.get(owner or "", ""),
+    )
+    close = difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
+    hint = f" Did you mean `{close[0]}`?" if close else ""
+    check(
+        False,
+        field,
+        f"must be a column of {path} (present: {_listed(columns)})",
+        f"`{key}`",
+        hint.strip(),
+    )
+    raise AssertionError
+
+
+def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind in "Mm":  # seconds from the first stamp
+        return (values - values[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind in "biuf":
+        return values.astype(np.float64)
+    advice = "Save its real and imaginary parts, or its size and phase, as columns of their own."
+    rule = f"must be a real column of {path}"
+    check(values.dtype.kind != "c", key, rule, "complex numbers", advice)
+    for row, value in enumerate(values.tolist()):
+        try:
+            float("nan" if value is None else value)
+        except (TypeError, ValueError):
+            is_text = _READERS[_known_suffix(path)] is read_text
+            where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
+            check(False, key, f"must be a numeric column of {path}", f"{value!r} in {where}")
+    return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
+    check(
+        (time is None) != (sample_period is None),
+        "time, sample_period",
+        "must be given one and not the other",
+        f"time={time}, sample_period={sample_period}",
+        "Name the column of the stamps, or give the time between samples in seconds.",
+    )
+    if sample_period is not None:
+        check_positive("sample_period", sample_period)
+
+
+def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:
+    start, stop = (0, None) if chosen is None else chosen
+    good = 0 <= start < (count if stop is None else min(stop, count))
+    check(
+        good and (stop is None or stop <= count),
+        "slice",
+        f"must be (start, stop) with 0 ≤ start < stop ≤ {count}, the number of samples",
+        chosen,
+    )
+    return slice(start, stop)
+
+
+def _listed(columns: Columns) -> str:
+    names = list(columns)
+    shown = ", ".join(names[:30]) or "none"
+    return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "")
+
+
+# -- files --------------------------------------------------------------------------------
+
+
+def _known_suffix(path: Path) -> str:
+    check(path.is_file(), "path", "must be an existing file", path)
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes and suffixes[-1] == ".gz":
+        suffixes.pop()
+    suffix = suffixes[-1] if suffixes else ""
+    known = ", ".join(_READERS)
+    check(suffix in _READERS, "path", f"must end in {known} (text also with .gz)", path.name)
+    return suffix
+
+
+def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
+    """Everything that is in a file, before anything is chosen from it.
+
+    Args:
+        path: a file of a kind that `read_record` knows.
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+
+    Returns:
+        Its columns; in their names, whatever does not print stands as its code.
+
+    Raises:
+        ValueError: a file that is missing, of an unknown kind or not what its name says, or one
+            that unpacks to more than `max_gigabytes`.
+    """
+    path = Path(path)
+    suffix = _known_suffix(path)
+    allowance = Allowance(max_gigabytes)
+    try:
+        with warnings.catch_warnings():  # of the libraries, about damage that they go on with
+            warnings.simplefilter("ignore")
+            table = _READERS[suffix](path, allowance)
+    except Exception as failure:  # each library raises its own kinds for a damaged file
+        rule = f"must be a readable {suffix} file"
+        check(False, "path", rule, path, f"The reader says: {_cause(failure)}")
+        raise
+    check(bool(table.columns), "path", "must hold columns", path)
+    return _printable(table)
+
+
+def _cause(failure: Exception) -> str:
+    if isinstance(failure, MemoryError):
+        return "it needs more memory than there is"
+    if isinstance(failure, RecursionError):
+        return "it is nested too deeply"
+    lines = str(failure).splitlines()
+    return printable(lines[0][:_SHOWN]) if lines else type(failure).__name__
+
+
+def _printable(table: Table) -> Table:
+    """The same under names that a terminal and a figure can show."""
+    clear = {key: printable(key) for key in table.columns}
+    changed = [shown for key, shown in clear.items() if shown != key]
+    if not changed:
+        return table
+    note = f"What does not print in a name stands as its code: {', '.join(changed[:5])}."
+    return Table(
+        {clear[key]: values for key, values in table.columns.items()},
+        {clear.get(key, printable(key)): printable(unit) for key, unit in table.units.items()},
+        (*map(printable, table.notes), note),
+        {printable(key): printable(said) for key, said in table.objects.items()},
+        None if table.time is None else clear.get(table.time),
+        tuple(clear[key] for key in table.inputs),
+        tuple(clear[key] for key in table.outputs),
+    )
+
+
+def _stem(path: Path) -> str:
+    stem = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return Path(stem).stem
+
+
+def _read_parquet(path: Path, allowance: Allowance) -> Table:
+    import pandas as pd
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetFile(path) as file:
+        known = file.metadata
+        sizes = (known.row_group(i).total_byte_size for i in range(known.num_row_groups))
+        # A column of one value takes no room in the file, and eight bytes a row in memory.
+        allowance.take(max(sum(sizes), 8.0 * known.num_rows * known.num_columns))
+    table = pd.read_parquet(path)
+    columns: Columns = {}
+    notes: list[str] = []
+    for i, key in enumerate(table.columns):
+        add_columns(columns, notes, str(key), table.iloc[:, i].to_numpy())
+    return Table(columns, notes=tuple(notes))
+
+
+def _read_npz(path: Path, allowance: Allowance) -> Table:
+    columns: Columns = {}
+    notes: list[str] = []
+    objects: dict[str, str] = {}
+    for key, values in read_arrays(path, allowance).items():
+        if values is None:  # Python would have to run what is in the file
+            objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
+        else:
+            add_columns(columns, notes, key, values)
+    if objects and not columns:
+        raise ValueError(" ".join(objects.values()))
+    return Table(columns, notes=tuple(notes), objects=objects)
+
+
+_READERS: dict[str, Callable[[Path, Allowance], Table]] = {
+    ".csv": read_text,
+    ".tsv": read_text,
+    ".txt": read_text,
+    ".dat": read_text,
+    ".parquet": _read_parquet,
+    ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".npz": _read_npz,
+    ".xlsx": read_excel,
+}

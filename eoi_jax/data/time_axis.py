@@ -1,0 +1,171 @@
+"""Which column of a table is its time, in which unit, and how regular it is. A guess, with reasons.
+
+Nothing here changes data: `Record` decides what is done about jitter and gaps.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.readers.table import Table
+from eoi_jax.data.resampling import GAP
+
+_NAMES = re.compile(
+    r"(t|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
+    r"sec|secs|seconds?|s|ms|us|µs|zeitstempel|uhrzeit|datum)$",
+    re.IGNORECASE,
+)
+_COUNTERS = re.compile(r"(|\d+|index|idx|i|k|n|no|nr|row|sample|samples|unnamed.*)$", re.IGNORECASE)
+_UNITS = {
+    "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3,
+    "milliseconds": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "microseconds": 1e-6,
+    "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
+    "d": 86400.0, "days": 86400.0,
+}  # fmt: skip
+# Seconds, milliseconds, … since 1970, for dates from 2001 to 2065.
+_EPOCHS = ((1e9, 1.0), (1e12, 1e-3), (1e15, 1e-6), (1e18, 1e-9))
+_SPREADSHEET = (36000.0, 73000.0)  # days since 1900, for dates from 1998 to 2099
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of a table.
+
+    Attributes:
+        column: its name; None: no column looks like time.
+        factor: seconds in one unit of it.
+        why: reasons for both, one sentence.
+        sample_period: median distance of two stamps [s]; None without a column.
+        duration: from the first to the last [s].
+        spacing: smallest and largest distance [s].
+        jitter: standard deviation of the distances, gaps apart, over the median.
+        gaps: distances of more than 2.5 periods, the longest one [s].
+        repeated: stamps equal to the one before.
+        backwards: stamps smaller than the one before; the first of them.
+        others: further columns that might be the time.
+    """
+
+    column: str | None
+    factor: float = 1.0
+    why: str = "no column increases from row to row"
+    sample_period: float | None = None
+    duration: float | None = None
+    spacing: tuple[float, float] | None = None
+    jitter: float | None = None
+    gaps: tuple[int, float] = (0, 0.0)
+    repeated: int = 0
+    backwards: tuple[int, int | None] = (0, None)
+    others: tuple[str, ...] = ()
+
+
+def find_clock(table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]]) -> Clock:
+    """The column that is most likely the time.
+
+    Args:
+        table: as read.
+        numbers: its columns of numbers and dates, in float64.
+    """
+    scores = {key: _score(key, values, table) for key, values in numbers.items()}
+    likely = sorted((key for key in scores if scores[key] > 0), key=lambda key: -scores[key])
+    if not likely:
+        return Clock(None)
+    column, values = likely[0], numbers[likely[0]]
+    dates = table.columns[column].dtype.kind in "Mm"
+    factor, why = _unit(column, values, table.units.get(column, ""), dates)
+    said = "the file says so" if column == table.time else _reason(column, values, dates)
+    return _described(column, values * factor, factor, f"{said}; {why}", tuple(likely[1:4]))
+
+
+def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
+    """How much a column looks like time; 0: not at all."""
+    dates = table.columns[key].dtype.kind in "Mm"
+    steps = np.diff(values)
+    if not (len(steps) and np.all(np.isfinite(values))):
+        return 0.0
+    forward = float(np.mean(steps > 0))
+    back = float(np.mean(steps < 0))
+    named = bool(_NAMES.match(_stem(key)))
+    # A restarted or a coarse clock is a clock, if it is called so.
+    grows = forward > 0.5 and back < 0.01 if named or dates else forward == 1.0
+    if not grows:
+        return 0.0
+    whole = bool(np.all(steps == 1.0))
+    median = float(np.median(steps))
+    regular = float(np.mean(np.abs(steps - median) < 0.5 * abs(median)))
+    counter = whole and bool(_COUNTERS.match(_stem(key)))
+    said = 8.0 * (key == table.time) + 4.0 * dates + 3.0 * named
+    return 1.0 + said + regular - 1.5 * counter
+
+
+def _stem(key: str) -> str:
+    """A name without its unit and path: ``time [ms]``, ``log.time_ms`` → ``time``."""
+    text = re.sub(r"\s*[\[(].*?[\])]\s*$", "", key.rsplit(".", 1)[-1].rsplit("/", 1)[-1]).strip()
+    head, _, tail = text.rpartition("_")
+    return head if head and tail.lower() in _UNITS else text
+
+
+def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str:
+    if dates:
+        return "it holds dates or times of day"
+    growing = "it increases" if np.all(np.diff(values) > 0) else "it mostly increases"
+    return f"{growing} and is called so" if _NAMES.match(_stem(column)) else f"{growing} throughout"
+
+
+def _unit(
+    column: str, values: Float[np.ndarray, " time"], unit: str, dates: bool
+) -> tuple[float, str]:
+    """Seconds in one unit of the column, and why."""
+    if dates:
+        return 1.0, "read in seconds from the first"
+    text = column.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
+    tail = text.rpartition("_")[2].lower()
+    for word in (unit.lower(), tail if "_" in text else ""):
+        if word in _UNITS:
+            return _UNITS[word], f"in {word}, as the file says"
+    first, step = float(values[0]), float(np.median(np.diff(values)))
+    for low, factor in _EPOCHS:
+        if low <= first < 3.0 * low and step * factor < 1e4:
+            word = {1.0: "seconds", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns"}[factor]
+            return factor, f"its size is that of {word} since 1970"
+    low, high = _SPREADSHEET
+    if low < first < high and 0 < step < 0.5:
+        return 86400.0, "its size is that of a spreadsheet's dates, in days"
+    whole = bool(np.all(values == np.rint(values)))
+    if whole and step >= 1000.0:
+        return 1e-6, f"whole numbers {step:g} apart are taken as µs, which is a guess"
+    if whole and step > 1.0:
+        return 1e-3, f"whole numbers {step:g} apart are taken as ms, which is a guess"
+    if whole:
+        return 1.0, "it counts by ones: if these are samples and not seconds, give sample_period"
+    return 1.0, "taken as seconds"
+
+
+def _described(
+    column: str,
+    stamps: Float[np.ndarray, " time"],
+    factor: float,
+    why: str,
+    others: tuple[str, ...],
+) -> Clock:
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    period = float(np.median(forward))
+    long = forward > GAP * period
+    back = np.flatnonzero(steps < 0)
+    near = forward[~long]
+    return Clock(
+        column,
+        factor,
+        why,
+        period,
+        float(stamps[-1] - stamps[0]),
+        (float(steps.min()), float(steps.max())),
+        float(np.sqrt(np.mean((near - period) ** 2)) / period),
+        (int(long.sum()), float(forward.max()) if long.any() else 0.0),
+        int(np.sum(steps == 0)),
+        (len(back), int(back[0]) + 1 if len(back) else None),
+        others,
+    )
