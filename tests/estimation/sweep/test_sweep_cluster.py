@@ -88,7 +88,7 @@ def test_processes_of_the_standard_library_give_the_same_numbers(local):
 
 CLIENT = """
 import warnings; warnings.simplefilter("ignore")
-import sys; sys.path.insert(0, {tests!r})
+import sys; sys.path[:0] = {tests!r}
 import eoi_jax as eoi
 eoi.configure(cache=False)
 import test_sweep_cluster as one
@@ -98,7 +98,9 @@ eoi.sweep(**one.settings(), store={store!r})
 
 def test_a_killed_client_resumes_and_computes_nothing_twice(local, tmp_path):
     store = tmp_path / "s"
-    code = CLIENT.format(tests=str(Path(__file__).parent), store=str(store))
+    here = Path(__file__).resolve()
+    folders = [str(here.parent), str(here.parents[2])]  # of this file and of `problems`
+    code = CLIENT.format(tests=folders, store=str(store))
     client = subprocess.Popen([sys.executable, "-c", code])
     deadline = time.monotonic() + 240
     while len(_marks(store)) < 3:
