@@ -4,7 +4,6 @@ import argparse
 import os
 import platform
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,14 +16,11 @@ import msgspec
 import numpy as np
 
 import eoi_jax as eoi
+from benchmarks import independent
 from eoi_jax.cli import build
 from eoi_jax.cli import config as configs
 
-sys.path.insert(0, str(Path(__file__).parent))
-import independent
-
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results"
 
 
 def arguments(description: str | None) -> argparse.Namespace:
@@ -205,6 +201,13 @@ def _commit() -> str:
         return "unknown"
 
 
+def results(script: str) -> Path:
+    """Folder of results beside the script at this path."""
+    folder = Path(script).resolve().parent / "results"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
 class Report:
     """Sections as they come: printed at once, and written to the result file at the end."""
 
@@ -218,11 +221,10 @@ class Report:
         self.parts += parts
         print("\n" + "\n\n".join(parts), flush=True)
 
-    def close(self, name: str, write: bool) -> None:
-        """Say how long it took, and write the file if asked."""
+    def close(self, script: str, write: bool) -> None:
+        """Say how long it took, and write the result file of the script at this path if asked."""
         self.add(f"Whole run: {time.perf_counter() - self.started:.0f} s.")
         if write:
-            RESULTS.mkdir(exist_ok=True)
-            path = RESULTS / f"{name}.md"
+            path = results(script) / f"{Path(script).stem}.md"
             path.write_text("\n\n".join(self.parts) + "\n", encoding="utf-8")
             print(f"\nWritten to {path.relative_to(ROOT)}")

@@ -1,17 +1,13 @@
 """Slices of what the benchmarks claim, on records that the library did not simulate itself."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from benchmarks import common, independent
 from eoi_jax.simulation.validate import validate
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import common  # pyright: ignore[reportMissingImports]
-import independent  # pyright: ignore[reportMissingImports]
 
 
 def _best(result: eoi.Identification) -> float:
@@ -128,6 +124,6 @@ def test_silverbox_free_run_on_the_arrow_is_below_seven_tenths_of_a_millivolt(
     data_directory: Path,
 ):
     plant, records, held_out = _read("silverbox", data_directory)
-    # The pair that benchmarks/measured.py chooses, by the end of the estimation record alone.
+    # What benchmarks/measured/measured.py chooses, by the end of the estimation record alone.
     result = eoi.identify(plant, records, lowpass=eoi.LowPass(430.0), substeps=10, passes=2)
     assert validate(result.plant, held_out).rmse[0] <= 0.7e-3

@@ -1,6 +1,5 @@
 """Rigs with published numbers: their models, and a slice of what `measured.py` reports of them."""
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,10 +9,8 @@ import pytest
 from scipy.special import wrightomega
 
 import eoi_jax as eoi
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import measured_rigs as rigs  # pyright: ignore[reportMissingImports]
-import wiener_hammerstein as circuit  # pyright: ignore[reportMissingImports]
+from benchmarks.measured import measured_rigs as rigs
+from benchmarks.measured import wiener_hammerstein as circuit
 
 # Stamps that jitter and gaps of the sensors: kept in the records' notes.
 pytestmark = pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")

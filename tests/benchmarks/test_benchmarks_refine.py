@@ -1,21 +1,17 @@
-"""Slices of `benchmarks/refine_speed.py` and `benchmarks/random_starts.py`."""
+"""Slices of `benchmarks/speed/refine_speed.py` and `benchmarks/statistics/random_starts.py`."""
 
 import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import random_starts  # pyright: ignore[reportMissingImports]
-import refine_cases  # pyright: ignore[reportMissingImports]
-import refine_rivals as rivals  # pyright: ignore[reportMissingImports]
+from benchmarks.measured import refine_cases
+from benchmarks.speed import refine_rivals as rivals
+from benchmarks.statistics import random_starts
 
 STARTS = 10
-# Not `importorskip`: Numba takes `coverage.py` of the benchmarks, in the path here, for a package.
 NUMBA = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="Numba is absent")
 
 

@@ -1,19 +1,16 @@
 """Cases of the discovery benchmark: their physics by other routes, and what they promise."""
 
-import sys
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import effect_cases as cases  # pyright: ignore[reportMissingImports]
-import effect_simulator as simulator  # pyright: ignore[reportMissingImports]
-import independent  # pyright: ignore[reportMissingImports]
+from benchmarks import independent
+from benchmarks.truth import effect_cases as cases
+from benchmarks.truth import effect_simulator as simulator
 
 PERIOD = 1e-3
 

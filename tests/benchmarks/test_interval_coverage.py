@@ -1,39 +1,22 @@
 """A slice of the benchmark: 95 % intervals hold the truth, with coloured residuals."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from benchmarks import independent
+from benchmarks.statistics import interval_coverage
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 SEEDS, SAMPLES = 40, 1000
 # Three binomial sigma below 95 %, for one parameter. Intervals of half the width would have 67 %.
 LEAST = 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / SEEDS)
 
 
 @pytest.fixture(scope="module")
-def coverage():
-    """By its path: benchmarks are no package."""
-    sys.path.insert(0, str(FOLDER))
-    path = FOLDER / "interval_coverage.py"
-    spec = importlib.util.spec_from_file_location("interval_coverage", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["interval_coverage"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def estimates(coverage):
+def estimates():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(eoi, "configure", lambda: None)  # JAX runs already
-        return coverage.outcomes("one mass", "noise and force", range(SEEDS), SAMPLES)
+        return interval_coverage.outcomes("one mass", "noise and force", range(SEEDS), SAMPLES)
 
 
 @pytest.mark.parametrize("method", ["identify", "refine"])
@@ -49,20 +32,20 @@ def test_intervals_hold_the_truth_and_are_no_wider_than_they_must_be(estimates, 
     assert np.all(np.abs(np.mean(one.error, axis=0)) < 3.0 * spread / np.sqrt(SEEDS))
 
 
-def test_the_plain_loop_agrees_with_an_event_driven_simulator(coverage):
+def test_the_plain_loop_agrees_with_an_event_driven_simulator():
     """The pendulum with dry friction: `independent.py` solves from event to event."""
-    case = coverage.cases()["pendulum"]
+    case = interval_coverage.cases()["pendulum"]
     time = np.arange(300) * case.period
     u = 0.3 * np.sign(np.sin(4.0 * time) + 1e-9)[None]
-    truth = coverage.independent.pendulum(case.plant.parameters, time, u[0], "zero")
+    truth = independent.pendulum(case.plant.parameters, time, u[0], "zero")
     mine = case.simulate(case.plant.parameters, time, u)[0]
     # A step of 0.5 ms in which friction turns: 0.3 rad/s² · (0.5 ms)/9 rad/s, a few times.
     np.testing.assert_allclose(mine, truth, atol=1e-4)
     assert np.ptp(truth) > 0.3
 
 
-def test_noise_is_coloured_and_of_unit_size(coverage):
-    noise = coverage.coloured(np.random.default_rng(0), (100_000, 1))[:, 0]
+def test_noise_is_coloured_and_of_unit_size():
+    noise = interval_coverage.coloured(np.random.default_rng(0), (100_000, 1))[:, 0]
     assert np.std(noise) == pytest.approx(1.0, rel=0.05)
     lagged = np.mean(noise[1:] * noise[:-1])
-    assert lagged == pytest.approx(coverage.AUTOREGRESSION, rel=0.05)
+    assert lagged == pytest.approx(interval_coverage.AUTOREGRESSION, rel=0.05)

@@ -1,17 +1,11 @@
-"""A slice of `benchmarks/invariances.py`, and what it brought to light."""
-
-import importlib
-import sys
-from pathlib import Path
+"""A slice of `benchmarks/robustness/invariances.py`, and what it brought to light."""
 
 import numpy as np
 from scipy import integrate, stats
 
 import eoi_jax as eoi
+from benchmarks.robustness import invariances
 from eoi_jax.discovery.lags import Peak, strongest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-invariances = importlib.import_module("invariances")
 
 
 def test_order_units_and_the_order_of_parameters_change_nothing():

@@ -1,6 +1,5 @@
 """Declared models on measured records: what they start from, and what discovery makes of them."""
 
-import sys
 import warnings
 from pathlib import Path
 
@@ -8,11 +7,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from benchmarks.measured import measured_cases, measured_effects
 from eoi_jax.simulation.validate import validate
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import measured_cases  # pyright: ignore[reportMissingImports]
-import measured_effects  # pyright: ignore[reportMissingImports]
 
 
 def _case(name: str, folder: Path):

@@ -1,14 +1,12 @@
 """The sample of small faults: every module has a room, the draw is seeded, lines are found."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
+from benchmarks.robustness import mutation_coverage, mutation_faults
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-import mutation_coverage  # noqa: E402  # pyright: ignore[reportMissingImports]
-import mutation_faults  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 TEXT = '''\
 """A module."""

@@ -1,19 +1,15 @@
-"""The outside peers of `benchmarks/comparators.py` see the same plants, and may be absent."""
+"""Outside peers of `statistics/comparators.py` see the same plants, and may be absent."""
 
 import math
 import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import comparator_cases  # pyright: ignore[reportMissingImports]
-import independent  # pyright: ignore[reportMissingImports]
-import peers  # pyright: ignore[reportMissingImports]
+from benchmarks import independent
+from benchmarks.statistics import comparator_cases, peers
 
 CASES = {one.plant.name: one for one in comparator_cases.cases()}
 
@@ -40,6 +36,7 @@ def test_pysindy_finds_the_linear_plant(record: eoi.Record):
     pytest.importorskip("pysindy")
     case = CASES["mass, spring and damper"]
     found = peers.PySindy().estimate(case.plant, [record])
+    assert found.parameters is not None
     share = [found.parameters[key] / true - 1.0 for key, true in case.truth.parameters.items()]
     assert np.max(np.abs(share)) < 2e-2  # a regression on smoothed differences
 

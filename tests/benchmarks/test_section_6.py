@@ -1,17 +1,12 @@
-"""Slices of what `benchmarks/section_6.py` claims."""
-
-import sys
-from pathlib import Path
+"""Slices of what `benchmarks/statistics/section_6.py` claims."""
 
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from benchmarks import independent
+from benchmarks.statistics import section_6
 from eoi_jax import comparators
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import independent  # pyright: ignore[reportMissingImports]
-import section_6  # pyright: ignore[reportMissingImports]
 
 
 @pytest.fixture(scope="module")

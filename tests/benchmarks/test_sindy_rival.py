@@ -1,17 +1,14 @@
 """The rival does what its benchmark says, or beating it would prove nothing."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("pysindy", reason="the rival needs pysindy: the extra `benchmarks`")
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import sindy_library as lib  # pyright: ignore[reportMissingImports]
-import sindy_rival as rival  # pyright: ignore[reportMissingImports]
+from benchmarks.truth import sindy_library as lib
+from benchmarks.truth import sindy_rival as rival
 
 H = 1e-3
 K, C, B = 120.0, 8.0, 2.0  # the mass of these tests

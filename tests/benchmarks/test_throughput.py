@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.speed import throughput
+from benchmarks.speed import throughput_rivals as rivals
 from eoi_jax.estimation.engines import Native
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import throughput  # pyright: ignore[reportMissingImports]
-import throughput_rivals as rivals  # pyright: ignore[reportMissingImports]
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "speed" / "throughput.py"
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +48,9 @@ def test_the_command_prints_one_object():
     """All rivals once, few lanes and steps; the machine may be busy, so no time is asserted."""
     words = ["--quick", "--json", "--lanes", "64", "--steps", "600", "--rounds", "1"]
     environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
-    environment["PYTHONPATH"] = str(BENCHMARKS.parent)
+    environment["PYTHONPATH"] = str(SCRIPT.parents[2])
     shown = subprocess.run(
-        [sys.executable, str(BENCHMARKS / "throughput.py"), *words],
+        [sys.executable, str(SCRIPT), *words],
         env=environment,
         capture_output=True,
         text=True,

@@ -1,7 +1,6 @@
 """A fixed slice of the benchmark of undeclared effects, and the arithmetic of its report."""
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +10,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import effect_cases  # pyright: ignore[reportMissingImports]
-import undeclared_effects as driver  # pyright: ignore[reportMissingImports]
-import undeclared_tables as tables  # pyright: ignore[reportMissingImports]
+from benchmarks.truth import effect_cases
+from benchmarks.truth import undeclared_effects as driver
+from benchmarks.truth import undeclared_tables as tables
 
 # -- the slice --------------------------------------------------------------------------------
 

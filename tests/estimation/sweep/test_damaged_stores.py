@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from benchmarks.robustness import damaged_stores as campaign
 from eoi_jax._checks import StoreWarning
 from eoi_jax.estimation.sweep.marks import digest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-import damaged_stores as campaign  # pyright: ignore[reportMissingImports]
 
 KINDS = dict(campaign.damages())
 
@@ -81,7 +79,7 @@ def test_a_store_that_has_lost_an_array_is_refused_by_who_reads_it(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-import damaged_stores as campaign
+from benchmarks.robustness import damaged_stores as campaign
 from eoi_jax.estimation.sweep import store
 
 def kill(*_): os.kill(os.getpid(), signal.SIGKILL)
@@ -94,7 +92,7 @@ campaign.swept(Path(sys.argv[1]))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
 def test_a_chunk_is_marked_after_its_arrays_are_written(tmp_path):
-    paths = [str(Path(campaign.__file__ or "").parent), str(Path(eoi.__file__).parents[1])]
+    paths = [str(Path(campaign.__file__).parents[2]), str(Path(eoi.__file__).parents[1])]
     code = f"import sys; sys.path[:0] = {paths!r}\n{KILLED}"
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True)
     assert done.returncode == -9, done.stderr

@@ -1,0 +1,1 @@
+"""Scripts that measure what the library claims, in a folder a question; run them by their path."""
