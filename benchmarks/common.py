@@ -28,9 +28,9 @@ def arguments(description: str | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="shorter records, fewer cases")
     parser.add_argument("--write", action="store_true", help="update the result file")
-    given = parser.parse_args()
+    options = parser.parse_args()
     eoi.configure()
-    return given
+    return options
 
 
 def data_directory() -> Path:
@@ -56,7 +56,7 @@ class Case:
 
     def identify(self, record: eoi.Record | None = None, **options) -> eoi.Identification:
         """The config's estimate as the paper has it, from the independent record by default."""
-        given = {
+        settings = {
             "observer": self.observer,
             "lowpass": self.lowpass,
             "passes": self.passes,
@@ -64,7 +64,7 @@ class Case:
             "instruments": False,
             **options,
         }
-        return eoi.identify(self.plant, record or self.record, **given)
+        return eoi.identify(self.plant, record or self.record, **settings)
 
     def errors(self, result: eoi.Identification) -> dict[str, float]:
         """Error of each increment over the true increment."""
@@ -96,8 +96,8 @@ def case(name: str, sample_period: float | None = None, duration: float | None =
     truth |= table.truth
     y = simulated(config.plant or "", truth, library, table.initial)
     noise, quantum = (
-        np.array([given.get(key, 0.0) for key in plant.outputs])
-        for given in (table.noise, table.quantisation)
+        np.array([level.get(key, 0.0) for key in plant.outputs])
+        for level in (table.noise, table.quantisation)
     )
     if np.any(noise > 0):
         y = independent.with_sensor(y, noise, quantum, seed=1000 + table.seed)

@@ -34,7 +34,7 @@ DEGREES = np.pi / 180.0
 
 def main() -> None:
     """Every set that is there."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     warnings.simplefilter("ignore", eoi.RecordWarning)  # gaps of the sensors: kept in the notes
     report = Report("Measured records")
     report.add(
@@ -50,9 +50,9 @@ def main() -> None:
             report.add(f"Skipped: {folder} is absent; set EOI_DATA to the folder of the records.")
             continue
         started = time.perf_counter()
-        run(report, given.quick)
+        run(report, options.quick)
         report.add(f"Time: {time.perf_counter() - started:.1f} s.")
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 # -- helpers ----------------------------------------------------------------------------------

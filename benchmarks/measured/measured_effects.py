@@ -33,7 +33,7 @@ _QUICK = 6000  # samples of each record in a quick run
 
 def main() -> None:
     """Every set that is there, then the timing of one."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     warnings.simplefilter("ignore", eoi.RecordWarning)  # gaps of the sensors: kept in the notes
     report = Report("Effects found in measured records")
     report.add(
@@ -51,13 +51,13 @@ def main() -> None:
             report.add(f"Skipped: {folder} is absent; set EOI_DATA to the folder of the records.")
             continue
         case = make(data_directory())
-        result = discovered(_shortened(case) if given.quick else case)
+        result = discovered(_shortened(case) if options.quick else case)
         results.append((name, result))
         report.add(*_section(result))
     report.add("## All of them", _summary(results))
     if "emps" in dict(results):
         report.add("## Time", _timing())
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 # -- one set ----------------------------------------------------------------------------------

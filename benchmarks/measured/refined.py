@@ -44,7 +44,7 @@ ROUNDS = 1  # of naming what is left
 
 def main() -> None:
     """Every set that is there."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     warnings.simplefilter("ignore", eoi.RecordWarning)
     report = Report("Measured records: refined, and what is left")
     report.add(
@@ -58,8 +58,8 @@ def main() -> None:
         if not (data_directory() / name).is_dir():
             report.add("Skipped: the set is absent; set EOI_DATA to the folder of the records.")
             continue
-        report.add(*_section(name, CASES[name](data_directory()), 0 if given.quick else ROUNDS))
-    report.close(__file__, given.write)
+        report.add(*_section(name, CASES[name](data_directory()), 0 if options.quick else ROUNDS))
+    report.close(__file__, options.write)
 
 
 def _section(name: str, case: Case, rounds: int) -> list[str]:

@@ -296,9 +296,9 @@ def set_up() -> None:
     eoi.configure()
 
 
-def in_worker(function: Callable[..., str], *given: Any) -> Iterator[str]:
+def in_worker(function: Callable[..., str], *iterables: Any) -> Iterator[str]:
     """Results of calls in a process that a signal may end; it is then started anew."""
-    calls = list(zip(*given, strict=True))
+    calls = list(zip(*iterables, strict=True))
     while calls:
         with ProcessPoolExecutor(1, get_context("spawn"), initializer=set_up) as pool:
             while calls:
@@ -311,13 +311,13 @@ def in_worker(function: Callable[..., str], *given: Any) -> Iterator[str]:
 
 def main() -> None:
     """The whole campaign."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("Stores of sweeps that are damaged or killed")
-    names = [name for name, _ in damages()][:: 12 if given.quick else 1]
+    names = [name for name, _ in damages()][:: 12 if options.quick else 1]
     seeds = list(range(len(names)))
     with ThreadPoolExecutor(2) as threads:
         first = threads.submit(list, in_worker(outcome, names, seeds))
-        second = threads.submit(list, in_worker(killed, range(2 if given.quick else KILLS)))
+        second = threads.submit(list, in_worker(killed, range(2 if options.quick else KILLS)))
         kills = second.result()
         found = dict(zip(names, first.result(), strict=True))
     wrong = {name: one for name, one in found.items() if one.startswith("WRONG")}
@@ -333,7 +333,7 @@ def main() -> None:
         " same sweep again: same numbers and no other files than of one that was never killed.",
         table(["killed", "times"], rows),
     )
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
     sys.exit(bool(wrong) or any(one.startswith("WRONG") for one in kills))
 
 

@@ -282,8 +282,8 @@ def main() -> int:
     """Every source of inputs; the exit status says whether all was well."""
     if sys.argv[1:2] == ["--guided"]:
         guided(int(sys.argv[2]))
-    given = arguments(__doc__)
-    share = 100 if given.quick else 1
+    options = arguments(__doc__)
+    share = 100 if options.quick else 1
     np.seterr(all="ignore")
     watch = Watch()
     sys.addaudithook(watch)
@@ -324,7 +324,7 @@ def main() -> int:
     else:
         report.add("atheris is not installed: no inputs led by coverage.")
     report.add(f"{total:,} inputs: {'all was well' if good else 'NOT all was well'}.")
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
     return 0 if good else 1
 
 

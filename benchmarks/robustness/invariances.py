@@ -260,17 +260,17 @@ def plant(
         **{f"unit_y{j}": factor for j, factor in enumerate(units.outputs)},
         "unit_input": units.input, "unit_time": units.time, "unit_parameters": units.parameters,
     }  # fmt: skip
-    given = {key: values.get(key, 0.0) * units.parameters for key in one.parameters}
-    order = {**given, **factors}
+    nominal = {key: values.get(key, 0.0) * units.parameters for key in one.parameters}
+    order = {**nominal, **factors}
     if backwards:
         order = dict(reversed(order.items()))
     bounds = {"delay": (0.0, 10.0 * units.parameters)} if one.delayed else {}
-    bounds |= {"tau": (0.01 * units.parameters, np.inf)} if "tau" in given else {}
+    bounds |= {"tau": (0.01 * units.parameters, np.inf)} if "tau" in nominal else {}
     return eoi.Plant(
         dynamics, order, one.degrees, ("u",), tuple(f"y{j}" for j in range(len(one.degrees))),
         internal=internal, internal_initial=(0.0,) * one.states if internal else None,
         actuator=actuator, bounds=bounds, name=name,
-        fixed=(*factors, *(key for key in given if key not in values)),
+        fixed=(*factors, *(key for key in nominal if key not in values)),
     )  # fmt: skip
 
 
@@ -567,8 +567,8 @@ def _rows(counts: Mapping[tuple[str, str], Count]) -> list[list[str]]:
 
 def main() -> None:
     """Every plant and change."""
-    given = arguments(__doc__)
-    count = 20 if given.quick else PLANTS
+    options = arguments(__doc__)
+    count = 20 if options.quick else PLANTS
     report = Report("What must not change an estimate")
     header = ("family", *CHANGES)
     found: dict[tuple[str, str], Count] = {}
@@ -595,7 +595,7 @@ def main() -> None:
         report.add(f"{title}: {len(every)} of {sum(one.compared for one in counts)} comparisons.")
         if every:
             report.add("\n".join(f"- {words}" for words in every))
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -291,14 +291,14 @@ def campaign(command: str, count: int, folder: Path) -> dict[signal.Signals, See
 
 def main() -> int:
     """All commands; the exit status says whether nothing was wrong."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("Commands that are killed at any moment")
     rows, wrong = [], []
     with tempfile.TemporaryDirectory() as place:
         for command in COMMANDS:
             folder = Path(place) / command
             folder.mkdir()
-            seen = campaign(command, 6 if given.quick else COUNT, folder)
+            seen = campaign(command, 6 if options.quick else COUNT, folder)
             for number, one in seen.items():
                 ends = ", ".join(f"{key}: {n}" for key, n in sorted(one.ends.items()))
                 stands = ", ".join(f"{key} {n}" for key, n in sorted(one.stands.items()))
@@ -318,7 +318,7 @@ def main() -> int:
         table(("command", "signal", "kills", "exit status", "stands", "leftovers", "wrong"), rows),
         "\n".join(f"* {one}" for one in wrong[:20]) or "Nothing was wrong.",
     )
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
     return 1 if wrong else 0
 
 

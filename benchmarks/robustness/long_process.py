@@ -106,11 +106,11 @@ def memory() -> tuple[float, int]:
 
 def main() -> None:
     """A row each twenty calls."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     eoi.configure(cache=False)
     warnings.simplefilter("ignore")
     rows, largest, seconds, warm = [], 0, [], 0.0
-    calls = 20 if given.quick else CALLS
+    calls = 20 if options.quick else CALLS
     for number in range(calls):
         plant, fitted, held_out = rig(number)
         started = time.perf_counter()
@@ -133,7 +133,7 @@ def main() -> None:
         table(["call", "resident", "mappings", "time of a call, median", "named last"], rows),
         f"At most {peak:.0f} MB and {largest} mappings; {grown:.1f} MB a call after {WARM} calls.",
     )
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -128,8 +128,10 @@ def _beside(file: str, module: str) -> bool:
 
 def environment(root: Path) -> dict[str, str]:
     """Variables of a process that runs the tests of a copy."""
-    given = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
-    return given | {
+    variables = {
+        key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"
+    }
+    return variables | {
         "PYTHONPATH": str(root),
         "PYTHONPYCACHEPREFIX": str(root.parent / "bytecode"),
         "EOI_CACHE": str(root.parent / "cache"),

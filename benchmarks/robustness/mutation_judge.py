@@ -74,8 +74,8 @@ def child(file: str, folder: Path) -> None:
     os.dup2(output, 1)
     os.dup2(output, 2)
     quiet = "-W", "ignore::pytest.PytestAssertRewriteWarning"  # plugins that are imported already
-    given = ["-q", "-x", "-n0", "-p", "no:cacheprovider", *quiet, f"--basetemp={folder / 'base'}"]
-    code = pytest.main([*given, file], plugins=[FirstFailure(folder / "by")])
+    options = ["-q", "-x", "-n0", "-p", "no:cacheprovider", *quiet, f"--basetemp={folder / 'base'}"]
+    code = pytest.main([*options, file], plugins=[FirstFailure(folder / "by")])
     os._exit(int(code))
 
 

@@ -166,8 +166,8 @@ class Judge:
         os.utime(path, (self._stamp, self._stamp))
 
 
-def _git(folder: Path, *given: str) -> str:
-    command = ["git", "-C", str(folder), *given]
+def _git(folder: Path, *words: str) -> str:
+    command = ["git", "-C", str(folder), *words]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
@@ -234,27 +234,27 @@ def main() -> None:
     parser.add_argument("--unmeasured", action="store_true", help="take no map of coverage first")
     parser.add_argument("--report", action="store_true", help="judge nothing")
     parser.add_argument("--write", action="store_true", help="update the result file")
-    given = parser.parse_args()
-    commit = _git(ROOT, "rev-parse", given.commit).strip()
+    options = parser.parse_args()
+    commit = _git(ROOT, "rev-parse", options.commit).strip()
     drawn, session = load()
-    folder = (given.folder or Path(tempfile.mkdtemp(prefix="mutation-"))).resolve()
+    folder = (options.folder or Path(tempfile.mkdtemp(prefix="mutation-"))).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    if not given.report:
+    if not options.report:
         judge = Judge(folder, commit)
         if not session:
             drawn = judge.commit
-            session = [Fate(one) for one in faults.sample(judge.copy, given.faults, given.seed)]
-        if not given.unmeasured:
+            session = [Fate(one) for one in faults.sample(judge.copy, options.faults, options.seed)]
+        if not options.unmeasured:
             judge.map.update()
         for fate in sorted(session, key=lambda one: len(one.passed)):  # the least judged first
-            if fate.status != "open" and not (given.again and fate.status == "survived"):
+            if fate.status != "open" and not (options.again and fate.status == "survived"):
                 continue
-            judge.judge(fate, given.seconds, given.only)
+            judge.judge(fate, options.seconds, options.only)
             if fate.first == "open":
                 fate.first = fate.status
             save(drawn, session)
             print(fate.status, fate.fault.module, fate.after, fate.by, sep=" | ", flush=True)
-    write_report(session, drawn, given.write)
+    write_report(session, drawn, options.write)
 
 
 if __name__ == "__main__":

@@ -38,12 +38,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there too")
     parser.add_argument("--tflops", type=float, help="the card's limit in this precision")
     parser.add_argument("--float64", action="store_true", help="double precision")
-    given = parser.parse_args()
-    eoi.configure(float64=given.float64)
+    options = parser.parse_args()
+    eoi.configure(float64=options.float64)
     if jax.default_backend() != "gpu":
         print("no GPU: not measured")
         return
-    length = 500 if given.quick else 5000
+    length = 500 if options.quick else 5000
     report = Report("One kernel on a GPU")
     operations = arithmetic(length)
     report.add(
@@ -52,12 +52,12 @@ def main() -> None:
         "counted in the traced loop; what all lanes share is not among them. CPU: the compiled "
         f"engine on all cores, its rate at {ON_THE_CPU} lanes taken for more."
     )
-    rows = [measured(4**k, length) for k in range(3, 8 if given.quick else 11)]
-    report.add(_table(rows, operations, given.tflops), _crossover(rows))
-    if given.json:
+    rows = [measured(4**k, length) for k in range(3, 8 if options.quick else 11)]
+    report.add(_table(rows, operations, options.tflops), _crossover(rows))
+    if options.json:
         shown = {"steps": length, "operations": operations, "rows": rows}
-        given.json.write_text(json.dumps(shown, indent=2) + "\n", encoding="utf-8")
-    report.close(__file__, given.write)
+        options.json.write_text(json.dumps(shown, indent=2) + "\n", encoding="utf-8")
+    report.close(__file__, options.write)
 
 
 def measured(count: int, length: int) -> dict[str, float]:

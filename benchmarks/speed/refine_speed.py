@@ -214,8 +214,8 @@ OTHER = ("case", "identify, 20 steps a sample", "and refine", "/ scipy", "cold r
 
 def main() -> None:
     """Both tables, and many starts."""
-    given = arguments(__doc__)
-    rounds = 3 if given.quick else 9
+    options = arguments(__doc__)
+    rounds = 3 if options.quick else 9
     report = Report("Pass and refinement beside scipy over Numba")
     report.add(
         f"Medians of {rounds} rounds by turns, everything compiled, {PAUSE:g} s of pause before "
@@ -227,7 +227,7 @@ def main() -> None:
         "`least_squares` as it comes: `trf`, 1e-8. Ours ends with standard errors, the rival with "
         "a point.",
     )
-    several = cases()[-1:] if given.quick else cases()
+    several = cases()[-1:] if options.quick else cases()
     found = {case.name: measured(case, rounds) for case in several}
     report.add(table(HEADER, [row(name, one) for name, one in found.items()]))
     report.add(
@@ -246,7 +246,7 @@ def main() -> None:
         table(("case", "one start", f"{STARTS} more", "ratio", "cost"), rows),
         f"Load average after: {os.getloadavg()[0]:.2f}.",
     )
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -32,8 +32,8 @@ def main() -> None:
     if "--child" in sys.argv:
         child(json.loads(sys.argv[sys.argv.index("--child") + 1]))
         return
-    given = common.arguments(__doc__)
-    cut = slice(None, -2) if given.quick else slice(None)
+    options = common.arguments(__doc__)
+    cut = slice(None, -2) if options.quick else slice(None)
     report = common.Report("Scaling of a sweep")
     curves = {}
     for precision in ("float64", "float32"):
@@ -42,10 +42,10 @@ def main() -> None:
             rows = [measured({**base, axis: value}) for value in values]
             curves[precision, axis] = (values, rows)
             report.add(f"## {precision}, against {axis}", rows_table(axis, values, rows))
-    report.add("## Asked", asked(given.quick))
-    if given.write:
+    report.add("## Asked", asked(options.quick))
+    if options.write:
         draw(curves).savefig(common.results(__file__) / "scaling.png", dpi=110)
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 def rows_table(axis: str, values: list[int], rows: list[dict[str, Any]]) -> str:

@@ -47,16 +47,16 @@ OURS, PLAIN, C = "Native", "plain jit(vmap(scan))", "C"
 
 def main(words: list[str] | None = None) -> dict[str, Any]:
     """Measure, print, and write if asked; returns what `--json` prints."""
-    given = arguments(words)
-    if given.plain:
-        plain_worker(given.plain)
+    options = arguments(words)
+    if options.plain:
+        plain_worker(options.plain)
         return {}
     eoi.configure()
     jax.config.update("jax_num_cpu_devices", CORES)
-    printed = io.StringIO() if given.json else sys.stdout
+    printed = io.StringIO() if options.json else sys.stdout
     with contextlib.redirect_stdout(printed):
-        found = measured(given)
-    if given.json:
+        found = measured(options)
+    if options.json:
         print(json.dumps(found))
     return found
 
@@ -76,22 +76,22 @@ def arguments(words: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def measured(given: argparse.Namespace) -> dict[str, Any]:
+def measured(options: argparse.Namespace) -> dict[str, Any]:
     """All tables, and their numbers by name; of single precision at the top."""
-    steps = given.steps or (5000 if given.quick else 20_000)
-    rounds = given.rounds or (3 if given.quick else 5)
+    steps = options.steps or (5000 if options.quick else 20_000)
+    rounds = options.rounds or (3 if options.quick else 5)
     report = common.Report("Throughput of a pass on the CPU")
     if not rivals.C.available():
         report.add("There is no gcc here: C is left out.")
     found: dict[str, Any] = {"cores": CORES}
-    for dtype in (np.float32,) if given.quick else (np.float32, np.float64):
+    for dtype in (np.float32,) if options.quick else (np.float32, np.float64):
         kind = np.dtype(dtype).name
-        problem = Case(dtype, given.lanes, steps)
+        problem = Case(dtype, options.lanes, steps)
         part = compared(problem, rounds, report)
         found |= part if dtype == np.float32 else {kind: part}
-    found["float32_error"] = precision(given.lanes, steps, report)
-    report.close(__file__, given.write)
-    if given.write:
+    found["float32_error"] = precision(options.lanes, steps, report)
+    report.close(__file__, options.write)
+    if options.write:
         path = common.results(__file__) / "throughput.json"
         path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return found

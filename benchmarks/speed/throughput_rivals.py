@@ -93,13 +93,15 @@ class C:
         return shutil.which("gcc") is not None
 
     def __call__(self) -> np.ndarray:
-        given = self._problem
-        out = np.zeros((SUMS, given.lanes), given.y.dtype)
-        restart = given.restart.astype(np.uint8)
-        arrays = (given.y, given.u, given.use, given.score, restart, self._sine)
-        gains = (given.c1, given.c2, given.c3, given.theta, out)
+        problem = self._problem
+        out = np.zeros((SUMS, problem.lanes), problem.y.dtype)
+        restart = problem.restart.astype(np.uint8)
+        arrays = (problem.y, problem.u, problem.use, problem.score, restart, self._sine)
+        gains = (problem.c1, problem.c2, problem.c3, problem.theta, out)
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*arrays, *gains)]
-        self._code["pass"](given.lanes, len(given.u), self._kind(given.h), self._filter, *pointers)
+        self._code["pass"](
+            problem.lanes, len(problem.u), self._kind(problem.h), self._filter, *pointers
+        )
         return out
 
 
@@ -190,12 +192,12 @@ class Numba:
         numba.set_num_threads(threads)
 
     def __call__(self) -> np.ndarray:
-        given = self._problem
-        out = np.zeros((SUMS, given.lanes), given.y.dtype)
-        h = given.y.dtype.type(given.h)
-        record = (given.y, given.u, given.use, given.score, given.restart, self._sine)
-        gains = (given.c1, given.c2, given.c3, given.theta)
-        _numba_pass(h, given.transition, given.entry, *record, *gains, out)
+        problem = self._problem
+        out = np.zeros((SUMS, problem.lanes), problem.y.dtype)
+        h = problem.y.dtype.type(problem.h)
+        record = (problem.y, problem.u, problem.use, problem.score, problem.restart, self._sine)
+        gains = (problem.c1, problem.c2, problem.c3, problem.theta)
+        _numba_pass(h, problem.transition, problem.entry, *record, *gains, out)
         return out
 
 
@@ -210,26 +212,26 @@ class Loop:
         self._problem, self._sine = problem, problem.sine()
 
     def __call__(self) -> np.ndarray:
-        given, sine = self._problem, self._sine
-        real, lanes = given.y.dtype, given.lanes
-        h = real.type(given.h)
+        problem, sine = self._problem, self._sine
+        real, lanes = problem.y.dtype, problem.lanes
+        h = real.type(problem.h)
         half = real.type(0.5)
-        pa, pb, pc, pd = given.theta
+        pa, pb, pc, pd = problem.theta
         x1, x2, drift, f_old = (np.zeros(lanes, real) for _ in range(4))
         # Columns: injection, observed, then φ = (-sin y, -ẏ, -sign ẏ, u).
         state, old = np.zeros((2, 6, lanes), real), np.zeros((4, lanes), real)
         upper = np.triu_indices(4)
         out = np.zeros((SUMS, lanes), real)
-        for k in range(len(given.u)):
-            now, following, force = given.y[k], given.y[k + 1], given.u[k]
-            if given.restart[k]:
+        for k in range(len(problem.u)):
+            now, following, force = problem.y[k], problem.y[k + 1], problem.u[k]
+            if problem.restart[k]:
                 x1, x2 = np.full(lanes, now), np.full(lanes, (following - now) / h)
                 drift = np.zeros(lanes, real)
             e = now - x1
             d = -pa * sine[k] - pb * x2 - pc * np.sign(x2) + pd * force
-            a = d + given.c2 * e
-            x = x1 + h * x2 + half * h**2 * a + h * given.c1 * e
-            w = np.clip((following - x) / h**2, -given.c3, given.c3)
+            a = d + problem.c2 * e
+            x = x1 + h * x2 + half * h**2 * a + h * problem.c1 * e
+            w = np.clip((following - x) / h**2, -problem.c3, problem.c3)
             x1, x2 = x + h**2 * w, x2 + h * (a + w)
             seen, drift = w + half * (d + drift), d
             rate = x2 - half * h * a
@@ -239,15 +241,15 @@ class Loop:
             columns = np.stack([seen - half * (f + f_old), seen, *(half * (phi + old))])
             old, f_old = phi, f
             state = (
-                given.transition[:, :1, None] * state[0]
-                + given.transition[:, 1:, None] * state[1]
-                + given.entry[:, None, None] * (given.use[k] * columns)
+                problem.transition[:, :1, None] * state[0]
+                + problem.transition[:, 1:, None] * state[1]
+                + problem.entry[:, None, None] * (problem.use[k] * columns)
             )
             injection, observed, regressors = state[0, 0], state[0, 1], state[0, 2:]
-            score = given.score[k]
+            score = problem.score[k]
             out[:10] += score * regressors[upper[0]] * regressors[upper[1]]
             out[10:14] += score * regressors * injection
             out[14] += score * injection**2
             out[15] += score * observed**2
-            out[16] += score * (np.abs(w) < given.c3)
+            out[16] += score * (np.abs(w) < problem.c3)
         return out

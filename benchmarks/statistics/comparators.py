@@ -120,9 +120,9 @@ def figure(found: dict[str, dict[float, eoi.Comparison]], path: Path) -> None:
 
 
 def main() -> None:
-    given = common.arguments(__doc__)
-    chosen = cases()[:2] if given.quick else cases()
-    levels = (0.0, SLOW_LEVEL) if given.quick else LEVELS
+    options = common.arguments(__doc__)
+    chosen = cases()[:2] if options.quick else cases()
+    levels = (0.0, SLOW_LEVEL) if options.quick else LEVELS
     report = common.Report("Comparators: five plants, four levels of noise")
     report.add(
         "Each method starts from the nominal values and gets one record (10 to 20 s, 5000 to "
@@ -136,18 +136,18 @@ def main() -> None:
     found: dict[str, dict[float, eoi.Comparison]] = {}
     lines: list[list[str]] = []
     for one in chosen:
-        found[one.plant.name] = compared(one, levels, given.quick)
+        found[one.plant.name] = compared(one, levels, options.quick)
         size = np.std(one.record(2, 0.0).outputs, axis=0)
         lines += rows(one.plant.name, size, found[one.plant.name])
         print(f"{one.plant.name} done", flush=True)
     errors = (f"error, noise {level:g}" for level in LEVELS)
     header = ("plant", "method", *errors, "held-out", "time [s]", "first [s]")
     report.add(common.table(header, lines), "Ends other than converged:", ends(found))
-    if given.write:
+    if options.write:
         figure(found, common.results(__file__) / "comparators.png")
         report.add("![Worst parameter error against noise](comparators.png)")
     report.add(f"CPU time: {time.process_time():.0f} s.")
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ METHODS: dict[str, Callable[[Case, eoi.Record], Found]] = {
 
 def main() -> None:
     """Every plant and level."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("Instruments")
     report.add(
         "Records of `comparator_cases.py` under one drive, several seeds of white noise on every "
@@ -47,8 +47,8 @@ def main() -> None:
         "of `eoi_jax.compare`."
     )
     for one in cases():
-        report.add(f"## {one.plant.name}", plant_table(one, LEVELS, seeds_of(given.quick)))
-    report.close(__file__, given.write)
+        report.add(f"## {one.plant.name}", plant_table(one, LEVELS, seeds_of(options.quick)))
+    report.close(__file__, options.write)
 
 
 def seeds_of(quick: bool) -> Callable[[float, str], int]:

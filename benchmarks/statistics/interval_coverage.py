@@ -268,8 +268,8 @@ HEADER = (
 
 def main() -> None:
     """Every plant and kind of residual, on two processes."""
-    given = arguments(__doc__)
-    count = 40 if given.quick else 500
+    options = arguments(__doc__)
+    count = 40 if options.quick else 500
     report = Report(
         "Coverage of 95 % intervals",
     )
@@ -290,7 +290,7 @@ def main() -> None:
             for method, one in running[task].result().items()
         ]
     report.add(table(HEADER, rows))
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 def deviation(count: int) -> float:

@@ -22,9 +22,9 @@ USABLE = 0.05  # worst increment, median over the seeds
 
 def main() -> None:
     """Every plant, level and choice of gains."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("Noise")
-    seeds = 3 if given.quick else 20
+    seeds = 3 if options.quick else 20
     report.add(
         f"White noise on every output, its standard deviation σ a share of that output's rms; "
         f"records of 20 s (three masses 10 s) at 1 ms from `independent.py`, {seeds} seeds, "
@@ -43,7 +43,7 @@ def main() -> None:
     for name, one in plants.items():
         report.add(f"## {name.replace('_', ' ')}")
         _plant(report, one, seeds)
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 def _one_mass() -> Case:

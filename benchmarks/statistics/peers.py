@@ -193,13 +193,13 @@ class Casadi(comparators.AbstractComparator):
         multiplier = ca.MX.sym("multiplier", 0)
         hessian = weight * ca.triu(jacobian.T @ jacobian)
         nlp = {"x": unknowns, "f": 0.5 * ca.dot(error, error)}
-        given = ca.Function(
+        hessian_function = ca.Function(
             "nlp_hess_l", {"x": unknowns, "lam_f": weight, "lam_g": multiplier,
                            "hess_gamma_x_x": hessian},
             ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"],
         )  # fmt: skip
         options = {"ipopt": {"print_level": 0, "max_iter": 50}, "print_time": False}
-        solver = ca.nlpsol("solver", "ipopt", nlp, {**options, "hess_lag": given})
+        solver = ca.nlpsol("solver", "ipopt", nlp, {**options, "hess_lag": hessian_function})
         found = solver(x0=first)
         theta = np.asarray(found["x"]).ravel()[:count] * scale
         status = solver.stats()

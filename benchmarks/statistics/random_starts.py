@@ -299,7 +299,7 @@ HEADER = ("case", "passes answer", "pass + refine", "missed: rms / best", "outpu
 
 def main() -> None:
     """All cases."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("Random starts within ±200 % of the truth")
     report.add(
         f"Each parameter uniform in [θ - {REACH:g}|θ|, θ + {REACH:g}|θ|] of the truth (simulated) "
@@ -313,14 +313,14 @@ def main() -> None:
         "of those that missed has no estimate to refine, or its free run diverges."
     )
     rows, ends = [], []
-    for case in simulated()[:2] if given.quick else [*simulated(), *measured()]:
-        count = SIDE if given.quick or case.name in OPTIMA else 1000
+    for case in simulated()[:2] if options.quick else [*simulated(), *measured()]:
+        count = SIDE if options.quick or case.name in OPTIMA else 1000
         one = found(case, count, min(count, ALONE))
         rows.append(row(one))
         print(rows[-1], flush=True)
         ends.append(one)
     report.add(table(HEADER, rows))
-    if not given.quick:
+    if not options.quick:
         several = [one for one in ends if one.drawn is not None]
         report.add(
             "Passes, then `refine(starts=…, rounds=…)`, each start on its own: points around the "
@@ -340,7 +340,7 @@ def main() -> None:
                   [[*cells, ", ".join(percent(cost / best - 1.0) for cost in costs)]
                    for cells, costs in turns]),
         )  # fmt: skip
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

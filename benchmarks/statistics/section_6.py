@@ -173,12 +173,12 @@ def lag_text(plant: eoi.Plant, y: np.ndarray) -> str:
 
 
 def main() -> None:
-    given = common.arguments(__doc__)
+    options = common.arguments(__doc__)
     plant = eoi.plants.mass_spring_damper()
     true = eoi.plants.mass_spring_damper(true=True)
     truth = np.asarray(true.theta)
     y = independent.one_mass(true.parameters, clock(), drive(), "zero")
-    seeds, merged = (4, 2) if given.quick else (SEEDS, MERGED_SEEDS)
+    seeds, merged = (4, 2) if options.quick else (SEEDS, MERGED_SEEDS)
     report = common.Report("Section 6: the one-mass plant, beside the paper")
     report.add(
         f"`y'' = -α y - β y' + ρ u` with the paper's final parameters as truth ({truth[0]:g}, "
@@ -199,7 +199,7 @@ def main() -> None:
     report.add(lag_text(plant, y))
     report.add("## The paper's three sets of parameters on our record", *paper_table(plant, y))
     report.add(f"CPU time: {time.process_time():.0f} s.")
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -138,7 +138,7 @@ def dirty(rig: Rig, dirt: Dirt, seed: int) -> eoi.Record:
 
 def main() -> None:
     """One row a rig and kind of dirt."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     warnings.simplefilter("ignore")
     report, rows = Report("Dirty records"), []
     report.add(
@@ -148,7 +148,7 @@ def main() -> None:
         "more than the records themselves predict, nothing named is right for nothing hidden."
     )
     for rig in rigs():
-        for name, dirt in list(DIRT.items())[:: 4 if given.quick else 1]:
+        for name, dirt in list(DIRT.items())[:: 4 if options.quick else 1]:
             fitted, held = (dirty(rig, dirt, seed) for seed in SEEDS)
             started = time.perf_counter()
             found = eoi.discover(rig.model, fitted, held)
@@ -157,7 +157,7 @@ def main() -> None:
             right = set(found.effects) == set(rig.effects)
             rows.append([rig.hidden, name, named, "yes" if right else "**no**", f"{seconds:.0f} s"])
     report.add(table(["hidden", "measured with", "named", "right", "time"], rows))
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -232,7 +232,7 @@ def rigs() -> list[Rig]:
 
 def main() -> None:
     """One row a rig."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     warnings.simplefilter("ignore")
     report = Report("Other rigs")
     report.add(
@@ -243,7 +243,7 @@ def main() -> None:
         "library has no name. Times are of first calls, with compilation."
     )
     rows = []
-    for rig in rigs()[:: 4 if given.quick else 1]:
+    for rig in rigs()[:: 4 if options.quick else 1]:
         fitted, held = (record(rig, seed, rig.samples) for seed in SEEDS)
         started = time.perf_counter()
         found = eoi.discover(rig.model, fitted, held)
@@ -261,7 +261,7 @@ def main() -> None:
     report.add(
         table(["rig", "what its model lacks", "named", "right", "error / noise", "time"], rows)
     )
-    report.close(__file__, given.write)
+    report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -132,7 +132,7 @@ FILTER = 90.0  # [rad/s], of all three simulated cases
 
 def main() -> None:
     """Print, and write if asked."""
-    given = arguments(__doc__)
+    options = arguments(__doc__)
     report = Report("The paper's tables, beside ours")
     report.add(
         "Increments are compared with the true ones, Δθ. P is the index of eq. (14), one value an "
@@ -141,12 +141,12 @@ def main() -> None:
         "same filter on both sides of the regression (the paper: on what is noisy). Data: "
         "`independent.py`."
     )
-    _asked(report, given.quick)
+    _asked(report, options.quick)
     report.add("## Simulated experiments")
     for published in SIMULATED:
-        _simulated(report, published, given.quick)
-    _substeps(report, given.quick)
-    _sweep(report, given.quick, given.write)
+        _simulated(report, published, options.quick)
+    _substeps(report, options.quick)
+    _sweep(report, options.quick, options.write)
     report.add("## Laboratory experiments, as simulated twins")
     report.add(
         "The paper's final parameters make the record; its nominal values and gains start the "
@@ -154,9 +154,9 @@ def main() -> None:
         "Inputs of the experiments are not given, so indices can be compared in kind only."
     )
     for published in LABORATORY:
-        _laboratory(report, published, given.quick)
-    _one_mass(report, given.quick)
-    report.close(__file__, given.write)
+        _laboratory(report, published, options.quick)
+    _one_mass(report, options.quick)
+    report.close(__file__, options.write)
 
 
 # -- what was asked ---------------------------------------------------------------------------

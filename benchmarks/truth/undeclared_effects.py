@@ -431,37 +431,37 @@ def arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--cache", type=Path, help="folder to keep simulated cases in")
     parser.add_argument("--resume", action="store_true", help="skip cases that have their line")
     parser.add_argument("--no-rival", action="store_true", help="leave the rival out")
-    given = parser.parse_args(words)
-    if given.resume and not (given.write or given.cache):
+    options = parser.parse_args(words)
+    if options.resume and not (options.write or options.cache):
         parser.error("--resume needs --write or --cache: else no file of cases is kept")
-    if given.cache and given.cache.resolve().is_relative_to(ROOT):
+    if options.cache and options.cache.resolve().is_relative_to(ROOT):
         parser.error("--cache must lie outside the repository: it grows to gigabytes")
-    return given
+    return options
 
 
 def main() -> None:
     """Simulate, measure, report."""
-    given = arguments()
+    options = arguments()
     eoi.configure()
-    first, count = given.seeds
-    blocks = quick(given.plants, first) if given.quick else full(given.plants, first, count)
+    first, count = options.seeds
+    blocks = quick(options.plants, first) if options.quick else full(options.plants, first, count)
     with tempfile.TemporaryDirectory() as temporary:
-        cache = given.cache or Path(temporary)
-        path = (results(__file__) if given.write else cache) / "undeclared_effects.jsonl"
-        if not given.resume:
+        cache = options.cache or Path(temporary)
+        path = (results(__file__) if options.write else cache) / "undeclared_effects.jsonl"
+        if not options.resume:
             path.unlink(missing_ok=True)
         report = Report("Effects that a model does not declare")
-        times = run(blocks, path, given.workers, How(cache, _commit(), not given.no_rival))
+        times = run(blocks, path, options.workers, How(cache, _commit(), not options.no_rival))
         wanted = {key for block in blocks for key in block.listed()}
         rows = [one for one in tables.read(path) if _key(one) in wanted]
         report.add(*tables.sections(rows))
         report.add(
             f"Simulation {times[0]:.0f} s, discovery and rival {times[1]:.0f} s, on "
-            f"{given.workers} processes of one thread each, in the last run."
+            f"{options.workers} processes of one thread each, in the last run."
         )
-        if given.write:
+        if options.write:
             tables.figure(rows, results(__file__) / "undeclared_effects.png")
-        report.close(__file__, given.write)
+        report.close(__file__, options.write)
 
 
 if __name__ == "__main__":

@@ -140,14 +140,14 @@ def read(path: Path) -> list[Row]:
 
 def _row(values: dict) -> Row:
     for name in ("ours", "rival"):
-        given = values[name]
-        if given is None:
+        answer = values[name]
+        if answer is None:
             continue
         for key in ("named", "top", "ambiguous_with"):
-            given[key] = tuple(given[key])
+            answer[key] = tuple(answer[key])
         for key in ("before", "after"):
-            given[key] = math.inf if given[key] is None else given[key]
-        values[name] = Answer(**given)
+            answer[key] = math.inf if answer[key] is None else answer[key]
+        values[name] = Answer(**answer)
     for name in ("truth", "equivalent", "strength"):
         values[name] = tuple(values[name])
     return Row(**values)
