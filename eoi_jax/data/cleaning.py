@@ -27,7 +27,7 @@ from eoi_jax.data.resampling import (
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 _LARGEST = 1e150
-_STAIRCASE = 0.2  # share of steps that may change a held input's value
+STAIRCASE = 0.2  # share of steps that may change a held input's value
 _DEGREE = 3  # of the spline through outputs that lie between grid points
 
 Names: TypeAlias = Sequence[str] | None
@@ -218,11 +218,11 @@ def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
     if not u.shape[1]:
         return "zero", []
     share = float(np.max(np.mean(np.diff(u, axis=0) != 0, axis=0)))
-    hold = "zero" if share <= _STAIRCASE else "linear"
+    hold = "zero" if share <= STAIRCASE else "linear"
     rule = "at most" if hold == "zero" else "more than"
     why = (
         f"Hold taken as {hold}: {100 * share:.3g} % of the steps change an input's value, "
-        f"{rule} {100 * _STAIRCASE:.0f} %."
+        f"{rule} {100 * STAIRCASE:.0f} %."
     )
     return hold, [why]
 

@@ -1,4 +1,4 @@
-"""Saturation, seen in the record alone: samples that pile up at a channel's end."""
+"""Saturation of measured channels: samples that pile up at the smallest or largest value."""
 
 from dataclasses import dataclass
 
@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 
-_LEVELS = 500  # of a channel's range: how exactly a value repeats at a stop
-_NEAR = 25  # levels next to the end that are looked at
-_FEW = 6  # of them that must be taken, or the channel is a staircase
-_PILE = 10.0  # samples at the extreme over those at the levels next to it
+_LEVELS = 500  # levels into which the range of a channel is divided
+_END_LEVELS = 25  # levels next to the end that are compared
+_FEWEST_LEVELS = 6  # number of them with samples; with fewer the channel is a staircase
+_PILE = 10.0  # ratio of the samples at the extreme to those of a level next to it
 
 
 @dataclass(frozen=True)
@@ -30,39 +30,39 @@ def saturations(record: Record) -> list[Saturation]:
         record: as measured; smoothing rounds the ends off.
 
     Returns:
-        One for each end, inputs first.
+        A saturation for each such end, inputs first.
     """
     channels = [
         *zip(record.input_names, record.inputs.T, strict=True),
         *zip(record.output_names, record.outputs.T, strict=True),
     ]
-    found = []
+    piles = []
     for name, channel in channels:
         values = channel[record.valid]
         for side in (1.0, -1.0):
             share = _pile(side * values)
             if share:
                 level = float(side * np.max(side * values))
-                found.append(Saturation(record.name, name, level, share))
-    return found
+                piles.append(Saturation(record.name, name, level, share))
+    return piles
 
 
 def _pile(values: Float[np.ndarray, " n"]) -> float:
     """Share of samples at the largest value if they pile up there, else 0.
 
-    Cut off, a signal is at its end far more often than just short of it, where it is no more often
-    than a little further in. A signal that turns there (a sine) or settles there lingers on the
-    way as well; one with few levels (a staircase) has nothing in between.
+    A clipped signal has far more samples at its end than at the levels next to it, and no more at
+    those than further in. A signal that turns at its end (a sine) or settles there has many samples
+    at the levels next to it as well; a staircase of few levels has none.
     """
-    reach = float(np.ptp(values))
-    if reach <= 0:
+    value_range = float(np.ptp(values))
+    if value_range <= 0:
         return 0.0
-    width = max(reach / _LEVELS, float(np.min(np.diff(np.unique(values)))))
+    width = max(value_range / _LEVELS, float(np.min(np.diff(np.unique(values)))))
     level = ((np.max(values) - values) / width + 0.5).astype(int)
-    counts = np.bincount(level[level <= _NEAR], minlength=_NEAR + 1)
-    pile, beside, further = counts[0], np.sum(counts[1:4]), np.mean(counts[4:])
-    staircase = np.sum(counts[1:] > 0) < _FEW or reach < 2 * _NEAR * width
-    lingers = beside > 6.0 * further + 3.0 * np.sqrt(3.0 * further + 1.0) and beside > 0.1 * pile
-    if staircase or lingers or pile < _PILE * max(beside / 3.0, further, 1.0):
+    counts = np.bincount(level[level <= _END_LEVELS], minlength=_END_LEVELS + 1)
+    pile, adjacent, inner = counts[0], np.sum(counts[1:4]), np.mean(counts[4:])
+    staircase = np.sum(counts[1:] > 0) < _FEWEST_LEVELS or value_range < 2 * _END_LEVELS * width
+    lingers = adjacent > 6.0 * inner + 3.0 * np.sqrt(3.0 * inner + 1.0) and adjacent > 0.1 * pile
+    if staircase or lingers or pile < _PILE * max(adjacent / 3.0, inner, 1.0):
         return 0.0
     return float(pile / len(values))

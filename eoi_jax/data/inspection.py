@@ -1,6 +1,6 @@
-"""What is in a file before anything is configured: its columns, its clock, what they look like.
+"""Inspection of a data file before anything is configured: its columns, its time and its signals.
 
-Which column is the time, an input or an output is a guess, and called one.
+Which column is the time, an input or an output is a guess, and is reported as a guess.
 """
 
 import re
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check
 from eoi_jax._display import Result, text
-from eoi_jax.data.cleaning import SHORTEST
+from eoi_jax.data.cleaning import SHORTEST, STAIRCASE
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
@@ -24,11 +24,12 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import Clock, find_clock
 
-_LOOKED = 1_000_000  # samples whose noise, steps and spectrum are looked at
-_LINES = 1 << 17  # samples of a spectrum
-_POWER = 0.99  # share of a signal's power that lies in its band
-_HELD = 0.2  # share of steps that may change a held signal
-_LEAP = 0.25  # of its range: a change from one sample to the next that no inertia allows
+_EXAMINED = 1_000_000  # samples of which noise, quantum and saturation are estimated
+_SPECTRUM_SAMPLES = 1 << 17  # samples of which the spectrum is taken
+_BAND_POWER = 0.99  # share of a signal's power that lies in its band
+_JUMP = (
+    0.25  # share of the range: a larger change from one sample to the next is no motion of a mass
+)
 
 _INPUT = frozenset((
     "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
@@ -53,19 +54,19 @@ class Channel:
 
     Attributes:
         name: as `read_record` takes it.
-        kind: what its values are: numbers, whole numbers, dates, truth values, text.
-        unit: where the file says one.
-        role: a guess: time, input, output, constant, text or other.
-        why: for the role.
+        kind: kind of the values: numbers, whole numbers, dates, truth values, text.
+        unit: as the file gives it, or empty.
+        role: guessed role: time, input, output, constant, text or other.
+        why: reason for the role.
         low, high: smallest and largest value; None for text.
-        missing: cells that are empty or not finite.
+        missing: number of cells that are empty or not finite.
         changes: share of steps in which the value changes; None for text.
-        noise: standard deviation of white measurement noise, estimated; see `Record.noise`. None
-            of an input that is held.
-        quantum: step of the values, if they are multiples of one.
-        saturated: ends at which samples pile up: the level and the share of samples there.
-        band: frequency below which 99 % of the power lies [Hz]; None where nothing moves.
-        notes: what a record of it has to do about its time.
+        noise: estimated standard deviation of white measurement noise; see `Record.noise`. None
+            for an input that is held.
+        quantum: step of the values, if they are multiples of one step.
+        saturated: level and share of samples of each end at which samples pile up.
+        band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
+        notes: what a record of this column does about the time stamps.
     """
 
     name: str
@@ -86,19 +87,19 @@ class Channel:
 
 @dataclass(frozen=True)
 class Inspection(Result):
-    """What is in a file; prints itself, and has a picture.
+    """Contents of a data file, with guesses of their roles.
 
-    `plot` shows signals over time, their spectra, and the distances of the stamps.
+    `plot` shows the signals over time, their spectra, and the intervals between time stamps.
 
     Attributes:
         path: of the file.
-        samples: rows of its columns.
-        clock: its time, a guess.
-        channels: its columns of that length.
-        left_out: what else is in it, and why it is no column.
-        notes: how it was read.
-        advice: what to look at before anything is fitted.
-        signals: the columns of numbers and dates themselves, in float64; dates in seconds [s].
+        samples: number of rows of the columns.
+        clock: the time column, guessed.
+        channels: the columns of that length.
+        left_out: other contents of the file, and why they are no columns.
+        notes: how the file was read.
+        advice: what to check before a model is fitted.
+        signals: values of the columns of numbers and dates, in float64; dates in seconds [s].
     """
 
     path: Path
@@ -113,15 +114,15 @@ class Inspection(Result):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the columns that look like inputs."""
-        return tuple(one.name for one in self.channels if one.role == "input")
+        return tuple(channel.name for channel in self.channels if channel.role == "input")
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the columns that look like outputs."""
-        return tuple(one.name for one in self.channels if one.role == "output")
+        return tuple(channel.name for channel in self.channels if channel.role == "output")
 
     def summary(self) -> dict[str, Any]:
-        """Everything as values that JSON has; numbers that are not finite are None."""
+        """The inspection as JSON values; numbers that are not finite become None."""
         return _plain(
             {
                 "path": str(self.path),
@@ -129,7 +130,7 @@ class Inspection(Result):
                 "clock": asdict(self.clock),
                 "inputs": self.inputs,
                 "outputs": self.outputs,
-                "channels": [asdict(one) for one in self.channels],
+                "channels": [asdict(channel) for channel in self.channels],
                 "left_out": self.left_out,
                 "notes": self.notes,
                 "advice": self.advice,
@@ -140,20 +141,21 @@ class Inspection(Result):
         return text(self)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of numbers that are no measurement
+@np.errstate(over="ignore", invalid="ignore")  # columns may hold numbers of any size
 def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection:
-    """Look at a file before anything is configured.
+    """Inspect a data file before anything is configured.
 
     Args:
-        path: a file of a kind that `read_record` knows.
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+        path: a file of a kind that `read_record` reads.
+        max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
+            limit.
 
     Returns:
-        Its columns, its clock, and guesses of what is what: time [s], inputs and outputs.
+        The columns, the clock, and guesses of the roles: time [s], inputs and outputs.
 
     Raises:
-        ValueError: a file that is missing, of an unknown kind, not what its name says, or
-            without a column of numbers of at least 8 rows.
+        ValueError: a file that is missing, of an unknown kind, of another kind than its name
+            says, or without a column of numbers of at least 8 rows.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes)
@@ -161,13 +163,13 @@ def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection
     numbers = _numbers(table, samples)
     clock = find_clock(table, numbers)
     if clock.column is None:
-        clock = _said_period(table, clock)
+        clock = _declared_period(table, clock)
     channels = [
         _channel(key, values, table, clock, numbers)
         for key, values in table.columns.items()
         if len(values) == samples
     ]
-    channels = _with_roles(channels, table, clock, numbers)
+    channels = _assign_roles(channels, table, clock, numbers)
     left_out = [
         f"`{key}` of {len(values)} values"
         for key, values in table.columns.items()
@@ -180,35 +182,35 @@ def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection
     )  # fmt: skip
 
 
-def _said_period(table: Table, clock: Clock) -> Clock:
-    """The sample period that a file without time says in a column or variable of its own."""
+def _declared_period(table: Table, clock: Clock) -> Clock:
+    """The clock with the sample period that a column or variable of the file holds."""
     for key, values in table.columns.items():
         word = key.rsplit(".", 1)[-1].lower().replace("_", "")
         if values.dtype.kind not in "iuf" or word not in _PERIODS | _RATES:
             continue
-        known = np.unique(values[np.isfinite(values.astype(float))].astype(float))
-        if len(known) == 1 and known[0] > 0:
-            period = float(known[0] if word in _PERIODS else 1.0 / known[0])
-            return replace(clock, sample_period=period, why=f"`{key}` says {known[0]:g}")
+        periods = np.unique(values[np.isfinite(values.astype(float))].astype(float))
+        if len(periods) == 1 and periods[0] > 0:
+            period = float(periods[0] if word in _PERIODS else 1.0 / periods[0])
+            return replace(clock, sample_period=period, why=f"`{key}` says {periods[0]:g}")
     return clock
 
 
 def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]]:
-    """The columns of numbers and dates of one length, in float64."""
-    found = {}
+    """The columns of numbers and dates that have `samples` rows, in float64."""
+    numbers = {}
     for key, values in table.columns.items():
         if len(values) != samples:
             continue
         if values.dtype.kind in "Mm":
-            found[key] = (values - values[0]) / np.timedelta64(1, "s")
+            numbers[key] = (values - values[0]) / np.timedelta64(1, "s")
         elif values.dtype.kind in "biuf":
-            found[key] = values.astype(np.float64, copy=False)
-    return found
+            numbers[key] = values.astype(np.float64, copy=False)
+    return numbers
 
 
 def _samples(path: Path, table: Table) -> int:
-    """The length that the most columns of numbers have, and the longer one of two."""
-    lengths = [len(one) for one in table.columns.values() if one.dtype.kind in "biufMm"]
+    """The most frequent length of the columns of numbers; of two that are equal, the longer."""
+    lengths = [len(values) for values in table.columns.values() if values.dtype.kind in "biufMm"]
     check(
         len(lengths) > 0,
         "path",
@@ -216,14 +218,14 @@ def _samples(path: Path, table: Table) -> int:
         path,
         f"It holds {', '.join(list(table.columns)[:10])}.",
     )
-    long = [one for one in lengths if one >= SHORTEST]
+    candidates = [length for length in lengths if length >= SHORTEST]
     check(
-        len(long) > 0,
+        len(candidates) > 0,
         "path",
         f"must hold at least {SHORTEST} rows of numbers",
         f"{max(lengths)} in {path}",
     )
-    return max(set(long), key=lambda one: (long.count(one) * min(one, 1000), one))
+    return max(set(candidates), key=lambda n: (candidates.count(n) * min(n, 1000), n))
 
 
 # -- one column ---------------------------------------------------------------------------
@@ -245,22 +247,22 @@ def _channel(
     kind = _KINDS.get(raw.dtype.kind, "text")
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())
-        odd = next((value for value in raw.tolist() if isinstance(value, str)), "")
-        why = f"such as {odd!r}" if odd else ""
-        return Channel(key, kind, unit, "text", why, missing=missing)
+        example = next((value for value in raw.tolist() if isinstance(value, str)), "")
+        reason = f"such as {example!r}" if example else ""
+        return Channel(key, kind, unit, "text", reason, missing=missing)
     values = numbers[key]
-    good = np.isfinite(values)
-    missing = int(np.sum(~good))
-    if not good.any():
+    finite = np.isfinite(values)
+    missing = int(np.sum(~finite))
+    if not finite.any():
         return Channel(key, kind, unit, "constant", "it is empty", missing=missing)
-    low, high = float(np.min(values[good])), float(np.max(values[good]))
-    changes = float(np.mean(np.diff(values[good]) != 0)) if good.sum() > 1 else 0.0
-    known = Channel(key, kind, unit, "other", "", low, high, missing, changes)
+    low, high = float(np.min(values[finite])), float(np.max(values[finite]))
+    changes = float(np.mean(np.diff(values[finite]) != 0)) if finite.sum() > 1 else 0.0
+    channel = Channel(key, kind, unit, "other", "", low, high, missing, changes)
     if low == high:
-        return replace(known, role="constant", why="it never changes")
+        return replace(channel, role="constant", why="it never changes")
     if key == clock.column or kind in ("dates", "times of day"):
-        return known
-    return _measured(known, values, clock, numbers)
+        return channel
+    return _measured(channel, values, clock, numbers)
 
 
 def _measured(
@@ -269,18 +271,18 @@ def _measured(
     clock: Clock,
     numbers: Mapping[str, Float[np.ndarray, " time"]],
 ) -> Channel:
-    """With noise, steps, saturation and band: those of a record of this channel alone."""
-    part = slice(0, _LOOKED)
+    """The channel with noise, quantum, saturation and band, from a record of only this channel."""
+    part = slice(0, _EXAMINED)
     name = "y"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         try:
             time = clock.factor * numbers[clock.column][part] if clock.column else None
             record = _record(time, values[part], clock.sample_period or 1.0)
-        except ValueError:  # fewer than a record needs
+        except ValueError:  # too few samples for a record
             return channel
-    notes = tuple(one for one in record.notes if "not finite" not in one and "Hold" not in one)
-    piles = tuple((one.level, one.share) for one in saturations(record) if one.channel == name)
+    notes = tuple(note for note in record.notes if "not finite" not in note and "Hold" not in note)
+    piles = tuple((end.level, end.share) for end in saturations(record) if end.channel == name)
     quantum = float(record.quantum[0])
     band = _band(record.outputs[:, 0], record.sample_period) if clock.sample_period else None
     return replace(
@@ -294,70 +296,76 @@ def _measured(
 
 
 def _record(time: Any, values: Float[np.ndarray, " time"], period: float) -> Record:
-    none = np.zeros((len(values), 0))
+    no_inputs = np.zeros((len(values), 0))
     if time is not None:
         try:
-            return Record(time, none, values, output_names=["y"])
-        except ValueError:  # time that goes back: the samples are looked at in their order
+            return Record(time, no_inputs, values, output_names=["y"])
+        except ValueError:  # time that goes back: the samples are taken in the order of the file
             pass
-    return Record.from_period(period, none, values, output_names=["y"])
+    return Record.from_period(period, no_inputs, values, output_names=["y"])
 
 
 def _band(values: Float[np.ndarray, " time"], period: float) -> float | None:
-    """Frequency below which 99 % of the power of the differences from the mean lies [Hz]."""
-    part = values[:_LINES]
+    """Frequency below which 99 % of the power of the signal without its mean lies [Hz]."""
+    part = values[:_SPECTRUM_SAMPLES]
     power = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(len(part)))) ** 2
     total = np.cumsum(power[1:])
     if not total[-1] > 0:
         return None
-    line = int(np.searchsorted(total, _POWER * total[-1])) + 1
+    line = int(np.searchsorted(total, _BAND_POWER * total[-1])) + 1
     return float(line / (len(part) * period))
 
 
-# -- what they look like ------------------------------------------------------------------
+# -- roles --------------------------------------------------------------------------------
 
 
-def _with_roles(
+def _assign_roles(
     channels: Sequence[Channel],
     table: Table,
     clock: Clock,
     numbers: Mapping[str, Float[np.ndarray, " time"]],
 ) -> list[Channel]:
-    """Time, inputs and outputs guessed: from the file, the names, and how the values move."""
-    known = [
-        replace(one, role="time", why=clock.why) if one.name == clock.column else one
-        for one in channels
+    """The channels with roles guessed from the file, the names and the changes of the values."""
+    clocked = [
+        replace(channel, role="time", why=clock.why) if channel.name == clock.column else channel
+        for channel in channels
     ]
-    said = {**dict.fromkeys(table.inputs, "input"), **dict.fromkeys(table.outputs, "output")}
+    declared = {**dict.fromkeys(table.inputs, "input"), **dict.fromkeys(table.outputs, "output")}
     roles = {}
-    for one in known:
-        if one.name in said:
-            roles[one.name] = (said[one.name], "the file says so")
-        elif one.role == "other" and one.name in numbers and one.name not in clock.others:
-            roles[one.name] = _role(one, numbers[one.name])
+    for channel in clocked:
+        if channel.name in declared:
+            roles[channel.name] = (declared[channel.name], "the file says so")
+        elif (
+            channel.role == "other" and channel.name in numbers and channel.name not in clock.others
+        ):
+            roles[channel.name] = _role(channel, numbers[channel.name])
     moving = [key for key, (role, _) in roles.items() if role != "other"]
-    unsure = [key for key, (role, _) in roles.items() if role == "other"]
-    if len(unsure) == 1 and moving and not any(roles[key][0] == "output" for key in moving):
-        roles[unsure[0]] = ("output", "it is what is left")
-    elif unsure and not moving:  # t, u, y is the order that most people write
-        first = unsure[:1] if len(unsure) > 1 else []
-        roles |= dict.fromkeys(first, ("input", "it stands first, and nothing else tells"))
-        roles |= dict.fromkeys(unsure[len(first) :], ("output", "nothing tells"))
-    _set_apart(roles)
-    told = [
-        replace(one, role=roles[one.name][0], why=roles[one.name][1]) if one.name in roles else one
-        for one in known
+    undecided = [key for key, (role, _) in roles.items() if role == "other"]
+    if len(undecided) == 1 and moving and not any(roles[key][0] == "output" for key in moving):
+        roles[undecided[0]] = ("output", "it is the only column left")
+    elif undecided and not moving:  # t, u, y is the usual order
+        first = undecided[:1] if len(undecided) > 1 else []
+        roles |= dict.fromkeys(first, ("input", "it stands first; nothing else tells its role"))
+        roles |= dict.fromkeys(undecided[len(first) :], ("output", "nothing tells its role"))
+    _separate_references(roles)
+    labelled = [
+        replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
+        if channel.name in roles
+        else channel
+        for channel in clocked
     ]
-    # Differences of a signal that is held and jumps tell its jumps, not its noise.
-    return [replace(one, noise=None) if _is_held_input(one) else one for one in told]
+    # The differences of a held signal measure its jumps, not its noise.
+    return [
+        replace(channel, noise=None) if _is_held_input(channel) else channel for channel in labelled
+    ]
 
 
-def _is_held_input(one: Channel) -> bool:
-    return one.role == "input" and one.changes is not None and one.changes <= _HELD
+def _is_held_input(channel: Channel) -> bool:
+    return channel.role == "input" and channel.changes is not None and channel.changes <= STAIRCASE
 
 
-def _set_apart(roles: dict[str, tuple[str, str]]) -> None:
-    """No reference beside the input that follows from it; and one output at least."""
+def _separate_references(roles: dict[str, tuple[str, str]]) -> None:
+    """Take references out of the inputs where another input follows them; keep one output."""
     inputs = [key for key, (role, _) in roles.items() if role == "input"]
     references = [key for key in inputs if _REFERENCES & set(_words(key))]
     if len(references) < len(inputs):
@@ -368,14 +376,14 @@ def _set_apart(roles: dict[str, tuple[str, str]]) -> None:
 
 
 def _words(name: str) -> list[str]:
-    """The words of a name, without its path and unit: ``log.motorVoltage_2 [V]``."""
+    """The words of a name without path and unit: motor, voltage of ``log.motorVoltage_2 [V]``."""
     stem = name.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
     plain = re.sub(r"[\[(].*", "", stem)
     return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", plain)]
 
 
-def _named(name: str) -> str:
-    """What a name says: the first of its words that is known decides."""
+def _role_of_name(name: str) -> str:
+    """The role that the first known word of a name stands for, or an empty string."""
     for word in _words(name):
         if word in _INPUT or word in _OUTPUT:
             return "input" if word in _INPUT else "output"
@@ -384,65 +392,74 @@ def _named(name: str) -> str:
 
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:
     steps = np.abs(np.diff(values[np.isfinite(values)]))
-    reach = float((channel.high or 0.0) - (channel.low or 0.0))
-    leap = float(steps.max()) / reach if len(steps) and reach > 0 else 0.0
-    held = channel.changes is not None and channel.changes <= _HELD
-    named = _named(channel.name)
-    named_out = named == "output"
-    if named == "input":
-        how = ", and is held between changes" if held else ""
-        return "input", f"it is called so{how}"
-    if leap > _LEAP and (held or not named_out):
-        how = "is held and jumps" if held else "jumps"
-        return "input", f"it {how} by {100 * leap:.0f} % of its range in one sample"
-    if named_out:
+    value_range = float((channel.high or 0.0) - (channel.low or 0.0))
+    jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
+    staircase = channel.changes is not None and channel.changes <= STAIRCASE
+    name_role = _role_of_name(channel.name)
+    called_output = name_role == "output"
+    if name_role == "input":
+        manner = ", and is held between changes" if staircase else ""
+        return "input", f"it is called so{manner}"
+    if jump > _JUMP and (staircase or not called_output):
+        manner = "is held and jumps" if staircase else "jumps"
+        return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
+    if called_output:
         return "output", "it is called so"
-    if leap <= _LEAP and channel.changes and channel.changes > _HELD:
-        return "output", f"it moves smoothly, at most {100 * leap:.2g} % of its range in one sample"
-    return "other", "nothing tells"
+    if jump <= _JUMP and channel.changes and channel.changes > STAIRCASE:
+        return "output", f"it moves smoothly, at most {100 * jump:.2g} % of its range in one sample"
+    return "other", "nothing tells its role"
 
 
 def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str]:
-    """What a user should look at first."""
-    by_role = {role: [one for one in channels if one.role == role] for role in ("input", "output")}
-    said = []
+    """Sentences on what a user should check first."""
+    by_role = {
+        role: [channel for channel in channels if channel.role == role]
+        for role in ("input", "output")
+    }
+    advice = []
     if clock.sample_period is None:
-        said.append("No column looks like time: give sample_period, the seconds between samples.")
+        advice.append("No column looks like time: give sample_period, the seconds between samples.")
     count, first = clock.backwards
     if count:
-        said.append(
+        advice.append(
             f"Time goes back {count} times, first at row {first}: sort the rows, or split the "
             "record there (slice)."
         )
     moving = [*by_role["output"], *by_role["input"]]
     if not count:
-        said += dict.fromkeys(note for one in moving for note in one.notes)
+        advice += dict.fromkeys(note for channel in moving for note in channel.notes)
     if not by_role["input"]:
-        said.append("No column looks like an input: a free system, or it must be named by hand.")
-    for one in by_role["input"]:
-        if one.band is not None and clock.sample_period:
+        advice.append("No column looks like an input: a free system, or it must be named by hand.")
+    for channel in by_role["input"]:
+        if channel.band is not None and clock.sample_period:
             nyquist = 0.5 / clock.sample_period
-            if one.changes is not None and one.changes * samples < 5:
-                said.append(f"`{one.name}` changes {one.changes * samples:.0f} times only: little "
-                            "excitation.")  # fmt: skip
-            elif one.band > 0.5 * nyquist and one.changes and one.changes > _HELD:
-                said.append(f"`{one.name}` moves up to half the Nyquist frequency: sample faster.")
-    for one in by_role["output"]:
-        said += [
-            f"`{one.name}` is saturated at {level:.6g}: {100 * share:.2g} % of the samples."
-            for level, share in one.saturated
+            if channel.changes is not None and channel.changes * samples < 5:
+                advice.append(
+                    f"`{channel.name}` changes {channel.changes * samples:.0f} times only: little "
+                    "excitation."
+                )
+            elif channel.band > 0.5 * nyquist and channel.changes and channel.changes > STAIRCASE:
+                advice.append(
+                    f"`{channel.name}` moves up to half the Nyquist frequency: sample faster."
+                )
+    for channel in by_role["output"]:
+        advice += [
+            f"`{channel.name}` is saturated at {level:.6g}: {100 * share:.2g} % of the samples."
+            for level, share in channel.saturated
         ]
-    for one in by_role["output"]:
-        if one.quantum and one.high is not None and one.low is not None:
-            levels = (one.high - one.low) / one.quantum
+    for channel in by_role["output"]:
+        if channel.quantum and channel.high is not None and channel.low is not None:
+            levels = (channel.high - channel.low) / channel.quantum
             if levels < 50:
-                said.append(f"`{one.name}` takes {levels + 1:.0f} levels only: coarse.")
+                advice.append(f"`{channel.name}` takes {levels + 1:.0f} levels only: coarse.")
     missing = [
-        f"`{one.name}` {one.missing}" for one in channels if one.missing and one.role != "text"
+        f"`{channel.name}` {channel.missing}"
+        for channel in channels
+        if channel.missing and channel.role != "text"
     ]
     if missing:
-        said.append(f"Empty or not finite: {', '.join(missing[:8])}; such samples are masked.")
-    return said
+        advice.append(f"Empty or not finite: {', '.join(missing[:8])}; such samples are masked.")
+    return advice
 
 
 def _plain(value: Any) -> Any:

@@ -1,12 +1,12 @@
-r"""White measurement noise, read off the differences of a record.
+r"""White measurement noise, estimated from the differences of a record.
 
-The d-th difference of white noise has the variance $\binom{2d}{d}\sigma^2$, and removes the signal
-the better the higher d and the faster the sampling. Signal that is left adds to the estimate, so
-the smallest over d = 2 … 8 is taken.
+The d-th difference of white noise has the variance $\binom{2d}{d}\sigma^2$. It suppresses the
+signal better at a higher d and a higher sampling rate. Remaining signal increases the estimate, so
+the smallest estimate over d = 2 … 8 is taken.
 
-**Interpolated samples** are means of their neighbours, and have lost most of the noise at the
-highest frequencies, which is what these differences look at; at all others it is still there. So
-the differences are compared with those of white noise that went through the same interpolation.
+**Interpolated samples** are means of their neighbours. They have lost most of the noise at the
+highest frequencies, which dominate these differences, but not at lower ones. So their differences
+are compared with those of white noise that was interpolated in the same way.
 
 Source: Rice, Ann. Statist. 12 (1984) 1215, with higher differences.
 """
@@ -31,24 +31,24 @@ def white_noise(
 
     Args:
         values: one row a sample.
-        segments: runs (start, stop) of samples that count.
-        passed: noise of standard deviation one that went through the same interpolation; None
-            where the samples are as they were measured.
+        segments: runs (start, stop) of valid samples.
+        passed: white noise of standard deviation 1, interpolated like the samples; None where the
+            samples are as measured.
     """
     estimates = []
     for order in _ORDERS:
         power = _power(values, segments, order)
         if power is None:
             continue
-        one = comb(2 * order, order) if passed is None else _power(passed, segments, order)
-        estimates.append(np.sqrt(power / one))
+        unit_power = comb(2 * order, order) if passed is None else _power(passed, segments, order)
+        estimates.append(np.sqrt(power / unit_power))
     return np.min(estimates, axis=0) if estimates else np.zeros(values.shape[1])
 
 
 def _power(
     values: Channels, segments: Sequence[tuple[int, int]], order: int
 ) -> Float[np.ndarray, " channel"] | None:
-    """Mean square of the differences; None where all segments are shorter than these."""
+    """Mean square of the differences; None where all segments are too short for this order."""
     pieces = [np.diff(values[first:last], n=order, axis=0) for first, last in segments]
     differences = np.concatenate(pieces)
     return np.mean(differences**2, axis=0) if len(differences) else None

@@ -6,9 +6,9 @@ step j is
 
 $$s(j + f) = \sum_{i=0}^{k} B(f + k - i)\; c_{j + i - (k-1)/2}$$
 
-The samples fix c but for k − 1 modes, $z^j$ and $z^{-j}$ with the (k − 1)/2 poles z of the filter
-that interpolates; so many knots beside each end are left out (not-a-knot), where the k-th
-derivative, and with it the difference of c of order k + 1, then has no jump.
+The samples determine c but for k − 1 modes, $z^j$ and $z^{-j}$ with the (k − 1)/2 poles z of the
+interpolating filter. They are fixed by the not-a-knot condition: (k − 1)/2 knots next to each end
+are dropped, where the k-th derivative, and so the difference of c of order k + 1, has no jump.
 
 Sources: C. de Boor, *A Practical Guide to Splines* (1978), chapters IX and X; M. Unser, IEEE Signal
 Processing Magazine 16 (1999) 22 (filter and poles).
@@ -23,7 +23,7 @@ _POLES = {
         np.sqrt(67.5 + sign * np.sqrt(4436.25)) - sign * np.sqrt(26.25) - 6.5 for sign in (-1, 1)
     ),
 }
-_FAR = 64  # samples from an end at which nothing is left of a mode
+_FAR = 64  # samples from an end at which a mode has decayed to nothing
 
 
 def within_steps(
@@ -33,14 +33,14 @@ def within_steps(
 
     Args:
         samples: evenly spaced.
-        fractions: of each step, from 0 to 1.
-        degree: 1, 3 or 5; the next lower odd one that so few samples allow.
+        fractions: positions within each step, from 0 to 1.
+        degree: 1, 3 or 5; reduced to the next lower odd degree where there are too few samples.
     """
     count, channels = samples.shape
-    k = max(one for one in (1, 3, 5) if one <= min(degree, count - 1))
+    k = max(odd for odd in (1, 3, 5) if odd <= min(degree, count - 1))
     coefficients = samples if k == 1 else _coefficients(samples, k)
     windows = np.lib.stride_tricks.sliding_window_view(coefficients, k + 1, axis=0)
-    # Copied into rows: one product of two matrices, not one for each step.
+    # Copied into rows: a single matrix product instead of one for each step.
     values = np.reshape(windows, (-1, k + 1)) @ _weights(fractions, k)
     return np.moveaxis(values.reshape(count - 1, channels, len(fractions)), 1, 2)
 
@@ -48,19 +48,21 @@ def within_steps(
 def _coefficients(
     samples: Float[np.ndarray, "time channel"], degree: int
 ) -> Float[np.ndarray, "coefficients channel"]:
-    """c, from (k − 1)/2 before the first sample to as many behind the last."""
+    """c, from (k − 1)/2 samples before the first to (k − 1)/2 after the last."""
     from scipy.ndimage import spline_filter1d  # 0.1 s of import
 
-    more = (degree - 1) // 2
+    margin = (degree - 1) // 2
     inner = spline_filter1d(samples, degree, axis=0, mode="mirror")
-    whole = np.concatenate([inner[more:0:-1], inner, inner[-2 : -2 - more : -1]])
-    modes, near = np.zeros((len(whole), 2 * more)), min(len(whole), _FAR)
-    modes[:near, :more] = np.asarray(_POLES[degree]) ** np.arange(near)[:, None]
-    modes[:, more:] = modes[::-1, :more]
-    ends = np.r_[: degree + 1 + more], np.r_[-degree - 1 - more : 0]
-    jumps = [np.diff(np.stack([one[end] for end in ends]), degree + 1, axis=1).reshape(2 * more, -1)
-             for one in (modes, whole)]  # fmt: skip
-    return whole - modes @ np.linalg.solve(*jumps)
+    extended = np.concatenate([inner[margin:0:-1], inner, inner[-2 : -2 - margin : -1]])
+    modes, reach = np.zeros((len(extended), 2 * margin)), min(len(extended), _FAR)
+    modes[:reach, :margin] = np.asarray(_POLES[degree]) ** np.arange(reach)[:, None]
+    modes[:, margin:] = modes[::-1, :margin]
+    ends = np.r_[: degree + 1 + margin], np.r_[-degree - 1 - margin : 0]
+    jumps = [
+        np.diff(np.stack([rows[end] for end in ends]), degree + 1, axis=1).reshape(2 * margin, -1)
+        for rows in (modes, extended)
+    ]
+    return extended - modes @ np.linalg.solve(*jumps)
 
 
 def _weights(
@@ -69,7 +71,7 @@ def _weights(
     """B(f + k - i), by the recursion over the degree."""
     weights = np.ones((1, len(fractions)))
     for k in range(1, degree + 1):
-        i, none = np.arange(k + 1)[:, None], np.zeros((1, len(fractions)))
-        rising = (fractions + k - i) * np.concatenate([none, weights])
-        weights = (rising + (1.0 + i - fractions) * np.concatenate([weights, none])) / k
+        i, zeros = np.arange(k + 1)[:, None], np.zeros((1, len(fractions)))
+        rising = (fractions + k - i) * np.concatenate([zeros, weights])
+        weights = (rising + (1.0 + i - fractions) * np.concatenate([weights, zeros])) / k
     return weights

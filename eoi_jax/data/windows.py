@@ -1,4 +1,4 @@
-"""Where free runs start and end, what of them is scored, and how long short ones are."""
+"""Plan of free runs along a record: windows, starts, and the samples that are scored."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,24 +9,24 @@ from jaxtyping import Bool, Float
 from eoi_jax.data.record import Record
 
 _SHARE = 0.1  # of the shortest record
-_HALF = 0.5  # of the most valid samples that any start has: with fewer a run starts later
+_VALID_SHARE = 0.5  # of the most valid samples at any start; a run with fewer starts later
 
 
 def window_length(records: Sequence[Record], fewest: int) -> float | None:
-    """A tenth of the shortest record, and samples enough of the most coarsely sampled one.
+    """A tenth of the shortest record, but at least `fewest` samples of the coarsest record.
 
-    In seconds: records of one set may have different sample periods.
+    The length is in seconds, as records of one data set may have different sample periods.
 
     Args:
-        records: that are run through.
-        fewest: samples of a window, at least.
+        records: the data set.
+        fewest: smallest number of samples of a window.
 
     Returns:
         Length of a window [s]; None where that is more than half of the shortest record.
     """
-    shortest = min(records, key=lambda one: len(one) * one.sample_period)
+    shortest = min(records, key=lambda record: len(record) * record.sample_period)
     period = shortest.sample_period
-    coarsest = max(one.sample_period for one in records)
+    coarsest = max(record.sample_period for record in records)
     window = max(round(_SHARE * len(shortest)) * period, fewest * coarsest)
     return None if window > len(shortest) // 2 * period else window
 
@@ -37,83 +37,85 @@ class Plan:
 
     Attributes:
         starts: sample at which each run starts.
-        shown: samples of the record that it predicts.
-        steps: of each run; one that starts late goes on beyond what it predicts.
-        score: samples that count, valid or not.
-        most, need: valid samples that the best start has, and that a start must have.
-        late, lost: windows that start later, or not at all, for want of valid samples.
+        predicted: samples of the record that each run predicts.
+        steps: number of steps of each run; a late run continues past its predicted samples.
+        score: samples that are scored, valid or not.
+        available, need: largest number of valid samples at any start, and number required.
+        late, lost: windows that start late, or not at all, for lack of valid samples.
     """
 
     starts: tuple[int, ...]
-    shown: tuple[range, ...]
+    predicted: tuple[range, ...]
     steps: int
     score: Bool[np.ndarray, " time"]
-    most: int
+    available: int
     need: int
     late: int
     lost: int
 
 
-def plan(record: Record, initial_samples: int, window: float | None, least: int) -> Plan:
-    """Runs along a record, one or one a window.
+def plan(record: Record, initial_samples: int, window: float | None, required: int) -> Plan:
+    """Free runs along a record: a single one, or one for each window.
 
-    The state at a start is estimated from the valid ones of its first samples. Where too few of
-    them are, the run starts at the next valid sample from which enough are; where its window has
-    none, there is no run.
+    The state at a start is estimated from the valid ones of the first `initial_samples` samples. A
+    run with too few of them starts at the next valid sample that has enough; a window without such
+    a sample has no run.
 
     Args:
-        record: to run through.
-        initial_samples: from which a state is estimated; they are not scored.
-        window: length of each run [s]; None for one run.
-        least: valid samples that a state needs.
+        record: along which the runs are planned.
+        initial_samples: number from which a state is estimated; they are not scored.
+        window: length of each run [s]; None for a single run.
+        required: number of valid samples that a state needs.
     """
     total = len(record)
     count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
     head = min(initial_samples, count + 1)
-    known = np.concatenate([[0], np.cumsum(record.valid)])
-    seen = known[head:] - known[:-head]  # from each sample on
-    most = int(np.max(seen))
-    need = max(int(np.ceil(_HALF * most)), least)
-    later = (seen >= need) & record.valid[: len(seen)]
-    starts, shown, late, lost, score = [], [], 0, 0, np.zeros(total, dtype=bool)
+    valid_count = np.concatenate([[0], np.cumsum(record.valid)])
+    valid_ahead = valid_count[head:] - valid_count[:-head]  # of the next `head` samples
+    available = int(np.max(valid_ahead))
+    need = max(int(np.ceil(_VALID_SHARE * available)), required)
+    possible = (valid_ahead >= need) & record.valid[: len(valid_ahead)]
+    starts, predicted, late, lost, score = [], [], 0, 0, np.zeros(total, dtype=bool)
     for first in range(0, total - 1, count):
-        # The last window reaches back, so that all have one length and run together.
+        # The last window reaches back, so that all have the same length and run together.
         start = min(first, total - 1 - count)
-        # A window ends before the first sample of the next one; the last one has its own end.
+        # A window ends before the first sample of the next; the last includes the last sample.
         stop = start + count + (start + count == total - 1)
-        if seen[start] < need:
-            (places,) = np.nonzero(later[start : max(stop - head, start)])
-            if not len(places):
+        if valid_ahead[start] < need:
+            (offsets,) = np.nonzero(possible[start : max(stop - head, start)])
+            if not len(offsets):
                 lost += 1
                 continue
-            late, start = late + 1, start + int(places[0])
+            late, start = late + 1, start + int(offsets[0])
         starts.append(start)
-        shown.append(range(max(first, start), stop))
+        predicted.append(range(max(first, start), stop))
         score[max(first, start + initial_samples) : stop] = True
     score[: max(initial_samples, round(record.burn_in / record.sample_period))] = False
-    return Plan(tuple(starts), tuple(shown), count, score, most, need, late, lost)
+    return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost)
 
 
-def late_starts(record: Record, runs: Plan, initial_samples: int, whole: bool) -> list[str]:
-    """What is not scored because a state cannot be estimated where a run should start."""
-    few = f"fewer than {runs.need} of the first {initial_samples} samples are valid"
-    if whole and runs.late:
+def late_starts(record: Record, runs: Plan, initial_samples: int, single: bool) -> list[str]:
+    """Notes on samples that are not scored, as no state can be estimated at a planned start."""
+    reason = f"fewer than {runs.need} of the first {initial_samples} samples are valid"
+    if single and runs.late:
         begun = record.time[runs.starts[0]]
-        return [f"The free run on {record.name} starts at t = {begun:g} s: before, {few}."]
-    count, told = len(runs.starts) + runs.lost, []
+        return [f"The free run on {record.name} starts at t = {begun:g} s: before, {reason}."]
+    count, notes = len(runs.starts) + runs.lost, []
     if runs.late:
-        told.append(f"{runs.late} of {count} windows on {record.name} start late: at first {few}.")
+        notes.append(
+            f"{runs.late} of {count} windows on {record.name} start late: at first {reason}."
+        )
     if runs.lost:
-        told.append(f"{runs.lost} of {count} windows on {record.name} are not scored: {few}.")
-    return told
+        notes.append(f"{runs.lost} of {count} windows on {record.name} are not scored: {reason}.")
+    return notes
 
 
 def joined(
-    values: Float[np.ndarray, "time ny"], known: Bool[np.ndarray, " time"]
+    values: Float[np.ndarray, "time ny"], predicted: Bool[np.ndarray, " time"]
 ) -> Float[np.ndarray, "time ny"]:
-    """Straight lines over samples that no run predicts, so that what is shown is finite there."""
-    if known.all() or not known.any():
+    """The values, interpolated linearly over samples that no run predicts."""
+    if predicted.all() or not predicted.any():
         return values
     index = np.arange(len(values))
-    lines = [np.interp(index, index[known], one[known]) for one in values.T]
-    return np.where(known[:, None], values, np.stack(lines, axis=1))
+    lines = [np.interp(index, index[predicted], channel[predicted]) for channel in values.T]
+    return np.where(predicted[:, None], values, np.stack(lines, axis=1))

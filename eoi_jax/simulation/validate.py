@@ -162,7 +162,7 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
     rule = f"must have {runs.need} valid samples among {initial_samples}, from which a free run "
     rule += "starts, and others that follow in it"
     check(bool(np.any(runs.score & record.valid)), f"record {record.name}", rule,
-          f"{runs.most} at most", "Raise `initial_samples`, or the window, or leave it out."
+          f"{runs.available} at most", "Raise `initial_samples`, or the window, or leave it out."
           )  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def _predict(
     diverged = None
     for start, shown, y_hat in zip(
         runs.starts,
-        runs.shown,
+        runs.predicted,
         _free_runs(run, record, whole, runs.starts, runs.steps),
         strict=True,
     ):

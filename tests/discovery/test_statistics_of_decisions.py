@@ -191,10 +191,10 @@ def test_windows_score_every_sample_once(window):
     time = 0.01 * np.arange(501)
     record = eoi.Record(time, np.sin(time), np.cos(time))
     runs = plan(record, 20, window, 1)
-    shown = [i for part in runs.shown for i in part]
+    shown = [i for part in runs.predicted for i in part]
     assert shown == list(range(501))
     starts = {start + i for start in runs.starts[:-1] for i in range(20)}
-    last, begun = runs.starts[-1], runs.shown[-1].start
+    last, begun = runs.starts[-1], runs.predicted[-1].start
     starts |= set(range(begun, last + 20))
     np.testing.assert_array_equal(runs.score, [i not in starts for i in range(501)])
 

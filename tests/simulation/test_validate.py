@@ -174,7 +174,7 @@ def test_a_record_with_samples_far_apart_starts_where_it_can():
 def test_runs_of_a_record_without_gaps_are_its_windows():
     runs = plan(swing(), 50, 1.5, 2)
     assert runs.starts == (0, 300, 600, 700)
-    assert runs.shown == (range(300), range(300, 600), range(600, 900), range(900, 1001))
+    assert runs.predicted == (range(300), range(300, 600), range(600, 900), range(900, 1001))
     assert (runs.late, runs.lost) == (0, 0)
 
 
