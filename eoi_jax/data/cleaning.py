@@ -1,6 +1,6 @@
-"""What comes into a record: checks, names, and the way onto the uniform grid.
+"""Checks and cleaning of the arguments of a record, and their transfer to the uniform grid.
 
-Every function that changes something appends a sentence to the `notes` it is given.
+Every function that changes data appends a sentence to its argument `notes`.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ OnGrid: TypeAlias = tuple[
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:
-    """A float64 copy; what is masked in a masked array becomes NaN."""
+    """A float64 copy; masked elements of a masked array become NaN."""
     array = values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
     check(array.dtype.kind not in "cMm", name, "must be real numbers", f"dtype {array.dtype}")
     try:
@@ -54,7 +54,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
 
 
 def read_stamps(time: Any) -> TimeAxis:
-    """Stamps in seconds, finite, not yet known to increase."""
+    """Stamps in seconds, finite; whether they increase is not checked here."""
     array = np.asarray(time)
     if array.dtype.kind in "Mm" and array.size:
         array = (array - array.ravel()[0]) / np.timedelta64(1, "s")
@@ -98,7 +98,7 @@ def read_signals(name: str, values: Any) -> Signals:
 
 
 def check_lengths(stamps: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    """Equally long, long enough, and something to observe."""
+    """Check equal lengths, the smallest length, and that there is an output."""
     rows = f"{len(stamps)} stamps, {len(u)} input rows, {len(y)} output rows"
     check(
         len(u) == len(y) == len(stamps),
@@ -112,22 +112,22 @@ def check_lengths(stamps: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
 
 
 def channel_names(
-    field: str, given: Names, values: Any, count: int, letter: str
+    field: str, declared: Names, values: Any, count: int, letter: str
 ) -> tuple[str, ...]:
-    """Names as given, as a pandas object carries them, or numbered."""
-    if given is None:
+    """The declared names, else those of a pandas object, else numbered names."""
+    if declared is None:
         labels = getattr(values, "columns", None)  # a pandas frame
         labels = [getattr(values, "name", None)] if labels is None else list(labels)
         if len(labels) == count and all(isinstance(label, str) for label in labels):
             return tuple(str(label) for label in labels)
         return (letter,) if count == 1 else tuple(f"{letter}{i + 1}" for i in range(count))
-    names = (given,) if isinstance(given, str) else tuple(given)
+    names = (declared,) if isinstance(declared, str) else tuple(declared)
     check(len(names) == count, field, f"must name {count} channels", names)
     return names
 
 
 def check_labels(u_names: tuple[str, ...], y_names: tuple[str, ...], units: dict[str, str]) -> None:
-    """Every name once, every unit for a known name."""
+    """Check that names are unique and that units belong to a channel or to time."""
     names = (*u_names, *y_names)
     check(
         len(set(names)) == len(names), "input_names, output_names", "must differ", ", ".join(names)
@@ -139,7 +139,7 @@ def check_labels(u_names: tuple[str, ...], y_names: tuple[str, ...], units: dict
 def drop_repeats(
     stamps: TimeAxis, u: Inputs, y: Outputs, notes: list[str]
 ) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, "kept nu"], Float[np.ndarray, "kept ny"]]:
-    """Strictly increasing stamps: exact repeats are dropped, anything else is an error."""
+    """Strictly increasing stamps: exact repeats are dropped; other repeats are errors."""
     spacing = np.diff(stamps)
     check(
         bool(np.any(spacing != 0)),
@@ -148,9 +148,9 @@ def drop_repeats(
         f"{stamps[0]} s throughout",
         "A sample period of zero has no meaning.",
     )
-    back = np.flatnonzero(spacing < 0)
-    if back.size:
-        i = int(back[0]) + 1
+    decreases = np.flatnonzero(spacing < 0)
+    if decreases.size:
+        i = int(decreases[0]) + 1
         check(
             False,
             "time",
@@ -158,14 +158,14 @@ def drop_repeats(
             f"{stamps[i]} s at index {i} after {stamps[i - 1]} s",
             "Sort the rows, or split the record where time restarts.",
         )
-    again = np.flatnonzero(spacing == 0) + 1
-    if not again.size:
+    repeats = np.flatnonzero(spacing == 0) + 1
+    if not repeats.size:
         return stamps, u, y
     rows = np.hstack([u, y])
-    before, after = rows[again - 1], rows[again]
-    same = np.all((before == after) | (np.isnan(before) & np.isnan(after)), axis=1)
-    if not same.all():
-        i = int(again[np.flatnonzero(~same)[0]])
+    previous, current = rows[repeats - 1], rows[repeats]
+    equal = np.all((previous == current) | (np.isnan(previous) & np.isnan(current)), axis=1)
+    if not equal.all():
+        i = int(repeats[np.flatnonzero(~equal)[0]])
         check(
             False,
             "time",
@@ -173,22 +173,22 @@ def drop_repeats(
             f"{stamps[i]} s at index {i - 1} and at index {i}",
             "If the clock is too coarse, use Record.from_period.",
         )
-    keep = np.concatenate([[True], spacing > 0])
+    distinct = np.concatenate([[True], spacing > 0])
     notes.append(
-        f"{again.size} of {stamps.size} stamps repeat the one before with equal values "
+        f"{repeats.size} of {stamps.size} stamps repeat the one before with equal values "
         "and were dropped."
     )
     check(
-        int(keep.sum()) >= SHORTEST,
+        int(distinct.sum()) >= SHORTEST,
         "time",
         f"must have at least {SHORTEST} different stamps",
-        int(keep.sum()),
+        int(distinct.sum()),
     )
-    return stamps[keep], u[keep], y[keep]
+    return stamps[distinct], u[distinct], y[distinct]
 
 
 def finite_rows(names: tuple[str, ...], rows: Signals, notes: list[str]) -> Mask:
-    """Which samples are finite in every channel."""
+    """Mask of the samples that are finite in every channel."""
     finite = np.isfinite(rows)
     for key, column in zip(names, finite.T, strict=True):
         check(bool(column.any()), key, "must hold a finite value", "NaN or infinity throughout")
@@ -212,7 +212,7 @@ def finite_rows(names: tuple[str, ...], rows: Signals, notes: list[str]) -> Mask
 
 
 def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
-    """The hold of the inputs and, where it was not given, why."""
+    """The hold of the inputs and, if it was chosen here, a note with the reason."""
     if hold != "auto":
         return hold, []
     if not u.shape[1]:
@@ -220,17 +220,17 @@ def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
     share = float(np.max(np.mean(np.diff(u, axis=0) != 0, axis=0)))
     hold = "zero" if share <= STAIRCASE else "linear"
     rule = "at most" if hold == "zero" else "more than"
-    why = (
+    reason = (
         f"Hold taken as {hold}: {100 * share:.3g} % of the steps change an input's value, "
         f"{rule} {100 * STAIRCASE:.0f} %."
     )
-    return hold, [why]
+    return hold, [reason]
 
 
 def place(
     grid: Grid, index: Int[np.ndarray, " time"], u: Inputs, y: Outputs, good: Mask, notes: list[str]
 ) -> OnGrid:
-    """Samples that lie on the grid: copied, and holes filled."""
+    """Samples that lie on the grid are copied; missing ones are filled in and masked."""
     count = grid.time.size
     valid = np.zeros(count, dtype=bool)
     valid[index] = good
@@ -249,24 +249,24 @@ def place(
 def interpolate(
     grid: Grid, stamps: TimeAxis, u: Inputs, y: Outputs, good: Mask, hold: str, notes: list[str]
 ) -> OnGrid:
-    """Samples between grid points: interpolated, segment by segment."""
+    """Samples that lie between grid points are interpolated, segment by segment."""
     h = grid.sample_period
-    position, query, segments = _between(grid, stamps, good)
+    position, query, segments = _grid_positions(grid, stamps, good)
     valid = covered(position, segments, query)
     spacing = np.diff(stamps)
     gaps = int(np.sum(spacing > GAP * h))
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
-    held = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
+    hold_text = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart: resampled from "
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
-        f"{held}{masked}."
+        f"{hold_text}{masked}."
     )
-    u_known = fill(position, u, position)
+    u_finite = fill(position, u, position)
     if hold == "zero":
-        inputs = held_means(position, u_known, query.size)
+        inputs = held_means(position, u_finite, query.size)
     else:
-        inputs = hold_inputs(position, u_known, segments, query, hold)
+        inputs = hold_inputs(position, u_finite, segments, query, hold)
     return inputs, spline(position, y, segments, query, _DEGREE), valid
 
 
@@ -278,26 +278,26 @@ def interpolated_noise(
     valid: Bool[np.ndarray, " points"],
     quanta: Float[np.ndarray, " ny"],
 ) -> Float[np.ndarray, " ny"]:
-    """Standard deviation of the noise that the samples had before they were interpolated.
+    """Standard deviation of the measurement noise of samples before their interpolation.
 
     Args:
-        grid: onto which.
-        stamps: of the samples.
-        y: interpolated.
-        good: of the samples.
-        valid: of what was interpolated.
-        quanta: steps of the samples; their noise is at least that of these.
+        grid: to which the samples were interpolated.
+        stamps: of the samples [s].
+        y: interpolated outputs.
+        good: mask of the samples.
+        valid: mask of the grid points.
+        quanta: quanta of the samples; the noise is at least that of the quantisation.
     """
     white = np.random.default_rng(0).standard_normal((stamps.size, 1))
-    position, query, segments = _between(grid, stamps, good)
-    passed = spline(position, white, segments, query, _DEGREE)
-    return np.maximum(white_noise(y, runs(valid), passed), quanta / np.sqrt(12.0))
+    position, query, segments = _grid_positions(grid, stamps, good)
+    filtered = spline(position, white, segments, query, _DEGREE)
+    return np.maximum(white_noise(y, runs(valid), filtered), quanta / np.sqrt(12.0))
 
 
-def _between(
+def _grid_positions(
     grid: Grid, stamps: TimeAxis, good: Mask
 ) -> tuple[TimeAxis, Float[np.ndarray, " points"], Segments]:
-    """Samples and grid points, both in steps of the grid, and runs of samples without a gap."""
+    """Positions of samples and grid points [grid steps], and runs of samples without a gap."""
     position = (stamps - grid.time[0]) / grid.sample_period
     query = np.arange(grid.time.size, dtype=float)
     return position, query, sample_segments(stamps, good, grid.sample_period)

@@ -1,6 +1,6 @@
 """Records from and to the objects of other packages: pandas, xarray, nonlinear_benchmarks.
 
-None of the packages is imported to read its objects: what they are is told by what they have.
+Objects are read by their attributes, so none of the packages is imported for reading.
 """
 
 import difflib
@@ -33,7 +33,7 @@ def record_from_pandas(
         frame: a `pandas.DataFrame`, or any other with columns by name.
         inputs: columns of the inputs; none for a free system.
         outputs: columns of the outputs.
-        time: column of the stamps [s], or of dates; left out: the index, unless it only counts
+        time: column of the stamps [s], or of dates; default: the index, unless it only counts
             rows and `sample_period` is given.
         sample_period: time between rows [s], where there are no stamps.
         name: of the record.
@@ -41,11 +41,11 @@ def record_from_pandas(
         burn_in: not scored at the start [s].
 
     Returns:
-        The record; `frame.attrs["units"]` are its units, where there are such.
+        The record; its units are `frame.attrs["units"]`, if present.
 
     Raises:
-        ValueError: an unknown column, no outputs, stamps and a sample period or neither; what
-            `Record` finds.
+        ValueError: an unknown column, no outputs, stamps and a sample period or neither; and
+            the errors of `Record`.
 
     Source: pandas.DataFrame, https://pandas.pydata.org/docs/reference/frame.html
     """
@@ -54,7 +54,7 @@ def record_from_pandas(
           f"Columns present: {', '.join(map(str, list(frame.columns)[:30]))}.")  # fmt: skip
     for field, names in (("inputs", u_names), ("outputs", y_names), ("time", _names(time or ()))):
         for key in names:
-            _check_known(field, key, [str(one) for one in frame.columns])
+            _check_present(field, key, [str(column) for column in frame.columns])
     counting = type(frame.index).__name__ == "RangeIndex"
     stamped = time is not None or not counting
     check(
@@ -66,7 +66,7 @@ def record_from_pandas(
     values = frame[time] if time is not None else frame.index
     stamps = np.asarray(values) if stamped else float(sample_period or 0.0) * np.arange(len(frame))
     units = dict(getattr(frame, "attrs", {}).get("units", {}))
-    kept = {key: unit for key, unit in units.items() if key in (*u_names, *y_names, "time")}
+    used_units = {key: unit for key, unit in units.items() if key in (*u_names, *y_names, "time")}
     return Record(
         stamps,
         _matrix(frame, u_names),
@@ -74,7 +74,7 @@ def record_from_pandas(
         name,
         input_names=u_names,
         output_names=y_names,
-        units=kept,
+        units=used_units,
         hold=hold,
         burn_in=burn_in,
     )
@@ -112,7 +112,7 @@ def record_from_xarray(
 ) -> Record:
     """A record from variables of an xarray dataset.
 
-    A variable with a second dimension is as many channels, called after its labels.
+    A variable with a second dimension gives a channel for each label of that dimension.
 
     Args:
         dataset: an `xarray.Dataset`.
@@ -127,19 +127,19 @@ def record_from_xarray(
         The record; `attrs["units"]` of each variable is its unit.
 
     Raises:
-        ValueError: an unknown variable or coordinate, a variable that is not over `time`; what
-            `Record` finds.
+        ValueError: an unknown variable or coordinate, a variable that is not over `time`; and
+            the errors of `Record`.
 
     Source: xarray.Dataset, https://docs.xarray.dev/en/stable/generated/xarray.Dataset.html
     """
-    _check_known("time", time, [str(one) for one in dataset.coords])
+    _check_present("time", time, [str(label) for label in dataset.coords])
     check(len(_names(outputs)) > 0, "outputs", "must name at least one variable", "none",
           f"Variables present: {', '.join(map(str, dataset.data_vars))}.")  # fmt: skip
     channels: dict[str, list[tuple[str, np.ndarray]]] = {"inputs": [], "outputs": []}
     units = {}
     for field, names in (("inputs", _names(inputs)), ("outputs", _names(outputs))):
         for key in names:
-            _check_known(field, key, [str(one) for one in dataset.data_vars])
+            _check_present(field, key, [str(label) for label in dataset.data_vars])
             variable = dataset[key]
             check(time in variable.dims and variable.ndim <= 2, field,
                   f"must be a variable over `{time}` and at most one other dimension",
@@ -171,8 +171,8 @@ def record_to_xarray(record: Record) -> Any:
         record: any.
 
     Returns:
-        An `xarray.Dataset`; the role of each variable in `attrs["role"]`, its unit in
-        `attrs["units"]`; name, hold and sample period [s] in the attributes of the whole.
+        An `xarray.Dataset`; the role of each variable is in its `attrs["role"]`, its unit in its
+        `attrs["units"]`; name, hold and sample period [s] are in the attributes of the dataset.
 
     Source: xarray.Dataset, https://docs.xarray.dev/en/stable/generated/xarray.Dataset.html
     """
@@ -184,11 +184,11 @@ def record_to_xarray(record: Record) -> Any:
         ("output", record.output_names, record.outputs),
     ):
         for key, column in zip(names, values.T, strict=True):
-            about = {"role": role, "units": record.units.get(key, "")}
-            variables[key] = ("time", np.where(record.valid, column, np.nan), about)
-    about = {"name": record.name, "hold": record.hold, "sample_period": record.sample_period}
+            attributes = {"role": role, "units": record.units.get(key, "")}
+            variables[key] = ("time", np.where(record.valid, column, np.nan), attributes)
+    attributes = {"name": record.name, "hold": record.hold, "sample_period": record.sample_period}
     time = ("time", record.time, {"units": "s"})
-    return xr.Dataset(variables, coords={"time": time}, attrs=about)
+    return xr.Dataset(variables, coords={"time": time}, attrs=attributes)
 
 
 def record_from_benchmark(
@@ -200,12 +200,12 @@ def record_from_benchmark(
 ) -> Record:
     """A record from an object of the package nonlinear_benchmarks, its `Input_output_data`.
 
-    Its `state_initialization_window_length`, samples that a benchmark does not score, becomes the
-    record's burn-in.
+    Its `state_initialization_window_length`, the number of samples that a benchmark does not
+    score, becomes the record's burn-in.
 
     Args:
         data: has `u`, `y`, `sampling_time` and `name`.
-        input_names: of the channels; ``u`` or ``u1, u2, …`` if left out.
+        input_names: of the channels; default ``u`` or ``u1, u2, …``.
         output_names: the same with ``y``.
         hold: of the inputs, as in `Record`.
 
@@ -213,14 +213,14 @@ def record_from_benchmark(
         The record, from time 0.
 
     Raises:
-        ValueError: an object without these, or without a sample period in seconds; what `Record`
-            finds.
+        ValueError: an object without these, or without a sample period in seconds; and the errors
+            of `Record`.
 
     Source: M. Schoukens and others, https://github.com/GerbenBeintema/nonlinear_benchmarks
     """
-    has = all(hasattr(data, key) for key in ("u", "y", "sampling_time"))
+    complete = all(hasattr(data, key) for key in ("u", "y", "sampling_time"))
     advice = "A benchmark's loader gives (train, test): pass one of them, or one of their parts."
-    check(has, "data", "must have u, y and sampling_time", f"a {type(data).__name__}", advice)
+    check(complete, "data", "must have u, y and sampling_time", f"a {type(data).__name__}", advice)
     period = np.ravel(np.asarray(data.sampling_time))
     real = period.dtype.kind in "iuf" and period.size == 1
     check(real, "data.sampling_time", "must be a number of seconds", data.sampling_time,
@@ -238,15 +238,15 @@ def record_from_benchmark(
     )
 
 
-def _names(given: Columns) -> list[str]:
-    return [given] if isinstance(given, str) else list(given)
+def _names(columns: Columns) -> list[str]:
+    return [columns] if isinstance(columns, str) else list(columns)
 
 
-def _check_known(field: str, key: str, known: list[str]) -> None:
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
+def _check_present(field: str, key: str, present: list[str]) -> None:
+    close = difflib.get_close_matches(key, present, n=1, cutoff=0.4)
     hint = f"Did you mean `{close[0]}`?" if close else ""
-    listed = ", ".join(known[:30]) or "none"
-    check(key in known, field, f"must be one of those present ({listed})", f"`{key}`", hint)
+    listed = ", ".join(present[:30]) or "none"
+    check(key in present, field, f"must be one of those present ({listed})", f"`{key}`", hint)
 
 
 def _matrix(frame: Any, names: list[str]) -> np.ndarray:
@@ -261,7 +261,7 @@ def _channels(key: str, variable: Any, time: str) -> list[tuple[str, np.ndarray]
     """The channels of a variable, by name."""
     if variable.ndim == 1:
         return [(key, np.asarray(variable.values))]
-    (other,) = [one for one in variable.dims if one != time]
-    values = np.asarray(variable.transpose(time, other).values)
-    labels = [str(one) for one in np.asarray(variable[other].values).tolist()]
+    (dim,) = [label for label in variable.dims if label != time]
+    values = np.asarray(variable.transpose(time, dim).values)
+    labels = [str(label) for label in np.asarray(variable[dim].values).tolist()]
     return [(f"{key}_{label}", column) for label, column in zip(labels, values.T, strict=True)]

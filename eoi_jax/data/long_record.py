@@ -1,4 +1,4 @@
-"""A record that is too long for memory: read piece by piece, from a mapped or chunked file."""
+"""Records too long for memory, read piece by piece from a memory-mapped or chunked file."""
 
 import hashlib
 import mmap
@@ -14,31 +14,31 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 
 _SHORTEST = 1000
-_LOOKS = 64  # places whose values enter the hash, and tell the hold
+_PLACES = 64  # places whose values enter the hash and determine the hold
 
 
 class LongRecord(Sequence[Record]):
-    """One uniformly sampled run, as records of `piece` samples that overlap.
+    """A long, uniformly sampled record as a sequence of overlapping records of `piece` samples.
 
-    Only what a pass needs at a time is in memory. Each piece starts `overlap` samples early, and
-    those are its burn-in: every sample is scored once, and observer and filter have settled there.
+    Only the piece that a pass needs is in memory. Each piece starts `overlap` samples early; these
+    are its burn-in. Every sample is scored once, after observer and filter have settled.
 
     Args:
         sample_period: h [s].
-        inputs: (N,) or (N, nu): anything that is sliced like an array and reads from disk then,
+        inputs: (N,) or (N, nu): an object that is sliced like an array and reads from disk then,
             such as `numpy.memmap`, a dataset of h5py or an array of zarr.
         outputs: (N,) or (N, ny), likewise.
-        piece: samples at a time.
-        overlap: samples by which a piece starts early; not less than the transient.
-        name: what to call it.
-        input_names: as of `Record`, like those that follow.
-        output_names: as of `Record`.
+        piece: number of samples of a piece.
+        overlap: number of samples by which a piece starts early; not less than the transient.
+        name: name of the record.
+        input_names: as in `Record`.
+        output_names: as in `Record`.
         units: ``{name: unit}``.
-        hold: the input between two samples; ``"auto"`` is decided once, for all pieces, from
+        hold: the input between two samples; ``"auto"`` is decided once for all pieces, from
             places all along the record.
 
     Raises:
-        ValueError: lengths that differ, a record shorter than a piece can be, an unknown hold.
+        ValueError: lengths that differ, a record shorter than the shortest piece, an unknown hold.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LongRecord(Sequence[Record]):
     ):
         check_positive("sample_period", sample_period, "It is in seconds.")
         check_choice("hold", hold, ("auto", *HOLDS))
-        lengths = {name: one.shape[0] for name, one in (("u", inputs), ("y", outputs))}
+        lengths = {name: signal.shape[0] for name, signal in (("u", inputs), ("y", outputs))}
         check(
             lengths["u"] == lengths["y"],
             "inputs",
@@ -71,7 +71,7 @@ class LongRecord(Sequence[Record]):
         self.piece, self.overlap, self.name = piece, overlap, name
         self.input_names, self.output_names = input_names, output_names
         self.units = units
-        self.hold = self._chosen() if hold == "auto" else hold
+        self.hold = self._choose_hold() if hold == "auto" else hold
 
     @property
     def samples(self) -> int:
@@ -80,54 +80,54 @@ class LongRecord(Sequence[Record]):
 
     @property
     def duration(self) -> float:
-        """Of the whole record [s]."""
+        """Length of the record [s]."""
         return self.samples * self.sample_period
 
     @property
     def data_hash(self) -> str:
-        """Sixteen hexadecimal digits of its length and of values at places all along it."""
+        """Sixteen hexadecimal digits that depend on the length and on values all along it."""
         digest = hashlib.sha256(f"{self.samples} {self.sample_period} {self.piece}".encode())
-        for start, stop in self._looks():
+        for start, stop in self._places():
             for values in (self.inputs, self.outputs):
                 digest.update(_read(values, start, stop).tobytes())
         return digest.hexdigest()[:16]
 
     @property
     def content_hash(self) -> str:
-        """The same of all that an estimate reads: the values, and what is to be made of them."""
-        about = f"{self.data_hash} {self.overlap} {self.hold}"
-        return hashlib.sha256(about.encode()).hexdigest()[:16]
+        """Sixteen hexadecimal digits that also depend on overlap and hold, as estimates do."""
+        content = f"{self.data_hash} {self.overlap} {self.hold}"
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     def __len__(self) -> int:
-        # A rest too short for a piece of its own goes to the last.
-        return max((self.samples - 1) // self.piece + (self._rest >= _SHORTEST), 1)
+        # A remainder too short for a piece is part of the last piece.
+        return max((self.samples - 1) // self.piece + (self._remainder >= _SHORTEST), 1)
 
-    def _looks(self) -> list[tuple[int, int]]:
-        """Places all along it that stand for the whole; a short record is one of them."""
-        if self.samples <= _LOOKS * _SHORTEST:
+    def _places(self) -> list[tuple[int, int]]:
+        """Ranges (start, stop) all along the record; a single range for a short record."""
+        if self.samples <= _PLACES * _SHORTEST:
             return [(0, self.samples)]
-        starts = np.linspace(0, self.samples - _SHORTEST, _LOOKS).astype(int).tolist()
+        starts = np.linspace(0, self.samples - _SHORTEST, _PLACES).astype(int).tolist()
         return [(start, start + _SHORTEST) for start in starts]
 
-    def _chosen(self) -> str:
-        """The hold of its inputs, by the rule of `Record`."""
-        u = np.concatenate([_read(self.inputs, *place) for place in self._looks()])
+    def _choose_hold(self) -> str:
+        """The hold of the inputs, by the rule of `Record`."""
+        u = np.concatenate([_read(self.inputs, *place) for place in self._places()])
         u = u.reshape(len(u), -1)
         return choose_hold(u[np.all(np.isfinite(u), axis=1)], "auto")[0]
 
     @property
-    def _rest(self) -> int:
+    def _remainder(self) -> int:
         return (self.samples - 1) % self.piece
 
     @overload
-    def __getitem__(self, which: int) -> Record: ...
+    def __getitem__(self, index: int) -> Record: ...
     @overload
-    def __getitem__(self, which: slice) -> Sequence[Record]: ...
-    def __getitem__(self, which: int | slice) -> Record | Sequence[Record]:
-        """One piece, read now; or several."""
-        if isinstance(which, slice):
-            return [self[i] for i in range(*which.indices(len(self)))]
-        number = range(len(self))[which]
+    def __getitem__(self, index: slice) -> Sequence[Record]: ...
+    def __getitem__(self, index: int | slice) -> Record | Sequence[Record]:
+        """A piece, read now; a list of them for a slice."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        number = range(len(self))[index]
         start = max(number * self.piece - self.overlap, 0)
         last = number == len(self) - 1
         # A piece shares its last sample with the next, so that no step between two is lost.
@@ -152,17 +152,17 @@ class LongRecord(Sequence[Record]):
 def _read(values: Any, start: int, stop: int) -> np.ndarray:
     """Samples as numbers in memory.
 
-    What was read of a memory map stays resident as long as the map does: each piece gets its own.
+    Pages of a memory map stay resident as long as the map exists, so each piece opens a new map.
     """
     mapped = isinstance(values, np.memmap) and isinstance(values.base, mmap.mmap)
     if not mapped or not values.flags.c_contiguous or values.filename is None:
         return np.array(values[start:stop], dtype=float)
     row = values.dtype.itemsize * int(np.prod(values.shape[1:]))
-    own = np.memmap(
+    view = np.memmap(
         Path(values.filename),
         dtype=values.dtype,
         mode="r",
         offset=values.offset + start * row,
         shape=(stop - start, *values.shape[1:]),
     )
-    return np.array(own, dtype=float)
+    return np.array(view, dtype=float)

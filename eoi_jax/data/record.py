@@ -1,6 +1,6 @@
-"""The record: what was measured, on a uniform time grid, with everything done to it written down.
+"""The record: measured signals on a uniform time grid, with notes on everything done to them.
 
-A record is plain NumPy on the host; kernels take their arrays from it.
+A record holds NumPy arrays on the host; kernels take their arrays from it.
 """
 
 import copy
@@ -54,39 +54,40 @@ from eoi_jax.data.resampling import (
 class Record(Result):
     """One measured or simulated run (t, u, y) on a uniform time grid.
 
-    `plot` shows outputs and inputs over time, masked samples left out.
+    `plot` shows outputs and inputs over time, without masked samples.
 
-    What comes in is checked and brought onto the grid. Stamps within 1e-3 of a period of a
-    uniform clock, or as near to it as their printed digits tell, are taken as they are; otherwise
-    outputs are resampled by a cubic spline, inputs by their hold (held ones enter each step by
-    their mean over it). Missing samples, gaps, NaN and infinities are masked: `valid` is False
-    there, and the values are linear interpolations that keep arithmetic finite. Repeated stamps
-    with equal values are dropped. Each of these is said by a `RecordWarning` and kept in `notes`.
+    The arguments are checked and brought onto the grid. Samples with stamps within 1e-3 of a
+    period of a uniform clock, or within the rounding of their printed digits, are used unchanged;
+    otherwise outputs are resampled by a cubic spline, and inputs by their hold (held inputs by
+    their mean over each step). Missing samples, gaps, NaN and infinities are masked: `valid` is
+    False there, and the values are interpolated linearly to keep arithmetic finite. Repeated
+    stamps with equal values are dropped. Each of these changes gives a `RecordWarning` and a
+    sentence in `notes`.
 
     Args:
         time: stamps (N,) [s], increasing; datetimes count in seconds from the first.
         inputs: (N,) or (N, nu); ``np.zeros((N, 0))`` for a system without input.
         outputs: (N,) or (N, ny).
-        name: what to call it.
+        name: name of the record.
         input_names: default: the column names of a pandas object, else ``u`` or ``u1, u2, …``.
         output_names: the same with ``y``.
         units: ``{name: unit}``, for tables and figures.
         hold: the input between two samples: ``"zero"`` (a converter held it), ``"linear"``,
             ``"smooth"`` (band-limited, a quintic spline through the samples) or ``"auto"``:
             zero if at most 20 % of the steps change each input, else linear.
-        burn_in: time at the start that is not to be scored [s].
+        burn_in: time at the start that is not scored [s].
 
     Attributes:
         time: (N,) [s]. inputs: (N, nu). outputs: (N, ny). All read-only.
         valid: (N,), False where a sample is missing or not finite in any channel.
         sample_period: step of `time` [s].
-        notes: sentences on what was done to the record, in order.
-        smoothed: cut-offs of the zero-phase low-passes that it went through [rad/s].
+        notes: sentences on the changes made to the record, in order.
+        smoothed: cut-off frequencies of the zero-phase low-passes applied so far [rad/s].
 
     Raises:
         ValueError: wrong shapes, unequal lengths, values that are no numbers, a channel without a
             finite value, fewer than 8 (valid) samples, time that is not finite, decreases or
-            repeats a stamp with other values, an unknown hold, a negative burn-in.
+            repeats a stamp with different values, an unknown hold, a negative burn-in.
     """
 
     time: TimeAxis
@@ -102,11 +103,10 @@ class Record(Result):
     burn_in: float
     notes: tuple[str, ...]
     smoothed: tuple[float, ...]
-    _noise: Float[np.ndarray, " ny"] | None  # known from the samples this one was made from
+    # Taken over from the record that this one was made from; None: estimated from this record.
+    _noise: Float[np.ndarray, " ny"] | None
     _quantum: Float[np.ndarray, " ny"] | None
-    _middle: (
-        Float[np.ndarray, "between nu"] | None
-    )  # halfway between the samples, if it is known from a coarser record
+    _middle: Float[np.ndarray, "between nu"] | None  # inputs halfway between the samples
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -130,10 +130,10 @@ class Record(Result):
         u_names = channel_names("input_names", input_names, inputs, u.shape[1], "u")
         y_names = channel_names("output_names", output_names, outputs, y.shape[1], "y")
         check_labels(u_names, y_names, dict(units or {}))
-        notes: list[str] = []  # what is warned about; the choice of a hold is only noted
+        notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
         good = finite_rows((*u_names, *y_names), np.hstack([u, y]), notes)
-        hold, why = choose_hold(u[good], hold)
+        hold, hold_notes = choose_hold(u[good], hold)
         grid = uniform_grid(stamps)
         noise = quanta = None
         if grid.index is None:
@@ -148,7 +148,7 @@ class Record(Result):
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
         if grid.resolution:
-            why.append(
+            hold_notes.append(
                 f"Time is written in steps of {grid.resolution:g} s; the deviation from a "
                 "uniform clock is no more than that rounding."
             )
@@ -160,7 +160,7 @@ class Record(Result):
             "units": dict(units or {}),
             "hold": hold,
             "burn_in": float(burn_in),
-            "notes": (*notes, *why),
+            "notes": (*notes, *hold_notes),
             "smoothed": (),
             "_noise": noise,
             "_quantum": quanta,
@@ -199,15 +199,15 @@ class Record(Result):
             burn_in=burn_in,
         )
 
-    # -- parts of it ----------------------------------------------------------------------
+    # -- parts ----------------------------------------------------------------------------
 
     def __len__(self) -> int:
         return self.time.size
 
     def __getitem__(self, index: Any) -> "Record":
-        """``record[1000:5000]``: those samples; names, units, hold and absolute time stay.
+        """``record[1000:5000]``: those samples, with the same names, units, hold and time.
 
-        What is left of the burn-in stays too.
+        The burn-in is reduced by the time before the slice.
 
         Raises:
             ValueError: an index that is no slice, a step, fewer than 8 (valid) samples.
@@ -228,9 +228,10 @@ class Record(Result):
         )
         start, stop, _ = index.indices(len(self))
         part = slice(start, stop)
-        shown = f"{int(self.valid[part].sum())} in [{index.start}:{index.stop}] of {len(self)}"
-        enough = int(self.valid[part].sum()) >= SHORTEST
-        check(enough, "record[…]", f"must keep at least {SHORTEST} valid samples", shown)
+        count = int(self.valid[part].sum())
+        rule = f"must keep at least {SHORTEST} valid samples"
+        value = f"{count} in [{index.start}:{index.stop}] of {len(self)}"
+        check(count >= SHORTEST, "record[…]", rule, value)
         new = self._changed(None)
         new._set(
             self.inputs[part],
@@ -239,12 +240,12 @@ class Record(Result):
             self.time[part],
             self.sample_period,
         )
-        left = max(self.burn_in - start * self.sample_period, 0.0)
-        new._assign({"burn_in": left})
+        burn_in = max(self.burn_in - start * self.sample_period, 0.0)
+        new._assign({"burn_in": burn_in})
         return new
 
     def split(self, fraction: Real) -> tuple["Record", "Record"]:
-        """The first `fraction` of the samples, and the rest.
+        """The first `fraction` of the samples, and the remaining ones.
 
         Raises:
             ValueError: a fraction outside (0, 1), or a part of fewer than 8 samples.
@@ -254,18 +255,18 @@ class Record(Result):
         return self[:cut], self[cut:]
 
     def with_outputs(self, outputs: Outputs, name: str) -> "Record":
-        """The same instants and inputs with other outputs, all valid: those of a simulation."""
+        """The same instants and inputs with simulated outputs, all of them valid."""
         new = self._changed(None)
         new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
-        known = {"_noise": None, "_quantum": None, "_middle": self._middle}
-        new._assign({"name": name, "notes": (), "smoothed": (), **known})
+        unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle}
+        new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
         return new
 
     def without_inputs(self) -> "Record":
-        """The outputs alone."""
+        """The record with its outputs only."""
         new = self._changed(None)
-        none = np.zeros((len(self), 0))
-        new._set(none, self.outputs, self.valid, self.time, self.sample_period)
+        no_inputs = np.zeros((len(self), 0))
+        new._set(no_inputs, self.outputs, self.valid, self.time, self.sample_period)
         new._assign({"input_names": ()})
         return new
 
@@ -276,23 +277,24 @@ class Record(Result):
     # -- between the samples --------------------------------------------------------------
 
     def resample(self, substeps: int) -> "Record":
-        """The record with `substeps` steps in place of each one.
+        """The record with each step divided into `substeps` steps.
 
-        Outputs by a quintic spline through each valid segment, inputs by their hold. A new sample
-        is valid if the samples around it are. The original samples keep their values.
+        Outputs are interpolated by a quintic spline through each valid segment, inputs by their
+        hold. A new sample is valid if the samples around it are. The original samples keep their
+        values.
 
         Raises:
             ValueError: `substeps` is no integer ≥ 1.
         """
-        whole = isinstance(substeps, int | np.integer) and substeps >= 1
-        check(bool(whole), "substeps", "must be an integer ≥ 1", substeps)
+        is_count = isinstance(substeps, int | np.integer) and substeps >= 1
+        check(bool(is_count), "substeps", "must be an integer ≥ 1", substeps)
         if substeps == 1:
             return self
         count = (len(self) - 1) * int(substeps) + 1
         position, segments = np.arange(len(self), dtype=float), self.segments()
         query = np.arange(count) / int(substeps)
         outputs = sub_stepped(self.outputs, segments, int(substeps))
-        # One spline for both: a second one, through the sub-steps, would only cost more.
+        # A single spline for sub-steps and midpoints: a second one would only take longer.
         inputs = sub_stepped_inputs(self.inputs, segments, 2 * int(substeps), self.hold)
         valid = covered(position, segments, query)
         sample_period = self.sample_period / int(substeps)
@@ -302,25 +304,26 @@ class Record(Result):
         )
         time = self.time[0] + sample_period * np.arange(count)
         new._set(inputs[::2], outputs, valid, time, sample_period)
-        known = {"_noise": self.noise, "_quantum": self.quantum, "_middle": inputs[1::2]}
-        new._assign(known)
+        derived = {"_noise": self.noise, "_quantum": self.quantum, "_middle": inputs[1::2]}
+        new._assign(derived)
         return new
 
     def smooth(self, cutoff: Real) -> "Record":
-        """The record through one zero-phase low-pass, the same for inputs and outputs.
+        """The record filtered by a zero-phase low-pass, the same for inputs and outputs.
 
-        A filter made of shifts by whole samples commutes with any linear plant, so the relation
-        between the filtered signals is that between the raw ones, if the filtered input is read as
-        the raw one was. A held input is a staircase and lags its samples by half a step on
-        average: its filtered levels are turned into samples of the signal that the plant sees
-        (`staircase_to_smooth`). The result's hold is ``"smooth"``, and no half-sample shift enters
-        between u and y.
+        A filter composed of shifts by whole samples commutes with any linear plant, so the filtered
+        signals are related as the raw ones are, if the filtered input is interpreted as the raw
+        one is. A held input is a staircase and lags its samples by half a step on average:
+        its filtered levels are converted to samples of the signal that acts on the plant
+        (`staircase_to_smooth`). The result's hold is ``"smooth"``, and there is no half-sample
+        shift between u and y.
 
-        The filter is Butterworth of order four, run forward and backward through each valid
-        segment; within about 2/cutoff of a segment's ends it sees an extension, not data.
+        The filter is a Butterworth filter of order four, run forward and backward through each
+        valid segment; within about 2/cutoff of the ends of a segment it uses an extrapolation of
+        the data.
 
         Args:
-            cutoff: [rad/s]; there the amplitude falls to one half.
+            cutoff: cut-off frequency, at which the amplitude is one half [rad/s].
 
         Raises:
             ValueError: `cutoff` is not between 0 and the Nyquist frequency π / sample_period.
@@ -339,16 +342,16 @@ class Record(Result):
             inputs[start:stop] = staircase_to_smooth(u) if self.hold == "zero" else u
             outputs[start:stop] = low_pass(outputs[start:stop], share)
         position = np.arange(len(self), dtype=float)
-        known = self.valid[:, None]
-        inputs = fill(position, np.where(known, inputs, np.nan), position)
-        outputs = fill(position, np.where(known, outputs, np.nan), position)
+        valid = self.valid[:, None]
+        inputs = fill(position, np.where(valid, inputs, np.nan), position)
+        outputs = fill(position, np.where(valid, outputs, np.nan), position)
         new = self._changed(
             f"Inputs and outputs smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
         )
         new._set(inputs, outputs, self.valid, self.time, self.sample_period)
         new._assign({"hold": "smooth", "smoothed": (*self.smoothed, float(cutoff))})
-        left = self.noise / self.noise_left * new.noise_left
-        new._assign({"_noise": left, "_quantum": np.zeros_like(left)})
+        noise = self.noise / self.noise_left * new.noise_left
+        new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
         return new
 
     def midpoint_inputs(self) -> Float[np.ndarray, "steps nu"]:
@@ -357,24 +360,24 @@ class Record(Result):
             return self._middle
         return sub_stepped_inputs(self.inputs, self.segments(), 2, self.hold)[1::2]
 
-    # -- what it shows --------------------------------------------------------------------
+    # -- properties -----------------------------------------------------------------------
 
     @property
     def noise(self) -> Float[np.ndarray, " ny"]:
         """Standard deviation of the white measurement noise of each output, from its differences.
 
-        Quantisation finer than the noise is part of it; a signal that stands still between coarse
-        steps hides it from the differences, so the noise is at least that of its steps,
-        quantum/√12. Of an interpolated or sub-stepped record it is the noise of the samples that
-        were measured, of a smoothed one what the filter leaves of that.
+        It includes quantisation. The differences do not show the quantisation of a signal that is
+        constant between coarse steps, so the noise is at least quantum/√12. For an interpolated or
+        sub-stepped record it is the noise of the measured samples; for a smoothed record, the part
+        of it that the filter passes.
 
         Source: `data/noise.py`.
         """
-        return self._own_noise if self._noise is None else self._noise
+        return self._estimated_noise if self._noise is None else self._noise
 
     @property
     def noise_left(self) -> float:
-        """Share of the standard deviation of white noise that smoothing left, 1 without any."""
+        """Share of the standard deviation of white noise that smoothing passes; 1 without any."""
         nyquist = np.pi / self.sample_period
         return low_pass_noise(*(cutoff / nyquist for cutoff in self.smoothed))
 
@@ -382,17 +385,17 @@ class Record(Result):
     def quantum(self) -> Float[np.ndarray, " ny"]:
         """Step of the values of each output; 0 if they are not multiples of one step.
 
-        Of a sub-stepped record it is that of its samples; smoothing removes it.
+        For a sub-stepped record it is that of the measured samples; after smoothing it is 0.
         """
-        return self._own_quantum if self._quantum is None else self._quantum
+        return self._estimated_quantum if self._quantum is None else self._quantum
 
     @cached_property
-    def _own_noise(self) -> Float[np.ndarray, " ny"]:
+    def _estimated_noise(self) -> Float[np.ndarray, " ny"]:
         steps = self.quantum / np.sqrt(12.0)
         return np.maximum(white_noise(self.outputs, self.segments()), steps)
 
     @cached_property
-    def _own_quantum(self) -> Float[np.ndarray, " ny"]:
+    def _estimated_quantum(self) -> Float[np.ndarray, " ny"]:
         return _quanta(self.outputs[self.valid])
 
     @property
@@ -402,13 +405,13 @@ class Record(Result):
 
     @property
     def content_hash(self) -> str:
-        """The same of all that an estimate reads: the values, and what is to be made of them.
+        """Sixteen hexadecimal digits that change with anything that an estimate depends on.
 
-        That is the hold, the burn-in, and what is known from the samples that this record was made
-        from: their noise and step, and the inputs between them.
+        That is the data of `data_hash`, the hold, the burn-in, and the noise, the quantum and the
+        midpoint inputs that are taken from an earlier record.
         """
-        about = f"{self.data_hash} {self.sample_period!r} {self.hold} {self.burn_in!r}"
-        return _digest(about, (self._noise, self._quantum, self._middle))
+        settings = f"{self.data_hash} {self.sample_period!r} {self.hold} {self.burn_in!r}"
+        return _digest(settings, (self._noise, self._quantum, self._middle))
 
     def __repr__(self) -> str:
         return _table(self)
@@ -416,7 +419,7 @@ class Record(Result):
     # -- construction ---------------------------------------------------------------------
 
     def _changed(self, note: str | None) -> "Record":
-        """A shallow copy with one more note."""
+        """A shallow copy with an additional note."""
         new = copy.copy(self)
         new._assign({"notes": (*self.notes, note) if note else self.notes})
         return new
@@ -428,17 +431,17 @@ class Record(Result):
         for array in arrays.values():
             array.setflags(write=False)  # kernels and results share them
         self._assign({**arrays, "sample_period": float(sample_period), "_middle": None})
-        for name in ("_own_noise", "_own_quantum"):  # of other samples, if this is a copy
+        for name in ("_estimated_noise", "_estimated_quantum"):  # of the samples of the original
             self.__dict__.pop(name, None)
 
     def _assign(self, values: dict[str, Any]) -> None:
-        """The one way around `frozen`, for records that are still being made."""
+        """Set fields of a frozen record while it is constructed."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
 
-def _digest(about: str, arrays: Iterable[np.ndarray | None]) -> str:
-    digest = hashlib.sha256(about.encode())
+def _digest(header: str, arrays: Iterable[np.ndarray | None]) -> str:
+    digest = hashlib.sha256(header.encode())
     for array in arrays:
         digest.update(str(np.shape(array)).encode() if array is not None else b"none")
         digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
@@ -452,7 +455,7 @@ def _quanta(y: Outputs) -> Float[np.ndarray, " ny"]:
 def _quantum(values: TimeAxis) -> float:
     levels = np.unique(values)
     steps = np.diff(levels)
-    # Rounding makes twins of one level: they are no step.
+    # Rounding splits a level into several nearly equal values; their differences are no steps.
     steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
     if not steps.size:
         return 0.0
@@ -470,19 +473,19 @@ def _table(record: Record) -> str:
     size = f"{len(record)} samples, {len(record) * h:.4g} s, every {h:.6g} s ({1 / h:.5g} Hz)"
     lines = [f"Record `{record.name}`: {size}"]
     rows = [("", "channel", "min", "max", "rms", "noise", "quantum")]
-    known = record.valid
-    for key, channel in zip(record.input_names, record.inputs[known].T, strict=True):
+    valid = record.valid
+    for key, channel in zip(record.input_names, record.inputs[valid].T, strict=True):
         rows.append(("input", _label(record, key), *_spread(channel), "", ""))
     for i, (noise, quantum) in enumerate(zip(record.noise, record.quantum, strict=True)):
-        key, channel = record.output_names[i], record.outputs[known, i]
-        shown = (f"{noise:.2g}", f"{quantum:.3g}" if quantum else "–")
-        rows.append(("output", _label(record, key), *_spread(channel), *shown))
+        key, channel = record.output_names[i], record.outputs[valid, i]
+        accuracy = (f"{noise:.2g}", f"{quantum:.3g}" if quantum else "–")
+        rows.append(("output", _label(record, key), *_spread(channel), *accuracy))
     widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
     for row in rows:
-        left = f"  {row[0]:{widths[0]}}  {row[1]:{widths[1]}}"
-        right = "".join(f"  {cell:>{w}}" for cell, w in zip(row[2:], widths[2:], strict=True))
-        lines.append((left + right).rstrip())
-    facts = [f"hold {record.hold}", f"{100 * known.mean():.4g} % valid"]
+        label = f"  {row[0]:{widths[0]}}  {row[1]:{widths[1]}}"
+        cells = "".join(f"  {cell:>{w}}" for cell, w in zip(row[2:], widths[2:], strict=True))
+        lines.append((label + cells).rstrip())
+    facts = [f"hold {record.hold}", f"{100 * valid.mean():.4g} % valid"]
     if record.burn_in:
         facts.append(f"burn-in {record.burn_in:g} s")
     lines.append("  " + ", ".join(facts))

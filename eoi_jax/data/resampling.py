@@ -1,7 +1,7 @@
-"""From stamps to a uniform grid, and between the samples of a uniform record.
+"""Resampling: from stamps to a uniform grid, and between the samples of a uniform record.
 
-Positions are counted in samples wherever a spline is built, not in seconds: splines are then
-equally well conditioned for a record in microseconds and for one in hours.
+Splines are built over positions in samples, not in seconds, so that they are equally well
+conditioned for records in microseconds and in hours.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.data.uniform_spline import within_steps
 
-# A number as a caller writes it: an integer is as good as a float.
+# A number as a caller may write it.
 Real: TypeAlias = float | int | np.number
 Segments: TypeAlias = Sequence[tuple[int, int]]
 
@@ -50,10 +50,10 @@ class Grid:
 def uniform_grid(stamps: TimeAxis) -> Grid:
     """The uniform grid of strictly increasing stamps; missing samples leave holes in it.
 
-    The period is the slope of the least-squares line through (sample number, stamp): a nominal
-    step with rounded digits, such as 1/610.35 s, then neither drifts nor counts as jitter. Stamps
-    within 1e-3 of a period of that line, or as near as the clock's last digit tells, are on
-    the grid. If they only scatter around it, by up to half a period, the grid is still that line.
+    The period is the slope of the least-squares line through (sample number, stamp), so a nominal
+    step with rounded digits, such as 1/610.35 s, gives neither drift nor jitter. Stamps within
+    1e-3 of a period of that line, or within the rounding to the clock's last digit, are on the
+    grid. If they scatter around the line by up to half a period, the grid still follows the line.
     Otherwise the period is the median spacing, and the grid starts at the first stamp.
 
     Args:
@@ -89,8 +89,8 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
 def sample_segments(stamps: TimeAxis, good: Mask, sample_period: float) -> list[tuple[int, int]]:
     """Runs (start, stop) of good samples without a gap.
 
-    A gap is a spacing above 2.5 periods. Below that it is one late sample, as clocks of an
-    operating system produce them, and a spline crosses it.
+    A gap is a spacing above 2.5 periods. A smaller one is a late sample, as the clock of an
+    operating system produces it, and is bridged by a spline.
     """
     joined = np.diff(stamps) <= GAP * sample_period
     return runs(good, joined)
@@ -108,10 +108,10 @@ def runs(good: Mask, joined: Bool[np.ndarray, " steps"] | None = None) -> list[t
 
 def covered(position: Float[np.ndarray, " stamps"], segments: Segments, query: TimeAxis) -> Mask:
     """Whether each query lies within a segment, between its first and its last sample."""
-    inside = np.zeros(query.shape, dtype=bool)
+    mask = np.zeros(query.shape, dtype=bool)
     for start, stop in segments:
-        inside[_within(position, start, stop, query)] = True
-    return inside
+        mask[_queries_within(position, start, stop, query)] = True
+    return mask
 
 
 def fill(
@@ -119,11 +119,11 @@ def fill(
     values: Float[np.ndarray, "stamps channel"],
     query: TimeAxis,
 ) -> Signals:
-    """Linear interpolation of each channel over its own finite values, constant at the ends."""
+    """Linear interpolation of each channel over its finite values, constant at the ends."""
     filled = np.zeros((query.size, values.shape[1]))
     for j, channel in enumerate(values.T):
-        known = np.isfinite(channel)
-        filled[:, j] = np.interp(query, position[known], channel[known]) if known.any() else 0.0
+        finite = np.isfinite(channel)
+        filled[:, j] = np.interp(query, position[finite], channel[finite]) if finite.any() else 0.0
     return filled
 
 
@@ -143,7 +143,7 @@ def spline(
         position: where the samples lie, increasing [samples].
         values: at the samples.
         segments: runs (start, stop) to be interpolated separately.
-        query: where values are wanted, sorted [samples].
+        query: positions of the interpolated values, sorted [samples].
         degree: 1, 3 or 5.
 
     Source: de Boor, A Practical Guide to Splines, 1978.
@@ -152,18 +152,18 @@ def spline(
 
     result = fill(position, values, query)
     for start, stop in segments:
-        wanted = _within(position, start, stop, query)
+        wanted_points = _queries_within(position, start, stop, query)
         order = next((k for k in (5, 3, 1) if k <= degree and k < stop - start), 0)
-        if order and wanted.stop > wanted.start and values.shape[1]:
-            piece = make_interp_spline(position[start:stop], values[start:stop], k=order)
-            result[wanted] = piece(query[wanted])
+        if order and wanted_points.stop > wanted_points.start and values.shape[1]:
+            segment_spline = make_interp_spline(position[start:stop], values[start:stop], k=order)
+            result[wanted_points] = segment_spline(query[wanted_points])
     return result
 
 
 def sub_stepped(
     values: Float[np.ndarray, "time channel"], segments: Segments, count: int
 ) -> Float[np.ndarray, "points channel"]:
-    """`spline` of degree five on a uniform record, with `count` steps in place of each one."""
+    """`spline` of degree five on a uniform record, with `count` steps in place of each step."""
     if list(segments) == [(0, len(values))]:
         result = np.empty(((len(values) - 1) * count + 1, values.shape[1]))
     else:
@@ -172,8 +172,8 @@ def sub_stepped(
     fractions = np.arange(count) / count
     for start, stop in segments:
         if stop - start > 1 and values.shape[1]:
-            inside = within_steps(values[start:stop], fractions, degree=5)
-            result[count * start : count * (stop - 1)] = inside.reshape(-1, values.shape[1])
+            values_within = within_steps(values[start:stop], fractions, degree=5)
+            result[count * start : count * (stop - 1)] = values_within.reshape(-1, values.shape[1])
         result[count * (stop - 1)] = values[stop - 1]
     return result
 
@@ -198,7 +198,7 @@ def hold_inputs(
 def sub_stepped_inputs(
     inputs: Float[np.ndarray, "time nu"], segments: Segments, count: int, hold: str
 ) -> Float[np.ndarray, "points nu"]:
-    """`hold_inputs` on a uniform record, with `count` steps in place of each one."""
+    """`hold_inputs` on a uniform record, with `count` steps in place of each step."""
     if hold == "smooth":
         return sub_stepped(inputs, segments, count)
     position, query = np.arange(len(inputs)), np.arange((len(inputs) - 1) * count + 1)
@@ -208,7 +208,7 @@ def sub_stepped_inputs(
 def inputs_within_steps(
     inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: str
 ) -> Float[np.ndarray, "steps places nu"]:
-    """Inputs at the same places of every step, its end (1) still being part of it."""
+    """Inputs at the same fractions of every step; its end (1) is part of the step."""
     check_choice("hold", hold, HOLDS)
     if hold == "smooth":
         return within_steps(inputs, fractions, degree=5)
@@ -219,37 +219,37 @@ def inputs_within_steps(
 def held_means(
     position: Float[np.ndarray, " stamps"], inputs: Float[np.ndarray, "stamps nu"], count: int
 ) -> Signals:
-    """Means of inputs that were held from each stamp to the next, over the steps of a grid.
+    """Means over the steps of a grid of inputs that are held from each stamp to the next.
 
-    Where an input changes inside a step it has no level there; its mean moves a plant by as much.
+    An input that changes within a step has no single level there; its mean has the same effect.
 
     Args:
         position: of the stamps, increasing [steps]; the grid begins at zero.
-        inputs: from each stamp on.
-        count: of steps.
+        inputs: values from each stamp on.
+        count: number of steps.
     """
-    step = np.ceil(position[1:] - _JITTER).astype(int) - 1  # in which each of them changes
-    inside = (step >= 0) & (step < count)
-    rest = np.clip(step + 1 - position[1:], 0.0, 1.0)  # of that step
+    step = np.ceil(position[1:] - _JITTER).astype(int) - 1  # step in which each input changes
+    within_grid = (step >= 0) & (step < count)
+    share = np.clip(step + 1 - position[1:], 0.0, 1.0)  # of the step after the change
     means = hold_inputs(position, inputs, (), np.arange(count, dtype=float), "zero")
-    np.add.at(means, step[inside], (rest[:, None] * np.diff(inputs, axis=0))[inside])
+    np.add.at(means, step[within_grid], (share[:, None] * np.diff(inputs, axis=0))[within_grid])
     return means
 
 
 def staircase_to_smooth(levels: Signals) -> Signals:
-    r"""Samples of the slow part of a staircase, at the instants of its own samples.
+    r"""Samples of the low-frequency part of a staircase, at the instants of its levels.
 
-    Sample k holds from k to k + 1, so the staircase is the levels, read as a smooth signal v, after
-    a mean over one step: its part below the Nyquist frequency is
-    $u(t) = \int_{t-h}^{t} v\,dt' / h$, of response $e^{-j\theta/2}\,\sin(\theta/2)/(\theta/2)$ at
-    θ = ωh. To read the levels themselves as samples of a smooth signal leaves out the delay of half
-    a sample. Here v is a quintic spline through the levels; before the first one it is constant.
+    Level k is held from k to k + 1. With the levels as samples of a smooth signal v, the part of
+    the staircase below the Nyquist frequency is the mean of v over a step,
+    $u(t) = \int_{t-h}^{t} v\,dt' / h$, of response $e^{-j\theta/2}\,\sin(\theta/2)/(\theta/2)$
+    at θ = ωh. The levels themselves, taken as samples of u, would lack the delay of half a sample.
+    Here v is a quintic spline through the levels, constant before the first one.
 
     For slow signals this is (−v[k−2] + 13 v[k−1] + 13 v[k] − v[k+1]) / 24, the fourth-order
     refinement of the mean of two neighbours.
 
     Args:
-        levels: value held over each step.
+        levels: values held over each step.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -266,8 +266,8 @@ def low_pass(values: Signals, cutoff: float) -> Signals:
     """Butterworth filter of order four, forward and backward: no phase, |F|² = 1/4 at cut-off.
 
     Args:
-        values: one segment.
-        cutoff: as a fraction of the Nyquist frequency, in (0, 1).
+        values: a segment.
+        cutoff: fraction of the Nyquist frequency, in (0, 1).
 
     Source: scipy.signal.sosfiltfilt (odd extension at the ends).
     """
@@ -275,14 +275,14 @@ def low_pass(values: Signals, cutoff: float) -> Signals:
 
     if not values.shape[1] or len(values) < 2:
         return values
-    # The extension must outlast the filter's memory, or its start-up leaks into the record.
+    # The extension must be longer than the filter's memory, or its transient enters the record.
     memory = int(np.ceil(4 / cutoff)) + 15
     sections = butter(4, cutoff, output="sos")
     return sosfiltfilt(sections, values, axis=0, padlen=min(memory, len(values) - 1))
 
 
 def low_pass_noise(*cutoffs: float) -> float:
-    """Standard deviation that `low_pass` leaves of white noise of one, at each cut-off in turn."""
+    """Standard deviation of unit white noise after `low_pass` at each of the cut-offs in turn."""
     from scipy.signal import butter, sosfreqz
 
     power = np.ones(4096)
@@ -292,7 +292,7 @@ def low_pass_noise(*cutoffs: float) -> float:
     return float(np.sqrt(np.mean(power)))
 
 
-def _within(
+def _queries_within(
     position: Float[np.ndarray, " stamps"], start: int, stop: int, query: TimeAxis
 ) -> slice:
     first = np.searchsorted(query, position[start] - _JITTER, side="left")
@@ -320,7 +320,7 @@ def _resolution(stamps: TimeAxis, period: float) -> float:
 
 
 def _snap(period: float, count: int) -> float:
-    """Twelve digits if that moves no sample: 0.001, not 0.0009999999999999996."""
+    """The period in twelve digits if no sample moves: 0.001, not 0.0009999999999999996."""
     short = float(f"{period:.12g}")
     return short if abs(short - period) * count < 1e-6 * period else period
 

@@ -1,6 +1,6 @@
-"""Which column of a table is its time, in which unit, and how regular it is. A guess, with reasons.
+"""The time column of a table, its unit and its regularity: guesses, with reasons.
 
-Nothing here changes data: `Record` decides what is done about jitter and gaps.
+No data are changed here; `Record` handles jitter and gaps.
 """
 
 import re
@@ -35,16 +35,16 @@ class Clock:
     """The time of a table.
 
     Attributes:
-        column: its name; None: no column looks like time.
-        factor: seconds in one unit of it.
-        why: reasons for both, one sentence.
-        sample_period: median distance of two stamps [s]; None without a column.
-        duration: from the first to the last [s].
-        spacing: smallest and largest distance [s].
-        jitter: standard deviation of the distances, gaps apart, over the median.
-        gaps: distances of more than 2.5 periods, the longest one [s].
-        repeated: stamps equal to the one before.
-        backwards: stamps smaller than the one before; the first of them.
+        column: name of the time column; None if no column looks like time.
+        factor: seconds in a unit of the column.
+        why: reasons for both, in a sentence.
+        sample_period: median spacing of the stamps [s]; None without a column.
+        duration: from the first stamp to the last [s].
+        spacing: smallest and largest spacing [s].
+        jitter: standard deviation of the spacings, without gaps, divided by the median.
+        gaps: number of spacings of more than 2.5 periods, and the longest [s].
+        repeated: number of stamps equal to the previous stamp.
+        backwards: number of stamps smaller than the previous stamp, and the index of the first.
         others: further columns that might be the time.
     """
 
@@ -65,7 +65,7 @@ def find_clock(table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]]) 
     """The column that is most likely the time.
 
     Args:
-        table: as read.
+        table: contents of the file.
         numbers: its columns of numbers and dates, in float64.
     """
     scores = {key: _score(key, values, table) for key, values in numbers.items()}
@@ -74,34 +74,36 @@ def find_clock(table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]]) 
         return Clock(None)
     column, values = likely[0], numbers[likely[0]]
     dates = table.columns[column].dtype.kind in "Mm"
-    factor, why = _unit(column, values, table.units.get(column, ""), dates)
-    said = "the file says so" if column == table.time else _reason(column, values, dates)
-    return _described(column, values * factor, factor, f"{said}; {why}", tuple(likely[1:4]))
+    factor, unit_reason = _unit(column, values, table.units.get(column, ""), dates)
+    name_reason = "the file says so" if column == table.time else _reason(column, values, dates)
+    return _clock_of(
+        column, values * factor, factor, f"{name_reason}; {unit_reason}", tuple(likely[1:4])
+    )
 
 
 def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
-    """How much a column looks like time; 0: not at all."""
+    """Score of a column as time; 0: it cannot be time."""
     dates = table.columns[key].dtype.kind in "Mm"
     steps = np.diff(values)
     if not (len(steps) and np.all(np.isfinite(values))):
         return 0.0
     forward = float(np.mean(steps > 0))
-    back = float(np.mean(steps < 0))
+    backward = float(np.mean(steps < 0))
     named = bool(_NAMES.match(_stem(key)))
-    # A restarted or a coarse clock is a clock, if it is called so.
-    grows = forward > 0.5 and back < 0.01 if named or dates else forward == 1.0
+    # A clock with restarts or repeats is accepted only by its name or type.
+    grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
     if not grows:
         return 0.0
-    whole = bool(np.all(steps == 1.0))
+    unit_steps = bool(np.all(steps == 1.0))
     median = float(np.median(steps))
     regular = float(np.mean(np.abs(steps - median) < 0.5 * abs(median)))
-    counter = whole and bool(_COUNTERS.match(_stem(key)))
-    said = 8.0 * (key == table.time) + 4.0 * dates + 3.0 * named
-    return 1.0 + said + regular - 1.5 * counter
+    counter = unit_steps and bool(_COUNTERS.match(_stem(key)))
+    evidence = 8.0 * (key == table.time) + 4.0 * dates + 3.0 * named
+    return 1.0 + evidence + regular - 1.5 * counter
 
 
 def _stem(key: str) -> str:
-    """A name without its unit and path: ``time [ms]``, ``log.time_ms`` → ``time``."""
+    """The name without unit and path: ``time [ms]``, ``log.time_ms`` → ``time``."""
     text = re.sub(r"\s*[\[(].*?[\])]\s*$", "", key.rsplit(".", 1)[-1].rsplit("/", 1)[-1]).strip()
     head, _, tail = text.rpartition("_")
     return head if head and tail.lower() in _UNITS else text
@@ -117,7 +119,7 @@ def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str
 def _unit(
     column: str, values: Float[np.ndarray, " time"], unit: str, dates: bool
 ) -> tuple[float, str]:
-    """Seconds in one unit of the column, and why."""
+    """Seconds in a unit of the column, and the reason."""
     if dates:
         return 1.0, "read in seconds from the first"
     text = column.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
@@ -133,17 +135,17 @@ def _unit(
     low, high = _SPREADSHEET
     if low < first < high and 0 < step < 0.5:
         return 86400.0, "its size is that of a spreadsheet's dates, in days"
-    whole = bool(np.all(values == np.rint(values)))
-    if whole and step >= 1000.0:
+    whole_numbers = bool(np.all(values == np.rint(values)))
+    if whole_numbers and step >= 1000.0:
         return 1e-6, f"whole numbers {step:g} apart are taken as µs, which is a guess"
-    if whole and step > 1.0:
+    if whole_numbers and step > 1.0:
         return 1e-3, f"whole numbers {step:g} apart are taken as ms, which is a guess"
-    if whole:
-        return 1.0, "it counts by ones: if these are samples and not seconds, give sample_period"
+    if whole_numbers:
+        return 1.0, "it counts by ones: if these are samples, not seconds, give sample_period"
     return 1.0, "taken as seconds"
 
 
-def _described(
+def _clock_of(
     column: str,
     stamps: Float[np.ndarray, " time"],
     factor: float,
@@ -153,9 +155,9 @@ def _described(
     steps = np.diff(stamps)
     forward = steps[steps > 0]
     period = float(np.median(forward))
-    long = forward > GAP * period
-    back = np.flatnonzero(steps < 0)
-    near = forward[~long]
+    gaps = forward > GAP * period
+    backward = np.flatnonzero(steps < 0)
+    regular = forward[~gaps]
     return Clock(
         column,
         factor,
@@ -163,9 +165,9 @@ def _described(
         period,
         float(stamps[-1] - stamps[0]),
         (float(steps.min()), float(steps.max())),
-        float(np.sqrt(np.mean((near - period) ** 2)) / period),
-        (int(long.sum()), float(forward.max()) if long.any() else 0.0),
+        float(np.sqrt(np.mean((regular - period) ** 2)) / period),
+        (int(gaps.sum()), float(forward.max()) if gaps.any() else 0.0),
         int(np.sum(steps == 0)),
-        (len(back), int(back[0]) + 1 if len(back) else None),
+        (len(backward), int(backward[0]) + 1 if len(backward) else None),
         others,
     )
