@@ -1,6 +1,6 @@
 """Identify dynamical systems from the equivalent output injection of sliding-mode observers.
 
-Names are imported at their first use (`lazy_loader`); the stub beside this file says from where.
+Names are imported at their first use (`lazy_loader`); the stub next to this file says from where.
 """
 
 import lazy_loader

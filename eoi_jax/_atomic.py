@@ -1,16 +1,16 @@
-"""Files and folders that appear whole or not at all, whatever ends the process that writes them.
+"""Atomic writing of files and folders: complete or not at all, however the process ends.
 
-What is written goes into a draft beside its goal, ``.<name>-<random>.draft/``, which holds
+New content is written to a draft next to its goal, ``.<name>-<random>.draft/``, which holds
 
-* ``lock``: locked by the process that writes. The system lets go of it when that process ends, by
+* ``lock``: locked by the writing process. The system releases the lock when that process ends, by
   whatever signal, so a draft that can be locked is a leftover.
-* ``new``: what is written.
-* ``old``: what stood at the goal, where the system cannot exchange two paths in one step.
+* ``new``: the new content.
+* ``old``: the former content of the goal, where the system cannot exchange two paths atomically.
 
-A file takes its place by a rename, a folder by a rename or, where there is one already, by an
-exchange: at every moment the goal is the old one or the new one, whole. Where the system has no
-exchange there is a moment between two renames; a process that is killed there leaves the old one
-in its draft, and the next one puts it back.
+A file is put in its place by a rename, a folder by a rename or, if there is one already, by an
+exchange: at every moment the goal is the complete old or the complete new one. Where the system has
+no exchange there is a moment between two renames; a process that is killed then leaves the old
+folder in its draft, and the next process restores it.
 """
 
 import ctypes
@@ -26,7 +26,7 @@ from pathlib import Path
 
 try:
     import fcntl
-except ImportError:  # Windows: leftovers stay, for nobody knows whether they are
+except ImportError:  # Windows: leftovers stay, as they cannot be told from drafts in use
     fcntl = None
 
 _SUFFIX = ".draft"
@@ -35,122 +35,122 @@ _PARTS = {"lock", "new", "old"}
 
 
 def make_draft(goal: Path) -> Path:
-    """An empty folder beside a file or folder that is to be written.
+    """Make an empty folder next to a file or folder that is to be written.
 
     Args:
-        goal: what is to be written; its folder exists.
+        goal: path to be written; its parent folder exists.
 
     Returns:
         The folder; the caller removes it.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the folder cannot be made.
     """
     return Path(tempfile.mkdtemp(suffix=_SUFFIX, prefix=f".{goal.name}-", dir=goal.parent))
 
 
 def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -> None:
-    """Make a folder, all or nothing; one that is there is replaced at the very end.
+    """Write a folder atomically; an existing one is replaced at the end.
 
     Args:
-        goal: the folder; that above it is made where it is missing.
-        fill: writes into the empty folder that it is given.
-        keep: leave alone a folder with something in it that another process made meanwhile.
+        goal: the folder; missing parent folders are made.
+        fill: function that writes into the empty folder that is its argument.
+        keep: keep a folder that is not empty and that another process made meanwhile.
     """
-    above = [one for one in goal.parents if not one.exists()]
+    missing = [folder for folder in goal.parents if not folder.exists()]
     goal.parent.mkdir(parents=True, exist_ok=True)
-    with tidied(lambda: _remove_empty(above)), _drafted(goal) as draft:
+    with tidied(lambda: _remove_empty(missing)), _drafted(goal) as draft:
         new = draft / "new"
         new.mkdir()
         fill(new)
         for path in new.rglob("*"):
-            settle(path)
-        settle(new)
+            fsync(path)
+        fsync(new)
         if keep:
             with suppress(FileExistsError):
-                _placed(new, goal)
-        elif goal.exists() and not _exchanged(new, goal):
+                _move_into_place(new, goal)
+        elif goal.exists() and not _exchange(new, goal):
             goal.rename(draft / "old")
             new.rename(goal)
         elif not goal.exists():
             new.rename(goal)
-        settle(goal.parent)
+        fsync(goal.parent)
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    for one in folders:
+    for folder in folders:
         with suppress(OSError):
-            one.rmdir()
+            folder.rmdir()
 
 
 def write_file(goal: Path, fill: Callable[[Path], None]) -> None:
-    """Write a file, all or nothing.
+    """Write a file atomically.
 
     Args:
         goal: the file; its folder exists.
-        fill: writes the file whose path it is given.
+        fill: function that writes the file at the path that is its argument.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with _drafted(goal) as draft:
         new = draft / "new"
         fill(new)
-        settle(new)
+        fsync(new)
         new.replace(goal)
-        settle(goal.parent)
+        fsync(goal.parent)
 
 
 def write_files(folder: Path, last: str, fill: Callable[[Path], None]) -> None:
-    """Write files into a folder that holds others, each of them all or nothing.
+    """Write files into a folder that holds others, each of them atomically.
 
     Args:
-        folder: made where it is missing.
-        last: name of the file that is placed after all others.
-        fill: writes into the empty folder that it is given.
+        folder: made if it does not exist.
+        last: name of the file that is put in its place after all others.
+        fill: function that writes into the empty folder that is its argument.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _drafted(folder / last) as draft:
         new = draft / "new"
         new.mkdir()
         fill(new)
-        for path in sorted(new.iterdir(), key=lambda one: one.name == last):
-            settle(path)
+        for path in sorted(new.iterdir(), key=lambda file: file.name == last):
+            fsync(path)
             path.replace(folder / path.name)
-        settle(folder)
+        fsync(folder)
 
 
 def sweep_up(folder: Path) -> None:
-    """Remove what processes that have ended left half-written, and put back what they moved away.
+    """Remove the drafts of processes that have ended, and restore what they moved away.
 
     Args:
-        folder: that drafts may lie in; that of a process which still writes is left alone.
+        folder: that may contain drafts; those of running processes are kept.
     """
     with suppress(OSError):
         for path in list(folder.iterdir()):
-            found = _LEFTOVER.fullmatch(path.name)
-            if found and path.is_dir() and not path.is_symlink():
+            match = _LEFTOVER.fullmatch(path.name)
+            if match and path.is_dir() and not path.is_symlink():
                 with suppress(OSError):
-                    _remove_leftover(path, folder / found[1])
+                    _remove_leftover(path, folder / match[1])
 
 
 def _remove_leftover(draft: Path, goal: Path) -> None:
     try:
         lock = _lock(draft / "lock", os.O_RDWR)
     except FileNotFoundError:
-        draft.rmdir()  # begun and no more; fails where it holds anything, which is none of ours
+        draft.rmdir()  # no lock yet; fails if the folder is not empty, which is then no draft
         return
     if lock is None:
         return
     try:
-        if {one.name for one in draft.iterdir()} <= _PARTS:
+        if {path.name for path in draft.iterdir()} <= _PARTS:
             _undo(draft, goal)
     finally:
         os.close(lock)
 
 
 def _undo(draft: Path, goal: Path) -> None:
-    """Take away a draft; what it replaced returns, unless the new one stands already."""
+    """Remove a draft; the old folder in it is restored unless the new one is in place."""
     old = draft / "old"
     if old.exists() and not goal.exists():
         old.rename(goal)
@@ -159,9 +159,9 @@ def _undo(draft: Path, goal: Path) -> None:
 
 @contextmanager
 def _drafted(goal: Path) -> Iterator[Path]:
-    """A locked draft, removed at the end; leftovers beside it go first."""
+    """A locked draft, removed at the end; leftovers next to it are removed first."""
     sweep_up(goal.parent)
-    draft, lock = _begun(goal)
+    draft, lock = _locked_draft(goal)
     try:
         with tidied(lambda: _undo(draft, goal)):
             yield draft
@@ -170,8 +170,8 @@ def _drafted(goal: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def _begun(goal: Path) -> tuple[Path, int | None]:
-    """A draft and its lock; another process may take an empty draft for a leftover: then again."""
+def _locked_draft(goal: Path) -> tuple[Path, int | None]:
+    """A draft and its lock; repeated if another process removes the draft before it is locked."""
     while True:
         draft = make_draft(goal)
         path = draft / "lock"
@@ -182,7 +182,7 @@ def _begun(goal: Path) -> tuple[Path, int | None]:
 
 
 def _lock(path: Path, flags: int) -> int | None:
-    """A file descriptor that holds the lock; None where another has it, or where there are none."""
+    """A file descriptor that holds the lock; None if another process has it or without locks."""
     descriptor = os.open(path, flags, 0o600)
     try:
         if fcntl is not None:
@@ -195,12 +195,12 @@ def _lock(path: Path, flags: int) -> int | None:
     return None
 
 
-def _exchanged(one: Path, other: Path) -> bool:
-    """Whether two paths were exchanged, in one step; the system may have no such call."""
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange two paths atomically; False where the system has no such call or it fails."""
     if os.name != "posix":
         return False
     library = ctypes.CDLL(None, use_errno=True)
-    names = os.fsencode(one), os.fsencode(other)
+    names = os.fsencode(first), os.fsencode(second)
     if sys.platform == "darwin":  # RENAME_SWAP
         call, arguments = "renamex_np", (*names, 2)
     else:  # AT_FDCWD, RENAME_EXCHANGE
@@ -209,8 +209,8 @@ def _exchanged(one: Path, other: Path) -> bool:
     return exchange is not None and exchange(*arguments) == 0
 
 
-def _placed(new: Path, goal: Path) -> None:
-    """Rename a folder; `FileExistsError` where something is there that is not an empty folder."""
+def _move_into_place(new: Path, goal: Path) -> None:
+    """Rename a folder; `FileExistsError` if the goal is anything but an empty folder."""
     try:
         new.rename(goal)
     except OSError:
@@ -219,8 +219,8 @@ def _placed(new: Path, goal: Path) -> None:
         raise
 
 
-def settle(path: Path) -> None:
-    """Have the system write it to the disk, as far as it can."""
+def fsync(path: Path) -> None:
+    """Write a file or folder to the disk, where the system supports it."""
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -229,17 +229,17 @@ def settle(path: Path) -> None:
             os.close(descriptor)
 
 
-# -- where the process ends at once: what has to be undone then ----------------------------------
+# -- clean-up where the process ends at once -----------------------------------------------------
 
 _UNDO: list[Callable[[], None]] = []
 
 
 @contextmanager
 def tidied(undo: Callable[[], None]) -> Iterator[None]:
-    """Call `undo` at the end, whether that is reached or the process is interrupted before.
+    """Context that calls `undo` at its end, also when the process is interrupted before.
 
     Args:
-        undo: takes away what is half written; may be called twice.
+        undo: removes unfinished files; may be called twice.
     """
     _UNDO.append(undo)
     try:
@@ -250,6 +250,6 @@ def tidied(undo: Callable[[], None]) -> Iterator[None]:
 
 
 def tidy() -> None:
-    """Undo all that is half written, for a process that ends without going back to it."""
+    """Call all pending `undo` functions, for a process that ends at once."""
     for undo in reversed(_UNDO):
         undo()

@@ -1,7 +1,7 @@
-"""One thread of NumPy's and SciPy's BLAS, as long as the library computes.
+"""Single-threaded BLAS of NumPy and SciPy while the library computes.
 
-Its matrices are small: to wake a second thread takes longer than they do, and beside other work the
-threads wait for each other, which doubles the time of an estimate.
+The matrices are small: waking a second thread takes longer than the computation. Under other load
+the threads wait for each other, which doubles the time of an estimate.
 """
 
 import functools
@@ -14,7 +14,7 @@ from threadpoolctl import ThreadpoolController
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """In the main thread: OpenBLAS takes such orders from no other one."""
+    """Limit BLAS to a single thread; only in the main thread, as OpenBLAS allows no other."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -24,7 +24,7 @@ def one_thread() -> Iterator[None]:
 
 @functools.cache
 def _pools() -> ThreadpoolController:
-    """What is loaded now; looking for it takes milliseconds."""
-    import scipy.linalg  # noqa: F401  it brings a BLAS of its own
+    """The loaded BLAS libraries, cached, as the search takes milliseconds."""
+    import scipy.linalg  # noqa: F401  SciPy loads a separate BLAS
 
     return ThreadpoolController()

@@ -1,7 +1,7 @@
-"""Shape and range checks: the one place that words the errors of a wrong call.
+"""Checks of arguments; all errors of wrong calls are worded here.
 
-Every message names the field in backquotes, then the rule, the value that broke it, and what
-to do. All raise `ValueError`, so that a caller needs one `except`.
+Every message has the field in backquotes, the rule, the invalid value, and what to do. All checks
+raise `ValueError`.
 """
 
 import difflib
@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 
-_AROUND = 40  # characters shown on either side of a mark
+_CONTEXT = 40  # characters shown on either side of a mark
 
 
 class RecordWarning(UserWarning):
-    """A record was changed on the way in (resampled, masked): nothing is done silently."""
+    """The data of a record were changed (resampled, masked) when it was constructed."""
 
 
 class StoreWarning(UserWarning):
-    """A part of a sweep's store is damaged: it is computed again, or left out."""
+    """A part of a sweep's store is damaged and is computed again or left out."""
 
 
 class FigureWarning(UserWarning):
-    """A figure could not be drawn and is left out: it costs no answer."""
+    """A figure could not be drawn and is left out; results are not affected."""
 
 
 def check(
@@ -32,32 +32,32 @@ def check(
     """Raise ``"`name` rule, got value. advice"`` unless `condition` holds.
 
     Args:
-        condition: what must be true.
+        condition: the condition that must hold.
         name: the field, as the user wrote it.
-        rule: what it must be, e.g. ``"must be positive"``.
-        value: what it was.
-        advice: one sentence on what to do.
+        rule: the rule, e.g. ``"must be positive"``.
+        value: the value of the field.
+        advice: a sentence on what to do.
     """
     if not condition:
-        shown = f"`{name}` {rule}, got {_short(value)}."
-        raise ValueError(f"{shown} {advice}".rstrip())
+        message = f"`{name}` {rule}, got {_short(value)}."
+        raise ValueError(f"{message} {advice}".rstrip())
 
 
-def check_kind(name: str, value: object, kind: type | tuple[type, ...], what: str) -> None:
-    """`value` must be of a class, or of one of several; `what` says it in words: ``a Plant``."""
-    shown = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
-    held = [key for key in ("found", "plant") if isinstance(getattr(value, key, None), kind)]
-    advice = f"Give its `.{held[0]}`." if held else ""
-    check(isinstance(value, kind), name, f"must be {what}", shown, advice)
+def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
+    """`value` must be of a class or of one of several, described by `expected`: ``a Plant``."""
+    class_text = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+    attributes = [key for key in ("found", "plant") if isinstance(getattr(value, key, None), kind)]
+    advice = f"Give its `.{attributes[0]}`." if attributes else ""
+    check(isinstance(value, kind), name, f"must be {expected}", class_text, advice)
 
 
 def is_whole(value: object) -> bool:
-    """Whether `value` is an integer, of Python or of NumPy; a truth value is none."""
+    """Whether `value` is an integer of Python or of NumPy; a bool is not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def real(value: Any) -> float:
-    """`value` as a number; NaN for what is none: no comparison holds for that."""
+    """`value` as a float; NaN, for which no comparison holds, if it is not a number."""
     if isinstance(value, str | bytes):
         return np.nan
     try:
@@ -66,32 +66,36 @@ def real(value: Any) -> float:
         return np.nan
 
 
-def check_count(name: str, value: Any, least: int = 1) -> int:
-    """`value` must be an integer from `least` on; it is returned as one of Python's."""
-    check(is_whole(value) and value >= least, name, f"must be an integer ≥ {least}", value)
+def check_count(name: str, value: Any, minimum: int = 1) -> int:
+    """`value` must be an integer ≥ `minimum`; it is returned as an `int`."""
+    check(is_whole(value) and value >= minimum, name, f"must be an integer ≥ {minimum}", value)
     return int(value)
 
 
 def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") -> ValueError:
-    """The error to raise for a text that is wrong at one place; it is shown with the column marked.
+    """The error for a text that is wrong at a single place; the message marks the column.
 
     Args:
         name: the field, as the user wrote it.
-        rule: what it must be.
-        text: what it was.
+        rule: the rule.
+        text: the value of the field.
         column: of the first wrong character, counted from 0.
-        advice: one sentence on what to do.
+        advice: a sentence on what to do.
 
     Returns:
         The error; the caller raises it.
     """
-    first = max(0, column - _AROUND) if len(text) > 2 * _AROUND else 0
-    part = text[first : first + 2 * _AROUND]
-    # What does not print would move the mark, or the terminal's cursor.
-    clean = part.isprintable()
-    shown = part if clean else "".join(one if one.isprintable() else " " for one in part)
+    first = max(0, column - _CONTEXT) if len(text) > 2 * _CONTEXT else 0
+    excerpt = text[first : first + 2 * _CONTEXT]
+    # Unprintable characters would shift the mark or move the terminal's cursor.
+    is_printable = excerpt.isprintable()
+    visible = (
+        excerpt
+        if is_printable
+        else "".join(character if character.isprintable() else " " for character in excerpt)
+    )
     mark = " " * (column - first) + "^"
-    message = f"`{name}` {rule}, at column {column + 1}:\n    {shown}\n    {mark}"
+    message = f"`{name}` {rule}, at column {column + 1}:\n    {visible}\n    {mark}"
     return ValueError(f"{message}\n{advice}" if advice else message)
 
 
@@ -111,46 +115,51 @@ def check_positive(name: str, value: object, advice: str = "") -> None:
 def check_shape(name: str, array: np.ndarray, shape: Sequence[int | None], meaning: str) -> None:
     """`array` must have `shape`; `None` in it matches any length."""
     fits = len(array.shape) == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+        length is None or length == size for length, size in zip(shape, array.shape, strict=True)
     )
-    wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
-    check(fits, name, f"must have shape {wanted}: {meaning}", f"shape {array.shape}")
+    expected = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
+    check(fits, name, f"must have shape {expected}: {meaning}", f"shape {array.shape}")
 
 
-def check_choice(name: str, value: str, known: Iterable[str]) -> None:
-    """`value` must be one of `known`; the message lists them and the closest."""
-    known = tuple(known)
-    close = difflib.get_close_matches(str(value), known, n=1)
+def check_choice(name: str, value: str, choices: Iterable[str]) -> None:
+    """`value` must be one of `choices`; the message lists them and the closest."""
+    choices = tuple(choices)
+    close = difflib.get_close_matches(str(value), choices, n=1)
     hint = f" Did you mean `{close[0]}`?" if close else ""
     check(
-        value in known,
+        value in choices,
         name,
-        f"must be one of {', '.join(known)}",
+        f"must be one of {', '.join(choices)}",
         repr(value),
         hint.strip(),
     )
 
 
-def is_shallow(tree: Any, most: int) -> bool:
-    """Whether at most so many dicts and lists stand inside each other, before anything recurs."""
+def is_shallow(tree: Any, max_depth: int) -> bool:
+    """Whether dicts and lists are nested at most `max_depth` deep; found without recursion."""
     level = [tree] if isinstance(tree, dict | list) else []
-    for _ in range(most):
-        parts = (part for one in level for part in (one.values() if isinstance(one, dict) else one))
+    for _ in range(max_depth):
+        parts = (
+            part for node in level for part in (node.values() if isinstance(node, dict) else node)
+        )
         level = [part for part in parts if isinstance(part, dict | list)]
     return not level
 
 
 def printable(text: str, keep: str = "") -> str:
-    """A text with whatever does not print as its code: a terminal would obey some of it.
+    """The text with unprintable characters as escape codes, as a terminal would obey some of them.
 
     Args:
-        text: of any origin.
-        keep: characters that stay as they are.
+        text: from any source.
+        keep: characters that are not replaced.
     """
     if text.isprintable():
         return text
-    shown = (one if one.isprintable() or one in keep else repr(one)[1:-1] for one in text)
-    return "".join(shown)
+    characters = (
+        character if character.isprintable() or character in keep else repr(character)[1:-1]
+        for character in text
+    )
+    return "".join(characters)
 
 
 def _short(value: object) -> str:

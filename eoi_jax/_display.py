@@ -1,7 +1,7 @@
-"""How results are printed, drawn and kept: functions that `report/` and the store fill in.
+"""Printing, drawing and saving of results: functions that `report/` and the storage implement.
 
-A result is data. It knows neither tables nor figures nor files: `str(result)`, `result.plot()` and
-`result.save(path)` ask the function here, which goes by the class of the result.
+A result is data and independent of tables, figures and files: `str(result)`, `result.plot()` and
+`result.save(path)` call the functions here, which dispatch on the class of the result.
 """
 
 import importlib
@@ -14,10 +14,10 @@ _MODULES: list[str] = []
 
 
 def register_in(*modules: str) -> None:
-    """Say which modules register tables, figures and files; they are imported at the first result.
+    """Declare modules that register implementations; they are imported at the first use of one.
 
     Args:
-        modules: their full names.
+        modules: full names of the modules.
     """
     _MODULES.extend(modules)
 
@@ -36,11 +36,11 @@ class _ByClass:
         self._implementations = singledispatch(default)
 
     def register(self, kind: type, implementation: Callable) -> None:
-        """Use an implementation for a class and those that extend it.
+        """Register an implementation for a class and its subclasses.
 
         Args:
             kind: class of the first argument.
-            implementation: with the arguments of the function.
+            implementation: function with the same arguments.
         """
         self._implementations.register(kind, implementation)
 
@@ -51,7 +51,7 @@ class _ByClass:
 
 @_ByClass
 def text(result: Any) -> str:
-    """A result as a table; its fields where no table is registered for its class."""
+    """A result as a text table; its `repr` if no table is registered for its class."""
     return repr(result)
 
 
@@ -63,27 +63,27 @@ def figure(result: Any) -> Any:
 
 @_ByClass
 def save(result: Any, path: str | Path) -> None:
-    """A result in a file."""
+    """Save a result to a file."""
     raise TypeError(f"{type(result).__name__} cannot be saved to {path}")
 
 
 @_ByClass
 def findings(result: Any, status: Any) -> tuple[str, ...]:
-    """What the numbers of a result say, in sentences."""
+    """Sentences that interpret the numbers of a result."""
     raise TypeError(f"no findings are registered for {type(result).__name__}, {status}")
 
 
 class Result:
-    """What every result can do."""
+    """Base class of all results: they print, plot and save themselves."""
 
     def __str__(self) -> str:
         """A table of several lines."""
         return text(self)
 
     def plot(self) -> Any:
-        """Draw it: a matplotlib figure."""
+        """Draw the result as a matplotlib figure."""
         return figure(self)
 
     def save(self, path: str | Path) -> None:
-        """Write to one `.npz` file that `eoi_jax.load` reads back; nothing in it is pickled."""
+        """Write the result to an `.npz` file without pickle; `eoi_jax.load` reads it."""
         save(self, path)

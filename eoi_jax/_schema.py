@@ -1,6 +1,6 @@
-"""A mapping from a TOML or JSON file as a msgspec Struct, with errors that name the field.
+"""Conversion of tables of a TOML or JSON file to msgspec Structs, with errors that name the field.
 
-msgspec alone would do it, but its messages know neither the key of a dictionary nor the value.
+msgspec converts them too, but its messages contain neither the key of a dictionary nor the value.
 """
 
 import re
@@ -14,12 +14,12 @@ from eoi_jax._checks import check, check_choice
 
 
 def struct(kind: type[msgspec.Struct], table: Any, name: str = "") -> Any:
-    """The Struct that a table stands for, built field by field.
+    """The Struct of a table, built field by field.
 
     Args:
-        kind: of Struct.
-        table: what the file holds.
-        name: of the table in the file, ahead of its keys in messages; "" for a whole file.
+        kind: class of the Struct.
+        table: the table, as read from the file.
+        name: of the table, placed before its keys in messages; "" for the top level of a file.
 
     Raises:
         ValueError: a key is unknown (the known ones are listed), a value is missing, of the wrong
@@ -29,19 +29,19 @@ def struct(kind: type[msgspec.Struct], table: Any, name: str = "") -> Any:
 
 
 def _table(kinds: Sequence[Any], table: Any, name: str) -> Any:
-    """The Struct among `kinds` that a table stands for."""
+    """The Struct of a table, of that class among `kinds` that the table's key `kind` names."""
     check(isinstance(table, dict), name, "must be a table", table)
     kind, table = kinds[0], dict(table)
     if kind.__struct_config__.tag is not None:
-        by_tag = {each.__struct_config__.tag: each for each in kinds}
+        by_tag = {variant.__struct_config__.tag: variant for variant in kinds}
         tag = table.pop("kind", None)
         check(tag is not None, f"{name}.kind", f"must be one of {', '.join(by_tag)}", "nothing")
         check_choice(f"{name}.kind", str(tag), by_tag)
         kind = by_tag[tag]
     fields = {field.name: field for field in msgspec.structs.fields(kind)}
-    known = [*(["kind"] if len(kinds) > 1 else []), *fields]
+    keys = [*(["kind"] if len(kinds) > 1 else []), *fields]
     for key in table:
-        check_choice(f"a key of [{name}]" if name else "a key of the config", key, known)
+        check_choice(f"a key of [{name}]" if name else "a key of the config", key, keys)
     values = {}
     for key, field in fields.items():
         where = f"{name}.{key}" if name else key
@@ -62,17 +62,17 @@ def _value(annotation: Any, value: Any, name: str) -> Any:
     if get_origin(annotation) is tuple and _is_table(get_args(annotation)[0]):
         check(isinstance(value, list), name, "must be a list of tables", value)
         item = get_args(annotation)[0]
-        return tuple(_value(item, each, f"{name}[{i}]") for i, each in enumerate(value))
+        return tuple(_value(item, element, f"{name}[{i}]") for i, element in enumerate(value))
     if get_origin(annotation) is dict:
         check(isinstance(value, dict), name, "must be a table", value)
         item = get_args(annotation)[1]
-        return {key: _value(item, each, f"{name}.{key}") for key, each in value.items()}
+        return {key: _value(item, element, f"{name}.{key}") for key, element in value.items()}
     if get_origin(annotation) is Literal:
         check_choice(name, str(value), get_args(annotation))
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
-        rule, place = _in_words(str(error))
+        rule, place = _rule_and_place(str(error))
         check(False, name + place, rule, repr(value))
 
 
@@ -96,8 +96,8 @@ _WORDS = {
 }
 
 
-def _in_words(message: str) -> tuple[str, str]:
-    """Say msgspec's "Expected `float` > 0.0 - at `$[1]`" as a rule and the place in the value."""
+def _rule_and_place(message: str) -> tuple[str, str]:
+    """Rule and place in the value from a message "Expected `float` > 0.0 - at `$[1]`"."""
     message, _, place = message.partition(" - at `$")
     expected = re.sub(r"^Expected |, got .*$", "", message)
     for word, plain in _WORDS.items():

@@ -1,17 +1,17 @@
-"""How a run can end, in words: what happened, the likely cause, what to try; and what ran it."""
+"""Status of a run (what happened, the likely cause, what to try) and the engine that ran it."""
 
 from dataclasses import dataclass
 
-# Ends of a fit that give every free parameter a value.
+# Codes of a fit in which every free parameter has an estimate.
 ANSWERED = ("converged", "passes_exhausted", "stalled")
 
 
 @dataclass(frozen=True)
 class Status:
-    """The end of a run.
+    """How a run ended.
 
     Attributes:
-        code: one word for programs: ``"converged"``, ``"passes_exhausted"``,
+        code: for programs: ``"converged"``, ``"passes_exhausted"``,
             ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery
             ``"explained"``, ``"nothing_missing"``, ``"unexplained"``; of a
             method in a comparison ``"not_applicable"``, ``"failed"``.
@@ -23,7 +23,7 @@ class Status:
 
     @property
     def ok(self) -> bool:
-        """Whether a fit has an answer for every free parameter."""
+        """Whether the fit has an estimate of every free parameter."""
         return self.code in ANSWERED
 
     def __str__(self) -> str:
@@ -38,8 +38,8 @@ class EngineUsed:
         name: ``"native"`` for machine code of this processor, ``"scan"`` for `jax.lax.scan`,
             ``"one_kernel"`` for a kernel of a GPU; ``"not recorded"`` in a file of an older
             version.
-        reason: why it was not the fast one, ``"native"``; empty where it was, or where another one
-            was asked for.
+        reason: why the fast engine, ``"native"``, was not used; empty if it was, or if another
+            engine was requested.
     """
 
     name: str
@@ -47,7 +47,7 @@ class EngineUsed:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a report says of it: a line where it was not the fast one."""
+        """Line for a report if the fast engine was not used."""
         line = f"computed by the {self.name} engine, slower than machine code: {self.reason}"
         return (line,) if self.reason else ()
 

@@ -1,4 +1,4 @@
-"""Array aliases and axis names used in every signature.
+"""Array types and axis names of the signatures.
 
 Axes: ``time`` samples N, ``nu`` inputs, ``ny`` outputs, ``np`` parameters, ``nz`` internal
 states, ``r`` the highest relative degree, ``rates`` = r - 1 derivatives of an output.
@@ -18,7 +18,7 @@ Rates: TypeAlias = Float[Array, "rates ny"]
 Regressor: TypeAlias = Float[Array, "ny np"]
 Flags: TypeAlias = Bool[Array, " ny"]
 
-# Host side: records are NumPy arrays until a kernel takes them.
+# On the host: records hold NumPy arrays.
 TimeAxis: TypeAlias = Float[np.ndarray, " time"]
 Signals: TypeAlias = Float[np.ndarray, "time channel"]
 Mask: TypeAlias = Bool[np.ndarray, " time"]

@@ -38,10 +38,10 @@ def killed(folder: Path, patch: str, act: str) -> None:
 REPLACE = "drafts.write_folder(folder / 'run', lambda new: (new / 'content').write_text('new'))"
 # Where a process dies, and what stands then: at no moment nothing.
 MOMENTS = {
-    "while it fills": ("drafts.settle = kill", "old"),
-    "before the exchange": ("drafts._exchanged = kill", "old"),
+    "while it fills": ("drafts.fsync = kill", "old"),
+    "before the exchange": ("drafts._exchange = kill", "old"),
     "after the exchange": (
-        "true = drafts._exchanged; drafts._exchanged = lambda *x: (true(*x), kill())", "new",
+        "true = drafts._exchange; drafts._exchange = lambda *x: (true(*x), kill())", "new",
     ),
     "before it is tidied up": ("drafts.shutil.rmtree = kill", "new"),
 }  # fmt: skip
@@ -64,7 +64,7 @@ def test_without_an_exchange_the_next_run_puts_back_what_was_moved_away(tmp_path
     (tmp_path / "run").mkdir()
     put("old")(tmp_path / "run")
     patch = (
-        "drafts._exchanged = lambda *_: False\n"
+        "drafts._exchange = lambda *_: False\n"
         "true = Path.rename; Path.rename = lambda *x: (true(*x), kill())"
     )
     killed(tmp_path, patch, REPLACE)
@@ -78,9 +78,9 @@ def test_two_paths_are_exchanged_or_neither_is_touched(tmp_path: Path):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         put(name)(tmp_path / name)
-    swapped = _atomic._exchanged(tmp_path / "one", tmp_path / "other")
+    swapped = _atomic._exchange(tmp_path / "one", tmp_path / "other")
     assert (tmp_path / "one" / "content").read_text() == ("other" if swapped else "one")
-    assert not _atomic._exchanged(tmp_path / "one", tmp_path / "absent")
+    assert not _atomic._exchange(tmp_path / "one", tmp_path / "absent")
     assert names(tmp_path) == ["one", "other"]
 
 
@@ -88,7 +88,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path: Path):
     goal = tmp_path / "model.c"
     goal.write_text("old")
     act = "drafts.write_file(folder / 'model.c', lambda new: new.write_text('new'))"
-    killed(tmp_path, "drafts.settle = kill", act)
+    killed(tmp_path, "drafts.fsync = kill", act)
     assert goal.read_text() == "old"
     write_file(goal, write("newer"))
     assert goal.read_text() == "newer"

@@ -199,7 +199,7 @@ def _slot(tau: TimeAxis, name: str, length: Real) -> np.ndarray:
 
 
 def _draw(seed: int) -> np.random.Generator:
-    return np.random.default_rng(check_count("seed", seed, least=0))
+    return np.random.default_rng(check_count("seed", seed, minimum=0))
 
 
 def _check_finite(name: str, value: Real) -> None:

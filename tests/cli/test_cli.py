@@ -219,7 +219,7 @@ def test_an_old_run_returns_if_the_exchange_itself_fails(
             raise OSError("disk full")
         return rename(self, target)
 
-    monkeypatch.setattr(_atomic, "_exchanged", lambda *_: False)
+    monkeypatch.setattr(_atomic, "_exchange", lambda *_: False)
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(OSError, match="disk full"):
         write_folder(folder, lambda draft: None)

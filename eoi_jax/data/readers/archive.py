@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz`` file: sizes are checked before anything is unpacked, nothing is run."""
+"""Arrays of an ``.npz`` file: sizes are checked before unpacking, and no code is run."""
 
 import math
 from pathlib import Path
@@ -16,20 +16,21 @@ def read_arrays(path: Path, allowance: Allowance) -> dict[str, np.ndarray | None
 
     Args:
         path: of the file.
-        allowance: bytes that it may unpack to.
+        allowance: bytes that the file may unpack to.
 
     Returns:
-        Arrays by name; None for one of Python objects, which could only be had by running them.
+        Arrays by name; None for an array of Python objects, which could only be read by running
+        code from the file.
 
     Raises:
-        ValueError: no archive of arrays, a damaged one, or more bytes than are allowed.
+        ValueError: no archive of arrays, a damaged archive, or more bytes than are allowed.
     """
     if not is_zipfile(path):
         raise ValueError("it is no archive of arrays, as `numpy.savez` writes it")
     allowance.take_archive(path)
     with ZipFile(path) as archive:
-        members = [one for one in archive.infolist() if not one.is_dir()]
-        return {one.filename.removesuffix(".npy"): _array(archive, one) for one in members}
+        members = [member for member in archive.infolist() if not member.is_dir()]
+        return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
 
 
 def _array(archive: ZipFile, member: Any) -> np.ndarray | None:

@@ -1,8 +1,8 @@
-"""Text tables: which separator, which decimal mark, where the data start, what the rows above say.
+"""Text tables: detection of separator, decimal mark, header, units and first row of data.
 
-Everything is decided from how the rows look: the separator is the one that makes the most cells
-numbers, the data start at the first row that looks like those further down, the row above it holds
-the names. A row of units and lines before the header are recognised by the same rule.
+The separator is the one with which most cells are numbers. The data start at the first row that
+has the form of the rows further down; the row above it holds the names. A row of units and lines
+before the header are recognised in the same way.
 """
 
 import csv
@@ -22,8 +22,8 @@ import numpy as np
 from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.table import Columns, Table
 
-_HEAD = 200  # lines that are looked at
-_PIECE = 1 << 20  # bytes that are unpacked at a time, to count them
+_HEAD_LINES = 200  # lines from which the layout is detected
+_PIECE = 1 << 20  # bytes that are unpacked at a time to measure the size
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
 _EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
@@ -34,7 +34,7 @@ _DATE = re.compile(
     rf"([T\s]+{_CLOCK})?\s*(Z|[+-]\d{{2}}:?\d{{2}})?$"
 )
 _TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
-# How the files begin that are no text, whatever their name says.
+# First bytes of files that are not text, whatever their name.
 _KINDS = (
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),
@@ -52,7 +52,7 @@ _KINDS = (
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a text table is written."""
+    """Format of a text table."""
 
     separator: str
     decimal: str
@@ -63,37 +63,38 @@ class _Layout:
 
 
 def read_text(path: Path, allowance: Allowance) -> Table:
-    """The columns of a text file, numbers as float64, dates as datetime64, the rest as text.
+    """The columns of a text file, numbers as float64, dates as datetime64, others as text.
 
     Args:
         path: .csv, .tsv, .txt, .dat, also with .gz.
-        allowance: bytes that it may unpack to.
+        allowance: bytes that the file may unpack to.
 
     Raises:
-        ValueError: it is no text, holds no data, repeats a name, or unpacks to more than allowed.
+        ValueError: a file that is not text, holds no data, repeats a name, or unpacks to more than
+            is allowed.
     """
     if _is_compressed(path):
         _check_size(path, allowance)
-    first = _beginning(path)
+    first = _first_bytes(path)
     kind = next((name for mark, name in _KINDS if first.startswith(mark)), None)
     if kind is not None:
         raise ValueError(
             f"it is {kind}, not text; give it the ending it should have, or export it as text"
         )
     encoding = _encoding(first)
-    with _opened(path, encoding) as stream:
-        return _read(path, list(islice(stream, _HEAD)), encoding)
+    with _open_text(path, encoding) as stream:
+        return _read(path, list(islice(stream, _HEAD_LINES)), encoding)
 
 
 def line_of(path: Path, row: int) -> int:
-    """The line of a text file, from 1, that a row of its table stands on: blank lines hold none.
+    """Line number, from 1, of a row of the table in a text file; blank lines hold no row.
 
     Args:
-        path: as of `read_text`.
-        row: from 0.
+        path: as in `read_text`.
+        row: counted from 0.
     """
-    with _opened(path, _encoding(_beginning(path))) as stream:
-        head = list(islice(stream, _HEAD))
+    with _open_text(path, _encoding(_first_bytes(path))) as stream:
+        head = list(islice(stream, _HEAD_LINES))
         layout = _layout([line.rstrip("\r\n") for line in head])
         blanks = " \r\n" if layout.separator == "\t" else None
         numbered = islice(enumerate(chain(head, stream), 1), layout.start, None)
@@ -101,12 +102,12 @@ def line_of(path: Path, row: int) -> int:
         return next(islice(filled, row, None))
 
 
-def _beginning(path: Path) -> bytes:
+def _first_bytes(path: Path) -> bytes:
     with gzip.open(path, "rb") if _is_compressed(path) else path.open("rb") as stream:
         return stream.read(4096)
 
 
-def _opened(path: Path, encoding: str) -> Any:
+def _open_text(path: Path, encoding: str) -> Any:
     opener = gzip.open if _is_compressed(path) else open
     return opener(path, "rt", encoding=encoding, errors="replace", newline=None)
 
@@ -122,12 +123,12 @@ def _is_compressed(path: Path) -> bool:
 
 
 def read_lines(text: str) -> Table:
-    """The same from text that is in memory already.
+    """The columns of a text table in memory.
 
     Args:
-        text: a whole table.
+        text: the table.
     """
-    return _read(io.StringIO(text), list(islice(io.StringIO(text), _HEAD)), "utf-8")
+    return _read(io.StringIO(text), list(islice(io.StringIO(text), _HEAD_LINES)), "utf-8")
 
 
 def _encoding(first: bytes) -> str:
@@ -171,8 +172,8 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
     keys = [key or str(i) for i, key in enumerate(keys)]
     repeated = [key for key, count in Counter(keys).items() if count > 1]
     if repeated:
-        shown = ", ".join(repeated[:5])
-        raise ValueError(f"its header repeats a name: {shown}; give each column its own name")
+        names_text = ", ".join(repeated[:5])
+        raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
     notes = list(layout.notes)
@@ -182,7 +183,7 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
 
 
 def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray:
-    """Numbers as they are; text as dates if it is dates."""
+    """A column as numbers, as dates or times of day where it holds such, else as text."""
     if values.dtype.kind in "biuf":
         return values.to_numpy()
     texts = values.dropna()
@@ -192,39 +193,39 @@ def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray
     if _TIME_OF_DAY.match(first):
         return _times_of_day(key, values, notes)
     array = values.astype(object).where(values.notna(), None).to_numpy()
-    if decimal == ",":  # one odd cell keeps pandas from reading the others
-        array = np.asarray([_pointed(one) for one in array], dtype=object)
+    if decimal == ",":  # a cell that is no number keeps pandas from converting the column
+        array = np.asarray([_with_decimal_point(cell) for cell in array], dtype=object)
     return array
 
 
-def _pointed(cell: Any) -> Any:
+def _with_decimal_point(cell: Any) -> Any:
     return cell.replace(",", ".") if isinstance(cell, str) and _COMMA.match(cell.strip()) else cell
 
 
 def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
-    """Instants as datetime64; a day before the month where points separate them, or it must be."""
+    """Instants as datetime64; day before month where points separate them or nothing else fits."""
     import pandas as pd
 
     texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
     year_first = bool(re.match(r"\d{4}", first))
-    tried = []
+    candidates = []
     for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
-        for form in (None, "mixed"):  # one form for all is read much faster
+        for form in (None, "mixed"):  # a common format is read much faster
             try:
-                with warnings.catch_warnings():  # that the order may be the other one
+                with warnings.catch_warnings():  # on the ambiguous order
                     warnings.simplefilter("ignore", UserWarning)
                     stamps = pd.to_datetime(texts, dayfirst=day_first, format=form, utc=True)
             except (ValueError, TypeError):
                 continue
-            back = int((stamps.diff().dt.total_seconds() < 0).sum())
-            tried.append((back, stamps.max() - stamps.min(), day_first, stamps))
+            reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
+            candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
             break
-    if tried:  # of the two, the one in which time runs on without leaps
-        _, _, day_first, stamps = min(tried, key=lambda one: one[:3])
+    if candidates:  # the order with fewest reversals and the shortest span
+        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
         order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
         notes.append(f"`{key}` holds dates, read in the order {order}.")
         return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    notes.append(f"`{key}` begins like a date, and holds something else further down.")
+    notes.append(f"`{key}` begins with a date, but holds something else further down.")
     return values.astype(object).to_numpy()
 
 
@@ -241,31 +242,33 @@ def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
         else:
             elapsed = pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
     except (ValueError, TypeError):
-        notes.append(f"`{key}` begins like a time of day, and holds something else further down.")
+        notes.append(f"`{key}` begins with a time of day, but holds something else further down.")
         return values.astype(object).to_numpy()
     elapsed = elapsed.astype("timedelta64[ns]")
-    half, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
-    nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half)])
-    over = f", over {nights[-1]} midnight(s)" if nights[-1] else ""
-    notes.append(f"`{key}` holds times of day, read as elapsed time{over}.")
+    half_day, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
+    nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half_day)])
+    midnights = f", over {nights[-1]} midnight(s)" if nights[-1] else ""
+    notes.append(f"`{key}` holds times of day, read as elapsed time{midnights}.")
     return elapsed + nights * day
 
 
-# -- how a table is written ---------------------------------------------------------------
+# -- layout -------------------------------------------------------------------------------
 
 
 def _layout(lines: Sequence[str]) -> _Layout:
     """Separator, decimal mark, first row of data, names and units from the first lines."""
-    shown = [(i, line) for i, line in enumerate(lines) if line.strip()]
-    remarks = [(i, line) for i, line in shown if line.lstrip()[0] in "%#"]
-    body = [(i, line) for i, line in shown if line.lstrip()[0] not in "%#"]
+    filled = [(i, line) for i, line in enumerate(lines) if line.strip()]
+    remarks = [(i, line) for i, line in filled if line.lstrip()[0] in "%#"]
+    body = [(i, line) for i, line in filled if line.lstrip()[0] not in "%#"]
     if not body:
         raise ValueError("it holds no data")
-    lower = [line for _, line in body[len(body) // 2 :]]
-    separator = max(_SEPARATORS, key=lambda mark: _score(lower, mark))
+    sample = [line for _, line in body[len(body) // 2 :]]
+    separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
     rows = [(i, _cells(line, separator)) for i, line in body]
-    width, likely = _likely([cells for _, cells in rows[len(rows) // 2 :]])
-    start = next((k for k, (_, cells) in enumerate(rows) if _alike(cells, width, likely)), None)
+    width, value_columns = _value_columns([cells for _, cells in rows[len(rows) // 2 :]])
+    start = next(
+        (k for k, (_, cells) in enumerate(rows) if _is_data_row(cells, width, value_columns)), None
+    )
     if start is None and len(rows) < 2:
         raise ValueError("it holds no data: one line of text only")
     start = 1 if start is None else start
@@ -277,37 +280,41 @@ def _layout(lines: Sequence[str]) -> _Layout:
     if commas > points:
         decimal = ","
         notes.append("Numbers are written with decimal commas.")
-    above = [cells for i, cells in rows[:start] if len(_trimmed(cells)) > 0]
-    names, units = _titles(above, remarks, rows[start][0], width, separator)
-    used = (names is not None) + bool(units) if above else 0
-    if len(above) > used and above:
-        notes.append(f"{len(above) - used} lines before the header were skipped.")
+    header = [cells for i, cells in rows[:start] if len(_trimmed(cells)) > 0]
+    names, units = _titles(header, remarks, rows[start][0], width, separator)
+    used = (names is not None) + bool(units) if header else 0
+    if len(header) > used and header:
+        notes.append(f"{len(header) - used} lines before the header were skipped.")
     return _Layout(separator, decimal, rows[start][0], tuple(names or ()), units, tuple(notes))
 
 
 def _titles(
-    above: list[list[str]],
+    header: list[list[str]],
     remarks: list[tuple[int, str]],
     first: int,
     width: int,
     separator: str,
 ) -> tuple[list[str] | None, tuple[str, ...]]:
-    """Names and units of the columns from the rows, or the remarks, above the data."""
-    if not above:
-        before = [line for i, line in remarks if i < first]
-        if not before:
+    """Names and units of the columns from the rows or comment lines above the data."""
+    if not header:
+        preceding = [line for i, line in remarks if i < first]
+        if not preceding:
             return None, ()
-        text = before[-1].strip().lstrip("%#").strip()
+        text = preceding[-1].strip().lstrip("%#").strip()
         return _trimmed(_cells(text, separator if separator in text else "")), ()
-    last, rows = _trimmed(above[-1]), [_trimmed(cells) for cells in above]
-    second = len(rows) > 1 and len(rows[-2]) in (width, width - 1) and all(rows[-2])
-    if second and len(set(rows[-2])) == len(rows[-2]) >= len(last) and _are_units(last):
-        return rows[-2], tuple(cell.strip("[]() ") for cell in last)
-    return last, ()
+    last_row, rows = _trimmed(header[-1]), [_trimmed(cells) for cells in header]
+    names_above_units = len(rows) > 1 and len(rows[-2]) in (width, width - 1) and all(rows[-2])
+    if (
+        names_above_units
+        and len(set(rows[-2])) == len(rows[-2]) >= len(last_row)
+        and _are_units(last_row)
+    ):
+        return rows[-2], tuple(cell.strip("[]() ") for cell in last_row)
+    return last_row, ()
 
 
 def _are_units(cells: list[str]) -> bool:
-    """Short texts, some in brackets or known, none of them long: what a row of units looks like."""
+    """Whether a row may hold units: short texts without spaces, possibly in brackets."""
     filled = [cell for cell in cells if cell]
     return bool(filled) and all(
         len(cell.strip("[]()")) <= 12 and " " not in cell for cell in filled
@@ -318,36 +325,40 @@ _BRACKETED = re.compile(r".*\S\s*[\[(]\s*([^\[\]()]{1,12}?)\s*[\])]$")
 
 
 def _named_units(keys: Sequence[str]) -> dict[str, str]:
-    """Units that stand in the names themselves: ``voltage [V]``, ``angle (rad)``."""
-    found = {key: _BRACKETED.match(key) for key in keys}
-    return {key: m[1] for key, m in found.items() if m and not m[1].isdigit()}
+    """Units within the names: ``voltage [V]``, ``angle (rad)``."""
+    matches = {key: _BRACKETED.match(key) for key in keys}
+    return {key: m[1] for key, m in matches.items() if m and not m[1].isdigit()}
 
 
 def _score(lines: Sequence[str], separator: str) -> tuple[float, bool]:
-    """Share of cells that are values; then whether there are several."""
+    """Share of cells that are values in rows of equal width; then whether rows have several."""
     rows = [_cells(line, separator) for line in lines]
     counts = Counter(len(row) for row in rows)
-    width, often = counts.most_common(1)[0]
+    width, frequency = counts.most_common(1)[0]
     cells = [cell for row in rows for cell in row]
     values = sum(_is_value(cell) for cell in cells) / max(len(cells), 1)
-    return values * often / len(rows), width > 1
+    return values * frequency / len(rows), width > 1
 
 
-def _likely(rows: Sequence[list[str]]) -> tuple[int, list[bool]]:
-    """How many cells a row of data has, and which of them hold values."""
+def _value_columns(rows: Sequence[list[str]]) -> tuple[int, list[bool]]:
+    """Number of cells of a row of data, and which of them hold values."""
     counts = Counter(len(row) for row in rows)
     width = max(counts, key=lambda count: (counts[count], -count))
-    same = [row for row in rows if len(row) == width]
-    return width, [2 * sum(_is_value(row[j]) for row in same) > len(same) for j in range(width)]
+    full_rows = [row for row in rows if len(row) == width]
+    return width, [
+        2 * sum(_is_value(row[j]) for row in full_rows) > len(full_rows) for j in range(width)
+    ]
 
 
-def _alike(cells: list[str], width: int, likely: list[bool]) -> bool:
-    """Whether a row has values where the rows of data have them."""
+def _is_data_row(cells: list[str], width: int, value_columns: list[bool]) -> bool:
+    """Whether a row has values in the columns in which the rows of data have them."""
     if all(_is_value(cell) for cell in cells if cell) and any(cells):
-        return True  # numbers alone are data, be they as many or not: the reader will say so
-    filled = len(cells) == width and any(likely) and any(cells)
+        return True  # a row of numbers is data; the reader reports a wrong number of cells
+    filled = len(cells) == width and any(value_columns) and any(cells)
     return filled and all(
-        _is_value(c) or not c for c, one in zip(cells, likely, strict=True) if one
+        _is_value(cell) or not cell
+        for cell, is_value_column in zip(cells, value_columns, strict=True)
+        if is_value_column
     )
 
 

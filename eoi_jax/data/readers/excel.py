@@ -1,4 +1,4 @@
-"""The first sheet of an Excel file that holds anything, as a text table."""
+"""Excel files: the first sheet that is not empty, read as a text table."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +14,14 @@ _CELL = 64  # bytes that a cell takes in memory, filled or not
 
 
 def read_excel(path: Path, allowance: Allowance) -> Table:
-    """The table of a sheet; its titles and units are found as those of a text table are.
+    """The table of a sheet; names and units are detected as in a text table.
 
     Args:
         path: of the file.
-        allowance: bytes that it may unpack to.
+        allowance: bytes that the file may unpack to.
 
     Raises:
-        ValueError: it is damaged, or unpacks to more than is allowed.
+        ValueError: the file is damaged, or unpacks to more than is allowed.
     """
     import pandas as pd
 
@@ -38,12 +38,12 @@ def read_excel(path: Path, allowance: Allowance) -> Table:
         return Table({})
     name, first = next(iter(filled.items()))
     table = read_lines(first.to_csv(sep=";", header=False, index=False))
-    others = f", the first of {len(filled)} that hold anything" if len(filled) > 1 else ""
-    return replace(table, notes=(f"Read from the sheet `{name}`{others}.", *table.notes))
+    choice = f", the first of {len(filled)} that hold anything" if len(filled) > 1 else ""
+    return replace(table, notes=(f"Read from the sheet `{name}`{choice}.", *table.notes))
 
 
 def _check_extent(path: Path, allowance: Allowance) -> None:
-    """A sheet is a rectangle: one cell far away makes it as large as that."""
+    """Count the memory of the sheets: each is the rectangle up to its last row and column."""
     with ZipFile(path) as archive:
         for member in archive.namelist():
             if member.endswith(".xml"):
@@ -56,7 +56,7 @@ def _extent(stream: Any) -> tuple[int, int]:
     """The last row and the last column that a part of the file names."""
     last = {"row": 0, "column": 0}
 
-    def begun(name: str, attributes: dict[str, str]) -> None:
+    def on_start(name: str, attributes: dict[str, str]) -> None:
         place = attributes.get("r", "")
         if name.rpartition(":")[2] in ("row", "c") and place:
             letters = place.rstrip("0123456789")
@@ -64,13 +64,13 @@ def _extent(stream: Any) -> tuple[int, int]:
             last["column"] = max(last["column"], _number(letters))
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler = begun
+    parser.StartElementHandler = on_start
     parser.ParseFile(stream)
     return last["row"], last["column"]
 
 
 def _number(letters: str) -> int:
-    """The number of a column called A … Z, AA, …."""
+    """Number of a column from its letters A … Z, AA, …."""
     number = 0
     for letter in letters.upper():
         number = 26 * number + ord(letter) - ord("A") + 1

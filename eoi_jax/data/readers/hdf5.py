@@ -1,8 +1,8 @@
-"""Columns of an HDF5 file: what is in the file itself, each object once, no more than is allowed.
+"""Columns of an HDF5 file: each object of the file itself once, within the allowed size.
 
-Such a file may name other files (external links, external storage, virtual datasets), hold loops
-and the same object many times, and say that a dataset is larger than the disk: all of that is left
-out, with a sentence.
+An HDF5 file may refer to other files (external links, external storage, virtual datasets), hold
+cycles or several links to an object, and declare datasets larger than the disk. These are left out,
+with a note.
 """
 
 from collections.abc import Iterator
@@ -22,10 +22,10 @@ def read_hdf5(path: Path, allowance: Allowance) -> Table:
 
     Args:
         path: of the file.
-        allowance: bytes that it may unpack to.
+        allowance: bytes that the file may unpack to.
 
     Raises:
-        ValueError: it unpacks to more.
+        ValueError: the file unpacks to more.
     """
     import h5py
 
@@ -42,83 +42,85 @@ def read_hdf5(path: Path, allowance: Allowance) -> Table:
 
 
 class Walk:
-    """A way through a file that comes by every object once.
+    """Traversal of a file that visits every object once.
 
     Args:
-        file: that is open.
-        allowance: bytes that it may unpack to.
-        notes: that get a sentence on whatever is left out.
+        file: the open file.
+        allowance: bytes that the file may unpack to.
+        notes: list to which a sentence is appended for everything that is left out.
     """
 
     def __init__(self, file: Any, allowance: Allowance, notes: list[str]):
         self._allowance, self._notes = allowance, notes
-        self._seen = {self._address(file)}
+        self._addresses = {self._address(file)}
 
     def _address(self, item: Any) -> Any:
         import h5py
 
-        found = h5py.h5o.get_info(item.id)  # pyright: ignore[reportAttributeAccessIssue]
-        return found.fileno, found.addr
+        info = h5py.h5o.get_info(item.id)  # pyright: ignore[reportAttributeAccessIssue]
+        return info.fileno, info.addr
 
     def members(self, group: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-        """What lies in a group itself: name and object.
+        """Names and objects of the members of a group.
 
         Args:
             group: of the file.
-            prefix: of the names in sentences.
+            prefix: of the names in notes.
         """
         import h5py
 
         for key in group:
             link = group.get(key, getlink=True)
-            whole = f"{prefix}{key}"
+            full_name = f"{prefix}{key}"
             if isinstance(link, h5py.HardLink):
                 item = group[key]
                 if self.is_new(item):
                     yield str(key), item
-                elif not whole.startswith("#"):
-                    self._notes.append(f"`{whole}` is in the file under another name: left out.")
+                elif not full_name.startswith("#"):
+                    self._notes.append(
+                        f"`{full_name}` is in the file under another name: left out."
+                    )
             elif not isinstance(link, h5py.SoftLink):
-                self._notes.append(f"`{whole}` lies in another file: left out.")
+                self._notes.append(f"`{full_name}` lies in another file: left out.")
 
     def items(self, group: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-        """All datasets, by their paths.
+        """All datasets with their paths.
 
         Args:
-            group: where to begin.
+            group: at which the traversal starts.
             prefix: of the paths.
         """
         import h5py
 
         waiting = [(prefix, group)]
         while waiting:
-            path, here = waiting.pop(0)
-            for key, item in self.members(here, path):
+            path, current = waiting.pop(0)
+            for key, item in self.members(current, path):
                 if isinstance(item, h5py.Group):
                     waiting.append((f"{path}{key}/", item))
                 elif isinstance(item, h5py.Dataset):
                     yield f"{path}{key}", item
 
     def is_new(self, item: Any) -> bool:
-        """Whether an object was not met before; from now on it was.
+        """Whether an object has not been visited yet; it is marked as visited.
 
         Args:
             item: of the file.
         """
         address = self._address(item)
-        new = address not in self._seen
-        self._seen.add(address)
+        new = address not in self._addresses
+        self._addresses.add(address)
         return new
 
     def values(self, name: str, item: Any) -> np.ndarray | None:
-        """What a dataset holds; None where that is elsewhere, or nothing.
+        """Values of a dataset; None if it is empty or its values are in another file.
 
         Args:
-            name: for the sentence on it.
+            name: of the dataset in notes.
             item: the dataset.
 
         Raises:
-            ValueError: it is larger than what is allowed.
+            ValueError: the dataset is larger than is allowed.
         """
         import h5py
 
@@ -133,16 +135,18 @@ class Walk:
         return np.asarray(item[()])
 
     def _texts(self, name: str, item: Any) -> np.ndarray | None:
-        """Entries of any length; many may be the same long one, so each is counted."""
+        """Texts of any length; each is counted, as many may refer to the same long text."""
         if item.ndim != 1:
             self._notes.append(f"`{name}` holds texts in {item.ndim} axes: left out.")
             return None
-        found: list[Any] = []
+        entries: list[Any] = []
         for first in range(0, len(item), _PIECE):
             part = item[first : first + _PIECE].tolist()
-            self._allowance.take(sum(np.size(one) + len(one) for one in part if np.ndim(one) < 2))
-            found += [one.decode(errors="replace") if isinstance(one, bytes) else one
-                      for one in part]  # fmt: skip
-        values = np.empty(len(found), dtype=object)
-        values[:] = found
+            self._allowance.take(
+                sum(np.size(entry) + len(entry) for entry in part if np.ndim(entry) < 2)
+            )
+            entries += [entry.decode(errors="replace") if isinstance(entry, bytes) else entry
+                      for entry in part]  # fmt: skip
+        values = np.empty(len(entries), dtype=object)
+        values[:] = entries
         return values

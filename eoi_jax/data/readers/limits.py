@@ -1,4 +1,4 @@
-"""How much a file may unpack to: a small one can hold gigabytes of zeros, or say that it does."""
+"""Limit on the unpacked size of a file: a small file may hold, or declare, gigabytes of zeros."""
 
 from pathlib import Path
 from zipfile import ZipFile
@@ -14,47 +14,42 @@ class Allowance:
     """The bytes that a file may still unpack to.
 
     Args:
-        gigabytes: in all, of 1e9 bytes; infinite for no limit.
+        gigabytes: limit [1e9 bytes]; infinite for no limit.
 
     Raises:
-        ValueError: no positive number.
+        ValueError: a limit that is not positive.
     """
 
     def __init__(self, gigabytes: Real = MAX_GIGABYTES):
         if gigabytes != float("inf"):
             check_positive("max_gigabytes", gigabytes)
         self._limit = float(gigabytes)
-        self._left = float(gigabytes) * _GIGABYTE
-
-    @property
-    def left(self) -> float:
-        """Bytes that are left, possibly infinite."""
-        return self._left
+        self._remaining = float(gigabytes) * _GIGABYTE
 
     def take(self, size: Real) -> None:
-        """Count what is about to be unpacked.
+        """Count bytes that are about to be unpacked.
 
         Args:
             size: in bytes.
 
         Raises:
-            ValueError: it is more than what is left.
+            ValueError: more bytes than remain.
         """
-        self._left -= float(size)
-        if self._left < 0:
+        self._remaining -= float(size)
+        if self._remaining < 0:
             raise ValueError(
                 f"it unpacks to more than {self._limit:g} GB; if that is right, "
                 "give a larger `max_gigabytes`"
             )
 
     def take_archive(self, path: Path) -> None:
-        """Count what a zip archive says that it unpacks to; reading it never gives more.
+        """Count the declared unpacked size of a zip archive; reading never gives more.
 
         Args:
             path: of the archive.
 
         Raises:
-            ValueError: it is more than what is left.
+            ValueError: more bytes than remain.
         """
         with ZipFile(path) as archive:
             for member in archive.infolist():

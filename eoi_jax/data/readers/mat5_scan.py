@@ -1,9 +1,9 @@
-"""Sizes and depth of a MAT file of version 5, before anything of it is built.
+"""Check of the sizes and the depth of a MAT file of version 5 before its matrices are built.
 
 Such a file is a sequence of elements, each a tag (kind, size) and its bytes, padded to eight. A
-matrix is an element that holds others: flags, dimensions, a name, then its values or, of a cell or
-a structure, further matrices. A compressed element holds one matrix. Whoever builds a matrix
-allocates what its dimensions say, so these are what is counted.
+matrix is an element of further elements: flags, dimensions, a name, then its values or, for a cell
+or a structure, further matrices. A compressed element holds a single matrix. A reader allocates
+what the dimensions of a matrix say, so these are counted.
 
 Source: MathWorks, MAT-File Format, R2024a, chapter 1.
 """
@@ -19,10 +19,14 @@ import numpy as np
 from eoi_jax.data.readers.limits import Allowance
 
 _INT32, _MATRIX, _COMPRESSED = 5, 14, 15
-_KINDS = {*range(1, 8), 9, *range(12, 19)}  # a reader may look others up beyond its own table
-_DEEPEST = 100  # matrices within matrices
+_KINDS = {
+    *range(1, 8),
+    9,
+    *range(12, 19),
+}  # a reader may index its table of kinds out of range with others
+_MAX_DEPTH = 100  # matrices within matrices
 _PIECE = 1 << 20  # bytes
-_MOST_AXES = 64
+_MAX_AXES = 64
 
 Read = Callable[[int], bytes]
 
@@ -31,11 +35,11 @@ def check_sizes(path: Path, allowance: Allowance) -> None:
     """Refuse a file that would fill the memory, or the stack, of its reader.
 
     Args:
-        path: of the file; of another version than 5 nothing is checked.
-        allowance: bytes that it may unpack to.
+        path: of the file; files of other versions are not checked.
+        allowance: bytes that the file may unpack to.
 
     Raises:
-        ValueError: more than are allowed, or matrices that are nested too deeply.
+        ValueError: more bytes than are allowed, or matrices that are nested too deeply.
     """
     with path.open("rb") as file:
         head = file.read(128)
@@ -49,7 +53,7 @@ def check_sizes(path: Path, allowance: Allowance) -> None:
             if kind == _COMPRESSED:
                 stream = _Unpacked(file, size, allowance)
                 _scan(stream.read, order, allowance)
-                stream.read_on()
+                stream.skip_remaining()
             elif kind == _MATRIX:
                 _matrix(file.read, order, size, allowance)
             file.seek(end)
@@ -64,28 +68,28 @@ def _scan(read: Read, order: str, allowance: Allowance) -> None:
 
 
 def _matrix(read: Read, order: str, size: int, allowance: Allowance) -> None:
-    """The elements of a matrix and of those within it, one after the other."""
-    ends = [size]  # of the matrices that are open, counted in bytes from the outermost one's start
+    """Scan the elements of a matrix and of the matrices within it."""
+    ends = [size]  # of the open matrices [bytes from the start of the outermost]
     place = 0
     number = 0  # of the element within its matrix
     while ends and len(tag := read(8)) == 8:
         place += 8
         kind, length = struct.unpack(f"{order}II", tag)
-        within = b""
+        inline = b""
         if kind >> 16:  # a short element, within its tag
-            within, kind, length = tag[4 : 4 + (kind >> 16)], kind & 0xFFFF, 0
+            inline, kind, length = tag[4 : 4 + (kind >> 16)], kind & 0xFFFF, 0
         if kind == _MATRIX and length:
             ends.append(place + length)
             number = 0
-            if len(ends) > _DEEPEST:
+            if len(ends) > _MAX_DEPTH:
                 raise ValueError("its structures or cells are nested too deeply")
             continue
         if kind not in _KINDS:
             raise ValueError("it holds an element of an unknown type")
         number += 1
         padded = length + -length % 8
-        if kind == _INT32 and number == 2 and length <= 4 * _MOST_AXES:
-            content = within or read(padded)[:length]
+        if kind == _INT32 and number == 2 and length <= 4 * _MAX_AXES:
+            content = inline or read(padded)[:length]
             axes = np.frombuffer(content[: len(content) // 4 * 4], f"{order}i4").astype(float)
             allowance.take(8.0 * float(np.prod(np.maximum(axes, 0.0))))
         else:
@@ -101,33 +105,33 @@ def _skip(read: Read, size: int) -> None:
 
 
 class _Unpacked:
-    """What a compressed element holds, a piece at a time."""
+    """Contents of a compressed element, unpacked piece by piece."""
 
     def __init__(self, file: BinaryIO, size: int, allowance: Allowance):
         self._file, self._packed, self._allowance = file, size, allowance
         self._inflate, self._buffer = zlib.decompressobj(), bytearray()
 
     def read(self, size: int) -> bytes:
-        """As of a file.
+        """Read bytes, like `read` of a file.
 
         Args:
-            size: bytes wanted; fewer at the end.
+            size: number of bytes; fewer are returned at the end.
         """
         while len(self._buffer) < size and not self._inflate.eof:
-            rest = self._inflate.unconsumed_tail
-            if not rest:
-                rest = self._file.read(min(self._packed, _PIECE))
-                self._packed -= len(rest)
-                if not rest:
+            packed = self._inflate.unconsumed_tail
+            if not packed:
+                packed = self._file.read(min(self._packed, _PIECE))
+                self._packed -= len(packed)
+                if not packed:
                     break
-            piece = self._inflate.decompress(rest, _PIECE)
+            piece = self._inflate.decompress(packed, _PIECE)
             self._allowance.take(len(piece))
             self._buffer += piece
         part = bytes(self._buffer[:size])
         del self._buffer[:size]
         return part
 
-    def read_on(self) -> None:
-        """Unpack the rest, for its size."""
+    def skip_remaining(self) -> None:
+        """Unpack the remaining bytes to count them."""
         while self.read(_PIECE):
             pass

@@ -1,14 +1,13 @@
-"""MAT files: matrices and structures; structures that stand for `iddata`, or a log of Simulink.
+"""MAT files: matrices and structures, including structures saved from `iddata` and Simulink logs.
 
 MATLAB's objects (``iddata``, ``timeseries``, ``Simulink.SimulationData.Dataset``) are stored in a
-form that only MATLAB reads. What users can do is save what is in them as a structure, and these are
-recognised here:
+form that only MATLAB reads. Users can save their contents as structures. These are recognised:
 
 * ``z = get(data)`` of an ``iddata``: `OutputData`, `InputData`, `Ts`, `SamplingInstants`, and names
-  and units of the channels. Its columns are called as its channels are.
+  and units of the channels. The columns have the names of the channels.
 * "Structure With Time" of Simulink: `time` and `signals` with `values` and `label`.
 
-Everything else is ``structure.field``.
+Other structures give columns ``structure.field``.
 """
 
 from collections.abc import Mapping
@@ -33,12 +32,12 @@ _SAVE = {
     "Dataset": "time = {name}{{1}}.Values.Time; data = squeeze({name}{{1}}.Values.Data); "
     "save('run.mat', 'time', 'data')",
 }
-_OTHER = "s = struct({name}); save('run.mat', '-struct', 's')"
+_SAVE_OBJECT = "s = struct({name}); save('run.mat', '-struct', 's')"
 
 
 @dataclass
-class _Found:
-    """What a walk through a file's variables collects."""
+class _Contents:
+    """Contents of a file, collected while its variables are walked through."""
 
     allowance: Allowance
     columns: Columns = field(default_factory=dict)
@@ -55,83 +54,83 @@ def read_mat(path: Path, allowance: Allowance) -> Table:
 
     Args:
         path: of the file.
-        allowance: bytes that it may unpack to.
+        allowance: bytes that the file may unpack to.
 
     Raises:
-        ValueError: it holds nothing but objects of MATLAB; the message has the line that saves
-            what is in them. It unpacks to more than is allowed.
+        ValueError: a file that holds only objects of MATLAB (the message has the MATLAB code that
+            saves their contents), or that unpacks to more than is allowed.
     """
     import h5py
     from scipy.io import loadmat
 
-    found = _Found(allowance)
+    contents = _Contents(allowance)
     if h5py.is_hdf5(path):  # version 7.3
-        content = _from_hdf5(path, allowance, found.notes)
+        content = _from_hdf5(path, allowance, contents.notes)
     else:
         check_sizes(path, allowance)
         content = loadmat(path, simplify_cells=True)
-    _walk({key: value for key, value in content.items() if not key.startswith("__")}, "", found)
-    if not found.columns and found.objects:
-        raise ValueError(" ".join(found.objects.values()))
+    _walk({key: value for key, value in content.items() if not key.startswith("__")}, "", contents)
+    if not contents.columns and contents.objects:
+        raise ValueError(" ".join(contents.objects.values()))
     return Table(
-        found.columns,
-        found.units,
-        tuple(found.notes),
-        found.objects,
-        found.time,
-        tuple(found.inputs),
-        tuple(found.outputs),
+        contents.columns,
+        contents.units,
+        tuple(contents.notes),
+        contents.objects,
+        contents.time,
+        tuple(contents.inputs),
+        tuple(contents.outputs),
     )
 
 
-def _walk(content: Mapping[str, Any], prefix: str, found: _Found) -> None:
+def _walk(content: Mapping[str, Any], prefix: str, contents: _Contents) -> None:
     """Collect the arrays of nested structures."""
-    if _has(content, "OutputData") and _has(content, "Ts", "SamplingInstants"):
-        _add_iddata(content, prefix, found)
+    if _has_values(content, "OutputData") and _has_values(content, "Ts", "SamplingInstants"):
+        _add_iddata(content, prefix, contents)
         return
-    if _has(content, "signals") and "time" in content:
-        _add_log(content, prefix, found)
+    if _has_values(content, "signals") and "time" in content:
+        _add_log(content, prefix, contents)
         return
     for key, value in content.items():
         name = prefix + key
         kind = _class_of(value)
         if kind is not None:
-            own, kind = (_own_name(value) or name), kind
-            found.objects[own] = _advice(own, kind)
+            label = _stored_name(value) or name
+            contents.objects[label] = _advice(label, kind)
         elif hasattr(value, "toarray"):  # a sparse matrix
-            found.allowance.take(8.0 * float(value.shape[0]) * float(value.shape[1]))
-            add_columns(found.columns, found.notes, name, value.toarray())
+            contents.allowance.take(8.0 * float(value.shape[0]) * float(value.shape[1]))
+            add_columns(contents.columns, contents.notes, name, value.toarray())
         elif isinstance(value, Mapping):
-            _walk(value, f"{name}.", found)
-        elif isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
-            for i, one in enumerate(value):  # an array of structures, counted as columns are
-                if isinstance(one, Mapping):
-                    _walk(one, f"{name}[{i}].", found)
+            _walk(value, f"{name}.", contents)
+        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
+            for i, element in enumerate(value):  # an array of structures, numbered like columns
+                if isinstance(element, Mapping):
+                    _walk(element, f"{name}[{i}].", contents)
         else:
-            add_columns(found.columns, found.notes, name, _array(value))
+            add_columns(contents.columns, contents.notes, name, _array(value))
 
 
-def _has(content: Mapping[str, Any], *names: str) -> bool:
+def _has_values(content: Mapping[str, Any], *names: str) -> bool:
     return any(name in content and np.size(content[name]) > 0 for name in names)
 
 
 # -- iddata -------------------------------------------------------------------------------
 
 
-def _add_iddata(content: Mapping[str, Any], prefix: str, found: _Found) -> None:
-    """The channels of one experiment, by their names, and its time."""
-    whole = prefix.rstrip(".") or "iddata"
-    outputs, inputs = _only(content["OutputData"]), _only(content.get("InputData", []))
+def _add_iddata(content: Mapping[str, Any], prefix: str, contents: _Contents) -> None:
+    """Add the channels of an experiment, by their names, and its time."""
+    variable = prefix.rstrip(".") or "iddata"
+    outputs, inputs = _single(content["OutputData"]), _single(content.get("InputData", []))
     if outputs is None or inputs is None:
-        found.objects[whole] = (
-            f"`{whole}` holds several experiments of an iddata object; save one of them a file: "
-            "z = get(getexp(data, 1)); save('run1.mat', '-struct', 'z')."
+        contents.objects[variable] = (
+            f"`{variable}` holds several experiments of an iddata object; save each in its own "
+            "file: z = get(getexp(data, 1)); save('run1.mat', '-struct', 'z')."
         )
         return
     count = len(_matrix(outputs))
     for kind, values, names in (
-        ("Input", inputs, found.inputs),
-        ("Output", outputs, found.outputs),
+        ("Input", inputs, contents.inputs),
+        ("Output", outputs, contents.outputs),
     ):
         matrix = _matrix(values, count)
         labels = _texts(
@@ -142,35 +141,37 @@ def _add_iddata(content: Mapping[str, Any], prefix: str, found: _Found) -> None:
         units = _texts(content.get(f"{kind}Unit"), matrix.shape[1], "")
         for label, unit, column in zip(labels, units, matrix.T, strict=True):
             name = prefix + label
-            found.columns[name] = column
+            contents.columns[name] = column
             names.append(name)
             if unit:
-                found.units[name] = unit
-    stamps = _only(content.get("SamplingInstants", []))
-    period, start = _only(content.get("Ts", [])), _only(content.get("Tstart", []))
+                contents.units[name] = unit
+    stamps = _single(content.get("SamplingInstants", []))
+    period, start = _single(content.get("Ts", [])), _single(content.get("Tstart", []))
     time = f"{prefix}time"
     if np.size(stamps) == count:
-        found.columns[time] = np.asarray(stamps, dtype=float).ravel()
+        contents.columns[time] = np.asarray(stamps, dtype=float).ravel()
     elif np.size(period) == 1 and float(np.ravel(period)[0]) > 0:
         first = float(np.ravel(start)[0]) if np.size(start) else 0.0
-        found.columns[time] = first + float(np.ravel(period)[0]) * np.arange(count)
+        contents.columns[time] = first + float(np.ravel(period)[0]) * np.arange(count)
     else:
         return
-    found.time = time
+    contents.time = time
     unit = _texts(content.get("TimeUnit"), 1, "s")[0]
-    found.units[time] = {"seconds": "s", "milliseconds": "ms"}.get(unit, unit)
-    found.notes.append(f"`{whole}` is read as an iddata object: inputs, outputs and time by name.")
+    contents.units[time] = {"seconds": "s", "milliseconds": "ms"}.get(unit, unit)
+    contents.notes.append(
+        f"`{variable}` is read as an iddata object: inputs, outputs and time by name."
+    )
 
 
-def _only(value: Any) -> Any:
-    """What a cell of one entry holds; None of several."""
+def _single(value: Any) -> Any:
+    """The entry of a cell with a single entry; None if there are several."""
     if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         return None if len(value) > 1 else value[0] if len(value) else []
     return value
 
 
 def _matrix(values: Any, count: int | None = None) -> np.ndarray:
-    """Channels as columns; a single sample row of several channels is told from one channel."""
+    """Channels as columns; `count` samples tell a row of channels from a single channel."""
     array = np.asarray(values)
     if array.dtype.kind == "c":
         raise ValueError("its iddata object is complex; save its real and imaginary parts apart")
@@ -183,9 +184,9 @@ def _matrix(values: Any, count: int | None = None) -> np.ndarray:
 
 
 def _texts(value: Any, count: int, default: str) -> list[str]:
-    """Names or units as MATLAB keeps them: a text, a cell of texts, or nothing."""
+    """Names or units, stored as a text, a cell of texts, or not at all."""
     texts = [value] if isinstance(value, str) else [] if value is None else np.ravel(value).tolist()
-    if len(texts) == count and all(isinstance(one, str) for one in texts):
+    if len(texts) == count and all(isinstance(text, str) for text in texts):
         return texts
     if not default or count == 1:
         return [default] * count
@@ -195,31 +196,34 @@ def _texts(value: Any, count: int, default: str) -> list[str]:
 # -- logs of Simulink ---------------------------------------------------------------------
 
 
-def _add_log(content: Mapping[str, Any], prefix: str, found: _Found) -> None:
-    """The signals of a structure with time, by their labels."""
+def _add_log(content: Mapping[str, Any], prefix: str, contents: _Contents) -> None:
+    """Add the signals of a structure with time, by their labels."""
     signals = content["signals"]
     signals = [signals] if isinstance(signals, Mapping) else list(signals)
     if np.size(content["time"]):
-        found.columns[f"{prefix}time"] = np.ravel(np.asarray(content["time"], dtype=float))
-        found.time = f"{prefix}time"
+        contents.columns[f"{prefix}time"] = np.ravel(np.asarray(content["time"], dtype=float))
+        contents.time = f"{prefix}time"
     else:
-        found.notes.append(
+        contents.notes.append(
             f"`{prefix.rstrip('.')}` has no time: choose the format Structure With Time, or give "
             "a sample period."
         )
-    labels = [str(one.get("label", "")) if np.size(one.get("label", "")) else "" for one in signals]
+    labels = [
+        str(signal.get("label", "")) if np.size(signal.get("label", "")) else ""
+        for signal in signals
+    ]
     unique = all(labels) and len(set(labels)) == len(labels)
-    for i, (one, label) in enumerate(zip(signals, labels, strict=True)):
-        other = "signals.values" if len(signals) == 1 else f"signals[{i}].values"
-        name = prefix + (label if unique and label else other)
-        add_columns(found.columns, found.notes, name, _array(one.get("values", [])))
+    for i, (signal, label) in enumerate(zip(signals, labels, strict=True)):
+        default = "signals.values" if len(signals) == 1 else f"signals[{i}].values"
+        name = prefix + (label if unique and label else default)
+        add_columns(contents.columns, contents.notes, name, _array(signal.get("values", [])))
 
 
 # -- objects ------------------------------------------------------------------------------
 
 
 def _class_of(value: Any) -> str | None:
-    """The class of an object of MATLAB; None of anything else."""
+    """The class of an object of MATLAB; None for any other value."""
     if isinstance(value, _Opaque):
         return value.kind
     names = getattr(getattr(value, "dtype", None), "names", None) or ()
@@ -229,21 +233,21 @@ def _class_of(value: Any) -> str | None:
     return None
 
 
-def _own_name(value: Any) -> str | None:
+def _stored_name(value: Any) -> str | None:
     names = getattr(getattr(value, "dtype", None), "names", None) or ()
     return _text(value["s0"]) if "s0" in names else None
 
 
 def _text(cell: Any) -> str:
-    one = np.ravel(cell)[0]
-    return one.decode(errors="replace") if isinstance(one, bytes) else str(one)
+    entry = np.ravel(cell)[0]
+    return entry.decode(errors="replace") if isinstance(entry, bytes) else str(entry)
 
 
 def _advice(name: str, kind: str) -> str:
-    line = _SAVE.get(kind.rsplit(".", 1)[-1], _OTHER).format(name=name)
+    line = _SAVE.get(kind.rsplit(".", 1)[-1], _SAVE_OBJECT).format(name=name)
     return (
-        f"`{name}` is an object of MATLAB's class {kind}, which only MATLAB reads; save what is "
-        f"in it there: {line}"
+        f"`{name}` is an object of MATLAB's class {kind}, which only MATLAB reads; save its "
+        f"contents there: {line}"
     )
 
 
@@ -256,13 +260,17 @@ class _Opaque:
 
 
 def _from_hdf5(path: Path, allowance: Allowance, notes: list[str]) -> dict[str, Any]:
-    """The same nested dictionary that scipy makes of the older versions."""
+    """The nested dictionary that `scipy.io.loadmat` returns for older versions."""
     import h5py
 
     with h5py.File(path, "r") as file:
         walk = Walk(file, allowance, notes)
         members = walk.members(file, "")
-        return {key: _item(file, key, one, walk) for key, one in members if not key.startswith("#")}
+        return {
+            key: _item(file, key, member, walk)
+            for key, member in members
+            if not key.startswith("#")
+        }
 
 
 def _item(file: Any, name: str, item: Any, walk: Walk) -> Any:
@@ -270,7 +278,7 @@ def _item(file: Any, name: str, item: Any, walk: Walk) -> Any:
 
     if isinstance(item, h5py.Group):
         members = walk.members(item, f"{name}.")
-        return {key: _item(file, f"{name}.{key}", one, walk) for key, one in members}
+        return {key: _item(file, f"{name}.{key}", member, walk) for key, member in members}
     if not isinstance(item, h5py.Dataset):
         return np.zeros(0)
     kind = item.attrs.get("MATLAB_class", b"")
@@ -285,9 +293,13 @@ def _item(file: Any, name: str, item: Any, walk: Walk) -> Any:
     if kind == "char" and values.dtype.kind in "iu":
         return values.T.astype("<u4").tobytes().decode("utf-32-le", errors="replace")
     if h5py.check_ref_dtype(values.dtype) is not None:  # a cell
-        cells = [file[one] if one else None for one in values.T.ravel()]
-        return [_item(file, f"{name}{{{i + 1}}}", one, walk) if one is not None and walk.is_new(one)
-                else np.zeros(0) for i, one in enumerate(cells)]  # fmt: skip
+        cells = [file[reference] if reference else None for reference in values.T.ravel()]
+        return [
+            _item(file, f"{name}{{{i + 1}}}", cell, walk)
+            if cell is not None and walk.is_new(cell)
+            else np.zeros(0)
+            for i, cell in enumerate(cells)
+        ]
     if values.dtype.names is not None and set(values.dtype.names) == {"real", "imag"}:
         return (values["real"] + 1j * values["imag"]).T
     return values.T
@@ -303,14 +315,14 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _cell(entries: list[Any]) -> np.ndarray:
-    """Vectors of one length as the columns of a matrix, numbers and texts as a column."""
-    arrays = [np.squeeze(one) if isinstance(one, np.ndarray) else one for one in entries]
-    lengths = {one.shape if isinstance(one, np.ndarray) else () for one in arrays}
-    if len(lengths) == 1 and all(np.ndim(one) < 2 for one in arrays):
-        kinds = {np.asarray(one).dtype.kind for one in arrays}
+    """Vectors of equal length as the columns of a matrix, numbers and texts as a column."""
+    arrays = [np.squeeze(array) if isinstance(array, np.ndarray) else array for array in entries]
+    lengths = {array.shape if isinstance(array, np.ndarray) else () for array in arrays}
+    if len(lengths) == 1 and all(np.ndim(array) < 2 for array in arrays):
+        kinds = {np.asarray(array).dtype.kind for array in arrays}
         if kinds <= set("biufc"):
-            return np.stack([np.asarray(one) for one in arrays], axis=-1)
+            return np.stack([np.asarray(array) for array in arrays], axis=-1)
     values = np.empty(len(arrays), dtype=object)
-    for i, one in enumerate(arrays):
-        values[i] = one if isinstance(one, str) else f"an entry of shape {np.shape(one)}"
+    for i, array in enumerate(arrays):
+        values[i] = array if isinstance(array, str) else f"an entry of shape {np.shape(array)}"
     return values

@@ -1,6 +1,6 @@
-"""From a file to a record: CSV and other text tables, Parquet, MAT, HDF5, NPZ, Excel.
+"""Records from files: CSV and other text tables, Parquet, MAT, HDF5, NPZ, Excel.
 
-A reader turns a file into columns by name, each (N,). Those of a matrix variable are called
+A reader returns the columns of a file by name, each (N,). Those of a matrix variable are named
 ``name[0]`` … ``name[k-1]``.
 """
 
@@ -24,7 +24,7 @@ from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 
-_SHOWN = 300  # characters of what a library says of a damaged file
+_MESSAGE_LENGTH = 300  # characters quoted of a library's message on a damaged file
 
 
 def read_record(
@@ -61,28 +61,29 @@ def read_record(
         scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
         units: ``{column: unit}`` after scaling, for tables and figures.
         hold: of the inputs, as in `Record`.
-        burn_in: time at the start that is not to be scored [s], as in `Record`.
-        slice: ``(start, stop)``, the only samples to be taken; stop may be None. Time stays as it
-            is in the file, or counts from the file's first sample.
+        burn_in: time at the start that is not scored [s], as in `Record`.
+        slice: ``(start, stop)``, the range of samples that is read; stop may be None. Time stays as
+            it is in the file, or counts from the file's first sample.
         renames: ``{column: name in the record}``.
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+        max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
+            limit.
 
     Returns:
-        The record, with `notes` on whatever was done to it.
+        The record, with `notes` on the changes made to the data.
 
     Raises:
-        ValueError: a file that is missing, of an unknown kind or not what its name says; a column
-            that is unknown, not numeric or of another length; no stamps and no sample period;
-            a `scale`, `units` or `renames` for a column that is not read; a file that unpacks to
-            more than `max_gigabytes`; whatever `Record` finds.
+        ValueError: a file that is missing, of an unknown kind or of another kind than its name
+            says; a column that is unknown, not numeric or of a different length; no stamps and no
+            sample period; a `scale`, `units` or `renames` for a column that is not read; a file
+            that unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
-    _known_suffix(path)
+    _checked_suffix(path)
     _check_clock(time, sample_period)
     table = read_table(path, max_gigabytes)
     columns = table.columns
-    clock = None if time is None else _named("time", time)
-    u_columns, y_columns = _all_named("inputs", inputs), _all_named("outputs", outputs)
+    clock = None if time is None else _column_name("time", time)
+    u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
     check(
         len(y_columns) > 0,
         "outputs",
@@ -90,25 +91,28 @@ def read_record(
         "none",
         f"Columns present: {_listed(columns)}.",
     )
-    picked = _pick(path, table, clock, u_columns, y_columns)
-    factors = _by_name("scale", scale, picked)
+    selected = _pick(path, table, clock, u_columns, y_columns)
+    factors = _options_by_column("scale", scale, selected)
     for key, factor in factors.items():
         good = bool(np.isfinite(factor)) and factor != 0
         check(good, f"scale[{key}]", "must be finite and not zero", factor)
-        picked[key] = picked[key] * float(factor)
-    count = len(picked[y_columns[0]])
+        selected[key] = selected[key] * float(factor)
+    count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
-    new_names, known_units = _by_name("renames", renames, picked), _by_name("units", units, picked)
-    labels = {key: new_names.get(key, key) for key in picked}
-    stamps = float(sample_period or 0) * np.arange(count) if clock is None else picked[clock]
+    new_names, unit_names = (
+        _options_by_column("renames", renames, selected),
+        _options_by_column("units", units, selected),
+    )
+    labels = {key: new_names.get(key, key) for key in selected}
+    stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     return Record(
         stamps[rows],
-        _matrix(picked, u_columns, count)[rows],
-        _matrix(picked, y_columns, count)[rows],
+        _matrix(selected, u_columns, count)[rows],
+        _matrix(selected, y_columns, count)[rows],
         _stem(path) if name is None else name,
         input_names=[labels[key] for key in u_columns],
         output_names=[labels[key] for key in y_columns],
-        units={"time" if key == clock else labels[key]: unit for key, unit in known_units.items()},
+        units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
         hold=hold,
         burn_in=burn_in,
     )
@@ -117,29 +121,31 @@ def read_record(
 # -- choosing columns ---------------------------------------------------------------------
 
 
-def _named(field: str, column: str | int) -> str:
-    """A column's name; columns without one are called by their numbers."""
+def _column_name(field: str, column: str | int) -> str:
+    """Name of a column; a column without a name is named by its number."""
     check_kind(field, column, (str, int, np.integer), "the name of a column, or its number")
     return printable(str(column))
 
 
-def _all_named(field: str, given: str | int | Sequence[str | int]) -> list[str]:
-    several = [given] if isinstance(given, str | int | np.integer) else list(given)
-    return [_named(field, one) for one in several]
+def _column_names(field: str, argument: str | int | Sequence[str | int]) -> list[str]:
+    columns = [argument] if isinstance(argument, str | int | np.integer) else list(argument)
+    return [_column_name(field, column) for column in columns]
 
 
-def _by_name(field: str, given: Mapping[Any, Any] | None, picked: Columns) -> dict[str, Any]:
-    """What is said of some of the columns that are read."""
-    named = {_named(field, key): value for key, value in (given or {}).items()}
-    for key in named:
+def _options_by_column(
+    field: str, option: Mapping[Any, Any] | None, picked: Columns
+) -> dict[str, Any]:
+    """The values of an option by column; each column must be among those that are read."""
+    values = {_column_name(field, key): value for key, value in (option or {}).items()}
+    for key in values:
         check_choice(field, key, tuple(picked))
-    return named
+    return values
 
 
 def _pick(
     path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str]
 ) -> Columns:
-    """The columns asked for, as float64 of equal length."""
+    """The selected columns, as float64 of equal length."""
     fields = [("time", time)] if time is not None else []
     fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]
     picked = {key: _numeric(path, key, _column(path, table, field, key)) for field, key in fields}
@@ -160,27 +166,27 @@ def _matrix(picked: Columns, keys: list[str], count: int) -> np.ndarray:
 def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
     columns = table.columns
     if path.suffix.lower() == ".mat" and key not in columns:
-        key = key.replace("/", ".")  # as in the HDF5 file that a new MAT file is
+        key = key.replace("/", ".")  # a path within the HDF5 file that a MAT file of version 7.3 is
     if key in columns:
         return columns[key]
-    wide = sum(re.fullmatch(re.escape(key) + r"\[\d+\]", one) is not None for one in columns)
-    shape = f"`{key}` of shape ({len(columns[f'{key}[0]'])}, {wide})" if wide else ""
+    width = sum(re.fullmatch(re.escape(key) + r"\[\d+\]", column) is not None for column in columns)
+    shape = f"`{key}` of shape ({len(columns[f'{key}[0]'])}, {width})" if width else ""
     advice = f"Write {key}[0] for the first one."
-    check(not wide, field, f"must name one column of {path}", shape, advice)
+    check(not width, field, f"must name one column of {path}", shape, advice)
     match = re.fullmatch(r"(.+)\[(\d+)\]", key)
     if match and (match[1] in columns or f"{match[1]}[0]" in columns):
         if match[1] in columns and int(match[2]) == 0:
             return columns[match[1]]
-        wide = sum(one.startswith(f"{match[1]}[") for one in columns) or 1
-        rule = f"must be below {match[1]}[{wide}], the number of columns of `{match[1]}` in {path}"
+        width = sum(column.startswith(f"{match[1]}[") for column in columns) or 1
+        rule = f"must be below {match[1]}[{width}], the number of columns of `{match[1]}` in {path}"
         check(False, field, rule, key)
-    owner = next((one for one in table.objects if f"{key}.".startswith(f"{one}.")), None)
+    container = next((name for name in table.objects if f"{key}.".startswith(f"{name}.")), None)
     check(
-        owner is None,
+        container is None,
         field,
         f"must be readable in {path}",
         f"`{key}`",
-        table.objects.get(owner or "", ""),
+        table.objects.get(container or "", ""),
     )
     close = difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
     hint = f" Did you mean `{close[0]}`?" if close else ""
@@ -206,7 +212,7 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         try:
             float("nan" if value is None else value)
         except (TypeError, ValueError):
-            is_text = _READERS[_known_suffix(path)] is read_text
+            is_text = _READERS[_checked_suffix(path)] is read_text
             where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
             check(False, key, f"must be a numeric column of {path}", f"{value!r} in {where}")
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
@@ -238,46 +244,49 @@ def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:
 
 def _listed(columns: Columns) -> str:
     names = list(columns)
-    shown = ", ".join(names[:30]) or "none"
-    return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "")
+    text = ", ".join(names[:30]) or "none"
+    return text + (f" and {len(names) - 30} more" if len(names) > 30 else "")
 
 
 # -- files --------------------------------------------------------------------------------
 
 
-def _known_suffix(path: Path) -> str:
+def _checked_suffix(path: Path) -> str:
     check(path.is_file(), "path", "must be an existing file", path)
     suffixes = [suffix.lower() for suffix in path.suffixes]
     if suffixes and suffixes[-1] == ".gz":
         suffixes.pop()
     suffix = suffixes[-1] if suffixes else ""
-    known = ", ".join(_READERS)
-    check(suffix in _READERS, "path", f"must end in {known} (text also with .gz)", path.name)
+    suffixes_read = ", ".join(_READERS)
+    check(
+        suffix in _READERS, "path", f"must end in {suffixes_read} (text also with .gz)", path.name
+    )
     return suffix
 
 
 def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
-    """Everything that is in a file, before anything is chosen from it.
+    """All columns of a file.
 
     Args:
-        path: a file of a kind that `read_record` knows.
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; infinite for no limit.
+        path: a file of a kind that `read_record` reads.
+        max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
+            limit.
 
     Returns:
-        Its columns; in their names, whatever does not print stands as its code.
+        The columns; unprintable characters in their names are replaced by escape codes.
 
     Raises:
-        ValueError: a file that is missing, of an unknown kind or not what its name says, or one
-            that unpacks to more than `max_gigabytes`.
+        ValueError: a file that is missing, of an unknown kind or of another kind than its name
+            says, or that unpacks to more than `max_gigabytes`.
     """
     path = Path(path)
-    suffix = _known_suffix(path)
+    suffix = _checked_suffix(path)
     allowance = Allowance(max_gigabytes)
     try:
-        with warnings.catch_warnings():  # of the libraries, about damage that they go on with
+        with warnings.catch_warnings():  # of the libraries, about damage that does not stop them
             warnings.simplefilter("ignore")
             table = _READERS[suffix](path, allowance)
-    except Exception as failure:  # each library raises its own kinds for a damaged file
+    except Exception as failure:  # libraries raise errors of many classes for a damaged file
         rule = f"must be a readable {suffix} file"
         check(False, "path", rule, path, f"The reader says: {_cause(failure)}")
         raise
@@ -291,24 +300,24 @@ def _cause(failure: Exception) -> str:
     if isinstance(failure, RecursionError):
         return "it is nested too deeply"
     lines = str(failure).splitlines()
-    return printable(lines[0][:_SHOWN]) if lines else type(failure).__name__
+    return printable(lines[0][:_MESSAGE_LENGTH]) if lines else type(failure).__name__
 
 
 def _printable(table: Table) -> Table:
-    """The same under names that a terminal and a figure can show."""
-    clear = {key: printable(key) for key in table.columns}
-    changed = [shown for key, shown in clear.items() if shown != key]
+    """The table with printable names."""
+    readable = {key: printable(key) for key in table.columns}
+    changed = [name for key, name in readable.items() if name != key]
     if not changed:
         return table
     note = f"What does not print in a name stands as its code: {', '.join(changed[:5])}."
     return Table(
-        {clear[key]: values for key, values in table.columns.items()},
-        {clear.get(key, printable(key)): printable(unit) for key, unit in table.units.items()},
+        {readable[key]: values for key, values in table.columns.items()},
+        {readable.get(key, printable(key)): printable(unit) for key, unit in table.units.items()},
         (*map(printable, table.notes), note),
-        {printable(key): printable(said) for key, said in table.objects.items()},
-        None if table.time is None else clear.get(table.time),
-        tuple(clear[key] for key in table.inputs),
-        tuple(clear[key] for key in table.outputs),
+        {printable(key): printable(reason) for key, reason in table.objects.items()},
+        None if table.time is None else readable.get(table.time),
+        tuple(readable[key] for key in table.inputs),
+        tuple(readable[key] for key in table.outputs),
     )
 
 
@@ -322,10 +331,10 @@ def _read_parquet(path: Path, allowance: Allowance) -> Table:
     import pyarrow.parquet
 
     with pyarrow.parquet.ParquetFile(path) as file:
-        known = file.metadata
-        sizes = (known.row_group(i).total_byte_size for i in range(known.num_row_groups))
-        # A column of one value takes no room in the file, and eight bytes a row in memory.
-        allowance.take(max(sum(sizes), 8.0 * known.num_rows * known.num_columns))
+        metadata = file.metadata
+        sizes = (metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
+        # A constant column takes no space in the file, but eight bytes a row in memory.
+        allowance.take(max(sum(sizes), 8.0 * metadata.num_rows * metadata.num_columns))
     table = pd.read_parquet(path)
     columns: Columns = {}
     notes: list[str] = []
@@ -339,7 +348,7 @@ def _read_npz(path: Path, allowance: Allowance) -> Table:
     notes: list[str] = []
     objects: dict[str, str] = {}
     for key, values in read_arrays(path, allowance).items():
-        if values is None:  # Python would have to run what is in the file
+        if values is None:  # reading it would run code from the file
             objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
         else:
             add_columns(columns, notes, key, values)

@@ -1,4 +1,4 @@
-"""What a file holds before anything is chosen: columns by name, and what it says of them."""
+"""The contents of a file: columns by name, with units, notes and declared roles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ class Table:
 
     Attributes:
         columns: by name, each of shape (N,); those of a matrix ``m`` are ``m[0]``, ``m[1]``, ….
-        units: by column, where the file says them.
+        units: by column, where the file gives them.
         notes: sentences on how the file was read.
-        objects: what is in the file and cannot be read: by name, why and what to do.
-        time: the column that the file itself calls its time.
-        inputs: the columns that it calls inputs.
-        outputs: the columns that it calls outputs.
+        objects: by name, the reason why an object cannot be read and what to do.
+        time: the column that the file declares as time.
+        inputs: the columns that the file declares as inputs.
+        outputs: the columns that the file declares as outputs.
     """
 
     columns: Columns
@@ -33,12 +33,12 @@ class Table:
 
 
 def add_columns(columns: Columns, notes: list[str], key: str, values: np.ndarray) -> None:
-    """Scalars, vectors and matrices; samples run along a matrix's longer axis.
+    """Add the columns of a scalar, vector or matrix; samples run along the longer axis of a matrix.
 
     Args:
-        columns: that get one more, or the columns of a matrix, each by its number.
-        notes: that get a sentence where an array is left out.
-        key: its name.
+        columns: to which the array is added, a matrix as a column for each number.
+        notes: to which a sentence is appended if the array is left out.
+        key: name of the array.
         values: the array.
     """
     if values.dtype.names is not None:  # a table whose rows are structures

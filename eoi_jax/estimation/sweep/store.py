@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._atomic import settle, sweep_up, write_file, write_folder
+from eoi_jax._atomic import fsync, sweep_up, write_file, write_folder
 from eoi_jax._checks import StoreWarning, check
 from eoi_jax.estimation.sweep.chunk import CODES, OK, Arrays
 from eoi_jax.estimation.sweep.marks import Chunks, Condition, Place, digest
@@ -116,8 +116,8 @@ class Store:
         """Have chunks of arrays on the disk; one that holds nothing but the fill has no file."""
         files = self._chunks.files(place)
         for path in (files[name] for name in names if name in files):
-            settle(path)
-            settle(path.parent)
+            fsync(path)
+            fsync(path.parent)
 
     def _clear(self, place: Place, damaged: bool) -> None:
         """Remove what a killed process left beside a chunk's files; damaged files too."""
