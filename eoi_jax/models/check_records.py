@@ -1,4 +1,4 @@
-"""Records must suit the plant that is to be fitted to them."""
+"""Check that records match the plant that is fitted to them."""
 
 from collections.abc import Iterable, Sequence
 
@@ -9,23 +9,23 @@ from eoi_jax.models.plant import Plant
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    """One or several records as a tuple, checked against the plant's channels and units.
+    """A record or several as a tuple, checked against the plant's channels and units.
 
     Raises:
-        ValueError: a forked process, no plant, no record, another number of channels, channels in
-            another order, other units.
+        ValueError: a forked process, no plant, no record, a wrong number of channels, channels in
+            a different order, different units.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
     if isinstance(records, Record):
         records = (records,)
     check_kind("records", () if records is None else records, Iterable, "a Record or several")
-    several = tuple(records or ())
-    check(len(several) > 0, "records", "must hold at least one record", "none")
-    for one in several:
-        check_kind("records", one, Record, "a Record or several")
-    for record in several:
-        for kind, names, own, signals in (
+    data_set = tuple(records or ())
+    check(len(data_set) > 0, "records", "must hold at least one record", "none")
+    for element in data_set:
+        check_kind("records", element, Record, "a Record or several")
+    for record in data_set:
+        for kind, names, labels, signals in (
             ("inputs", plant.inputs, record.input_names, record.inputs),
             ("outputs", plant.outputs, record.output_names, record.outputs),
         ):
@@ -33,22 +33,22 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                 signals.shape[1] == len(names),
                 f"records[{record.name}].{kind}",
                 f"must have {len(names)} channels ({', '.join(names)}) for `{plant.name}`",
-                f"{signals.shape[1]} ({', '.join(own)})",
+                f"{signals.shape[1]} ({', '.join(labels)})",
             )
-            same = set(own) == set(names)
+            equal = set(labels) == set(names)
             check(
-                not same or tuple(own) == tuple(names),
+                not equal or tuple(labels) == tuple(names),
                 f"records[{record.name}].{kind}",
                 f"must come in the plant's order ({', '.join(names)})",
-                f"({', '.join(own)})",
+                f"({', '.join(labels)})",
             )
-            for name, mine in zip(names, own, strict=True):
-                unit, want = record.units.get(mine), plant.units.get(name)
+            for name, label in zip(names, labels, strict=True):
+                unit, expected = record.units.get(label), plant.units.get(name)
                 check(
-                    unit is None or want is None or unit == want,
-                    f"records[{record.name}].{kind}[{mine}]",
-                    f"must be in the plant's unit for `{name}`, {want!r}",
+                    unit is None or expected is None or unit == expected,
+                    f"records[{record.name}].{kind}[{label}]",
+                    f"must be in the plant's unit for `{name}`, {expected!r}",
                     repr(unit),
                     "Convert the column, or correct the unit.",
                 )
-    return several
+    return data_set

@@ -1,4 +1,4 @@
-"""Where on a plant an effect can act: at which output, input, internal state or pair of them."""
+"""Places where an effect can act on a plant: outputs, inputs, internal states, pairs of outputs."""
 
 import itertools
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from eoi_jax.models.plant import Plant
 
 
 def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
-    """Every effect at every channel that it fits."""
+    """Every effect at every channel to which it applies."""
     placed, coupled = [], plant.coupled
     for effect in effects:
         if isinstance(effect, INPUT_EFFECTS):
@@ -32,9 +32,9 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
 
 
 def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
-    """Pairs of outputs of one kind between which an effect may act, each way round.
+    """Ordered pairs of outputs of the same kind between which an effect may act.
 
-    It pushes both apart; how hard depends on the mass of each, so each has a gain of its own.
+    The effect pushes both apart; its size depends on the mass of each, so each has a separate gain.
     """
     if not (isinstance(effect, AbstractTerm) and effect.joins):
         return []
@@ -52,9 +52,9 @@ def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
 def _forces(
     plant: Plant, effect: AbstractEffect, coupled: Bool[np.ndarray, "ny nu"]
 ) -> list[tuple[int, int]]:
-    """Outputs and inputs beside which an effect may act as a force that inertia passes on.
+    """Pairs of an output and an input whose path an effect may share as a force.
 
-    Of masses that are coupled by inertia an input pushes several, and so does friction of one.
+    With masses coupled by inertia an input pushes several of them, and so does friction of a mass.
     """
     if not isinstance(effect, AbstractTerm):
         return []
