@@ -11,7 +11,7 @@ from eoi_jax.cli import build
 from eoi_jax.cli import config as configs
 from eoi_jax.models.export.export import LANGUAGES, SUFFIXES, export
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.storage import is_whole, load
+from eoi_jax.models.storage import has_all_functions, load
 
 _NEW = (
     "Run `eoi identify`, `eoi refine` or `eoi discover` first, and name the folder that it wrote."
@@ -70,7 +70,7 @@ def plant_of_run(run: Path, trust: bool = False) -> Plant:
     stored = run / "result.npz"
     if stored.is_file():
         plant = _model_of(load(stored), stored)
-        if is_whole(plant):
+        if has_all_functions(plant):
             return plant
         return _model_of(load(stored, plant=_declared(config, trust)), stored)
     result = run / "result.json"

@@ -1,6 +1,6 @@
-r"""A linear system in state space or as a transfer function, brought into chain form.
+r"""Linear systems in state space or as a transfer function, converted to chain form.
 
-Without zeros, outputs and their derivatives are all of the state,
+Without zeros the state consists of the outputs and their derivatives,
 $\xi = (y_1, \dot y_1, \dots, y_2, \dots) = T x$ with rows $C_j A^i$ of T, so that
 $y_j^{(r_j)} = C_j A^{r_j} T^{-1} \xi + C_j A^{r_j - 1} B u$.
 
@@ -19,8 +19,8 @@ import numpy as np
 from eoi_jax._checks import check
 from eoi_jax.models.plant import Plant
 
-_TINY = 1e-9  # of a row's largest entry: a coefficient that rounding left
-_WORST = 1e12  # condition of T beyond which the state does not follow from the outputs
+_TINY = 1e-9  # relative to a row's largest entry: a smaller coefficient is rounding
+_MAX_CONDITION = 1e12  # of T: beyond, the state does not follow from the outputs
 
 Terms = tuple[tuple[str, int, int], ...]  # parameter, row of x.y (or -1: an input), column
 
@@ -30,17 +30,17 @@ class _Chains:
     """y^(r) of each output as a sum of parameters times states and inputs."""
 
     terms: tuple[Terms, ...]
-    tail: tuple[str, ...] = ()  # of the zero dynamics: ρ
+    tail: tuple[str, ...] = ()  # coefficients ρ of the zero dynamics
 
     def __call__(self, t: Any, x: Any, u: Any, p: Any) -> Any:
         del t
         sums = [
-            sum(getattr(p, name) * (u[j] if i < 0 else x.y[i, j]) for name, i, j in one)
-            for one in self.terms
+            sum(getattr(p, name) * (u[j] if i < 0 else x.y[i, j]) for name, i, j in term)
+            for term in self.terms
         ]
         if self.tail:
             sums[0] = sums[0] + sum(getattr(p, name) * x.z[i] for i, name in enumerate(self.tail))
-        return jnp.stack([jnp.asarray(one) for one in sums])
+        return jnp.stack([jnp.asarray(value) for value in sums])
 
 
 @dataclass(frozen=True)
@@ -56,26 +56,25 @@ class _ZeroDynamics:
 
 
 def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
-    r"""A plant from a continuous linear system, such as python-control's.
+    r"""A plant from a continuous linear system, such as those of python-control.
 
     Each coefficient of the highest derivatives that is not zero becomes a parameter: `a0`, `a1`, …
     of the output and its derivatives and `b` of the input, with the names of outputs and inputs
     where there are several. With zeros, `q0`, … are the coefficients of the (monic) numerator, and
-    `c0`, … what the zero dynamics add. Signs are those of the sum: $y'' = a_0 y + a_1 y' + b u$.
+    `c0`, … those of the zero dynamics. Signs are those of the sum: $y'' = a_0 y + a_1 y' + b u$.
 
     Args:
         system: a state-space system (`A`, `B`, `C`, `D`) or a transfer function of one input and
-            one output (`num`, `den`), in seconds; `input_labels` and `output_labels` name its
-            channels, where it has such.
+            one output (`num`, `den`), in seconds; its channels have the names of `input_labels`
+            and `output_labels`, if present.
         name: of the plant.
 
     Returns:
-        Plant in chain form, whose nominal values are those of the system.
+        Plant in chain form with the nominal values of the system.
 
     Raises:
-        ValueError: a discrete system, one with direct feed-through, with states that do not show
-            in the outputs, with zeros and several inputs or outputs, or with zeros in the right
-            half plane. The message says which.
+        ValueError: a system that is discrete, has direct feed-through, states that are not
+            observable, zeros and several inputs or outputs, or zeros in the right half plane.
 
     Source: python-control, https://python-control.readthedocs.io
     """
@@ -85,7 +84,7 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
     degrees = _relative_degrees(a, b, c, y_names)
     zeros = len(a) - sum(degrees)
     if zeros == 0:
-        return _without_zeros(a, b, c, degrees, u_names, y_names, name)
+        return _chain_plant(a, b, c, degrees, u_names, y_names, name)
     check(
         b.shape[1] == 1 and c.shape[0] == 1,
         "system",
@@ -93,7 +92,7 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
         f"{len(a)} states, of which {sum(degrees)} are outputs and their derivatives",
         "Measure more outputs, leave out unobservable states, or take one channel.",
     )
-    return _with_zeros(a, b, c, degrees[0], u_names, y_names, name)
+    return _zero_dynamics_plant(a, b, c, degrees[0], u_names, y_names, name)
 
 
 def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -115,7 +114,7 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         check(len(num) < len(den), "system", "must have fewer zeros than poles",
               f"{len(num) - 1} zeros, {len(den) - 1} poles",
               "An output that follows its input at once has no dynamics to identify.")  # fmt: skip
-        parts = [np.atleast_2d(one) for one in tf2ss(num, den)]
+        parts = [np.atleast_2d(matrix) for matrix in tf2ss(num, den)]
     a, b, c, d = parts
     check(len(a) > 0, "system", "must have states", "none")
     check(b.shape[1] > 0, "system", "must have an input", "none")
@@ -124,31 +123,36 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return a, b, c
 
 
-def _polynomial(given: Any) -> np.ndarray:
-    """Coefficients of one channel; leading zeros dropped."""
-    while isinstance(given, list | tuple) or (
-        isinstance(given, np.ndarray) and given.dtype == object
+def _polynomial(coefficients: Any) -> np.ndarray:
+    """Coefficients of a polynomial of a single channel, without leading zeros."""
+    while isinstance(coefficients, list | tuple) or (
+        isinstance(coefficients, np.ndarray) and coefficients.dtype == object
     ):
-        if not isinstance(given[0], list | tuple | np.ndarray):
+        if not isinstance(coefficients[0], list | tuple | np.ndarray):
             break
-        check(len(given) == 1, "system", "must be one transfer function", f"{len(given)} channels",
-              "Convert it to state space first.")  # fmt: skip
-        given = given[0]
-    return np.trim_zeros(np.atleast_1d(np.asarray(given, dtype=float)), "f")
+        check(
+            len(coefficients) == 1,
+            "system",
+            "must be one transfer function",
+            f"{len(coefficients)} channels",
+            "Convert it to state space first.",
+        )
+        coefficients = coefficients[0]
+    return np.trim_zeros(np.atleast_1d(np.asarray(coefficients, dtype=float)), "f")
 
 
 def _labels(system: Any, field: str, count: int, letter: str) -> tuple[str, ...]:
-    given = [str(one) for one in getattr(system, field, None) or []]
+    labels = [str(label) for label in getattr(system, field, None) or []]
     default = [letter] if count == 1 else [f"{letter}{i + 1}" for i in range(count)]
-    if len(given) != count or any(re.fullmatch(r".*\[\d+\]", one) for one in given):
+    if len(labels) != count or any(re.fullmatch(r".*\[\d+\]", label) for label in labels):
         return tuple(default)
-    return tuple(given)
+    return tuple(labels)
 
 
 def _relative_degrees(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, names: tuple[str, ...]
 ) -> tuple[int, ...]:
-    """For each output the derivative that an input enters first."""
+    """For each output the lowest derivative that depends on an input."""
     degrees = []
     for row, label in zip(c, names, strict=True):
         size, power, r = np.abs(row).max(), row, 1
@@ -160,7 +164,7 @@ def _relative_degrees(
     return tuple(degrees)
 
 
-def _without_zeros(
+def _chain_plant(
     a: np.ndarray,
     b: np.ndarray,
     c: np.ndarray,
@@ -169,31 +173,33 @@ def _without_zeros(
     y_names: tuple[str, ...],
     name: str,
 ) -> Plant:
-    """Coefficients of ξ = T x; those that rounding left are no parameters."""
-    where = [(i, j) for j, r in enumerate(degrees) for i in range(r)]
-    chain = np.stack([c[j] @ np.linalg.matrix_power(a, i) for i, j in where])
+    """The plant with state ξ = T x; coefficients that are only rounding are no parameters."""
+    places = [(i, j) for j, r in enumerate(degrees) for i in range(r)]
+    chain = np.stack([c[j] @ np.linalg.matrix_power(a, i) for i, j in places])
     scale = np.linalg.norm(chain, axis=1, keepdims=True)
-    seen = bool(np.all(scale > 0)) and bool(np.linalg.cond(chain / scale) < _WORST)
+    observable = bool(np.all(scale > 0)) and bool(np.linalg.cond(chain / scale) < _MAX_CONDITION)
     check(
-        seen,
+        observable,
         "system",
         "must have states that follow from its outputs and their derivatives",
         f"{len(a)} states of which some do not show",
         "Take a minimal realisation (control.minreal).",
     )
-    back = np.linalg.inv(chain)
+    inverse = np.linalg.inv(chain)
     parameters: dict[str, float] = {}
     terms = []
     for j, (row, r) in enumerate(zip(c, degrees, strict=True)):
-        states = row @ np.linalg.matrix_power(a, r) @ back
+        states = row @ np.linalg.matrix_power(a, r) @ inverse
         drive = row @ np.linalg.matrix_power(a, r - 1) @ b
-        known = zip(where, states, strict=True)
-        own = [(_state_name(i, k, j, y_names), i, k, value) for (i, k), value in known]
-        own += [(_input_name(k, j, u_names, y_names), -1, k, v) for k, v in enumerate(drive)]
+        placed_states = zip(places, states, strict=True)
+        candidates = [
+            (_state_name(i, k, j, y_names), i, k, value) for (i, k), value in placed_states
+        ]
+        candidates += [(_input_name(k, j, u_names, y_names), -1, k, v) for k, v in enumerate(drive)]
         floor = _TINY * max(np.abs([*states, *drive]).max(), 1e-300)
-        kept = [one for one in own if abs(one[3]) > floor]
-        terms.append(tuple((key, i, k) for key, i, k, _ in kept))
-        parameters |= {key: float(value) for key, _, _, value in kept}
+        chosen = [term for term in candidates if abs(term[3]) > floor]
+        terms.append(tuple((key, i, k) for key, i, k, _ in chosen))
+        parameters |= {key: float(value) for key, _, _, value in chosen}
     return Plant(
         _Chains(tuple(terms)),
         parameters,
@@ -209,15 +215,15 @@ def _state_name(i: int, k: int, j: int, names: tuple[str, ...]) -> str:
 
 
 def _input_name(k: int, j: int, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> str:
-    many = ([outputs[j]] if len(outputs) > 1 else []) + ([inputs[k]] if len(inputs) > 1 else [])
-    return "_".join(["b", *(_plain(one) for one in many)])
+    labels = ([outputs[j]] if len(outputs) > 1 else []) + ([inputs[k]] if len(inputs) > 1 else [])
+    return "_".join(["b", *(_plain(label) for label in labels)])
 
 
 def _plain(name: str) -> str:
     return re.sub(r"\W", "_", name)
 
 
-def _with_zeros(
+def _zero_dynamics_plant(
     a: np.ndarray,
     b: np.ndarray,
     c: np.ndarray,
@@ -226,11 +232,11 @@ def _with_zeros(
     y_names: tuple[str, ...],
     name: str,
 ) -> Plant:
-    """d(s) = q(s) m(s) + ρ(s): the chain of m, and the zero dynamics ρ/q."""
+    """The plant with d(s) = q(s) m(s) + ρ(s): the chain of m, and the zero dynamics ρ/q."""
     from scipy.signal import ss2tf
 
     numerators, den = ss2tf(a, b, c, np.zeros((1, 1)))
-    num = numerators[0][r:]  # what stands before is rounding: r is known
+    num = numerators[0][r:]  # the leading coefficients are rounding
     gain, q = float(num[0]), num / num[0]
     zeros = np.roots(q)
     check(
@@ -239,7 +245,9 @@ def _with_zeros(
         "must have zeros in the left half plane only, or its internal states grow",
         f"zeros at {np.round(zeros, 4).tolist()}",
     )
-    common = [one for one in zeros if np.min(np.abs(np.roots(den) - one)) < 1e-6 * (1 + abs(one))]
+    common = [
+        zero for zero in zeros if np.min(np.abs(np.roots(den) - zero)) < 1e-6 * (1 + abs(zero))
+    ]
     check(
         not common,
         "system",
@@ -253,8 +261,8 @@ def _with_zeros(
     parameters["b"] = gain
     q_names = tuple(f"q{i}" for i in range(len(q) - 1))
     c_names = tuple(f"c{i}" for i in range(len(q) - 1))
-    parameters |= dict(zip(q_names, (float(one) for one in q[:0:-1]), strict=True))
-    parameters |= dict(zip(c_names, (-float(one) for one in rho[::-1]), strict=True))
+    parameters |= dict(zip(q_names, (float(value) for value in q[:0:-1]), strict=True))
+    parameters |= dict(zip(c_names, (-float(value) for value in rho[::-1]), strict=True))
     terms: Terms = (*((f"a{i}", i, 0) for i in range(r)), ("b", -1, 0))
     return Plant(
         _Chains((terms,), c_names),

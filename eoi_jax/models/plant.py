@@ -2,7 +2,7 @@
 
     y^(r) = f(t, y, ẏ, …, y^(r−1), z, u; θ)        ż = g(t, y, …, z, u; θ)
 
-The paper's eq. (1)–(3) in chain form; z are internal states that nobody measures.
+The paper's eq. (1)–(3) in chain form; z are internal states, which are not measured.
 """
 
 import functools
@@ -23,18 +23,18 @@ from eoi_jax._types import Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
 from eoi_jax.compiler.programs import jit
 
-# Velocity at which f is just above or just below rest: in whatever unit so small that only a jump
-# shows between the two, and that its square is still a number in single precision.
+# Velocity just above or just below rest at which f is evaluated: in any unit so small that f
+# differs between the two only by a jump; its square is representable in single precision.
 REST = 1e-18
-_APART = 1e3  # times as far
+_FAR_FACTOR = 1e3  # ratio of the larger velocity to `REST`
 
 
 class State(eqx.Module):
-    """What a model sees: outputs with their derivatives, and internal states.
+    """The state of a model: outputs with their derivatives, and internal states.
 
     Attributes:
         y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
-            relative degree than the plant's highest has zeros in the rows it does not own.
+            relative degree than the plant's highest has zeros in the remaining rows.
         z: internal states, shape (nz,).
     """
 
@@ -47,33 +47,33 @@ Actuator = Callable[[Any, Any, Any], Any]
 
 
 class Plant(eqx.Module):
-    r"""A model with named parameters; the one that made the data or the one that fits it.
+    r"""A model with named parameters: of the system behind the data, or to be fitted to them.
 
     $y^{(r)} = f(t, x, u; \theta)$, $\dot z = g(t, x, u; \theta)$, `x.y` of shape (r, ny) and
-    `x.z` of shape (nz,). Parameters are reached by name, ``p.a``; the regressor
-    $\varphi = \partial f/\partial\theta$ of eq. (2) is taken by automatic differentiation, so
+    `x.z` of shape (nz,). Parameters are accessed by name, ``p.a``; the regressor
+    $\varphi = \partial f/\partial\theta$ of eq. (2) is computed by automatic differentiation, so
     parameters may be shared between outputs and may enter nonlinearly.
 
-    Dry friction is written ``p.c * jnp.sign(rate)`` (of a measured speed, r = 1: of the output
+    Dry friction is written ``p.c * jnp.sign(rate)`` (for a measured speed, r = 1: of the output
     itself). The jump at rest is found by evaluating f just above and just below zero velocity:
-    simulation sticks, estimation leaves stuck samples out.
+    simulation sticks, and estimation omits samples at which the plant sticks.
 
     Args:
-        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,) (a scalar does for one output).
-        parameters: names and nominal values θ_0, in the order that every array of parameters uses.
-        relative_degree: r ≥ 1, one number or one for each output.
+        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,), or a scalar for a single output.
+        parameters: names and nominal values θ_0, in the order of every array of parameters.
+        relative_degree: r ≥ 1, a number or a sequence with a number for each output.
         inputs, outputs: names.
         internal: ``g(t, x, u, p)`` → dz/dt, shape (nz,), or None.
-        internal_initial: z at the start of a record, shape (nz,), or a function of p (then the
-            start may hold parameters of its own).
-        bounds: ``{name: (lower, upper)}``; estimates are kept inside.
-        fixed: names that keep their nominal value.
+        internal_initial: z at the start of a record, shape (nz,), or a function of p, so that
+            initial values may be parameters.
+        bounds: ``{name: (lower, upper)}``; estimates stay within them.
+        fixed: names of the parameters that keep their nominal values.
         units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
             z2, …), for tables and figures.
-        name: what to call it; None: as its function is called, ``model`` where that has no name.
-        actuator: ``a(t, u, p)``, what inputs go through on their way: from their means over the
-            steps of a whole record, (S, nu), with the middles of the steps (S,), to those that f
-            and g get. For delays and lags, which depend on nothing but past inputs.
+        name: name of the plant; default: the name of `dynamics`, or ``model`` if it has none.
+        actuator: ``a(t, u, p)``, maps the means of the inputs over the steps of a record, (S, nu),
+            at the middles of the steps, (S,), to the inputs of f and g. For delays and lags, which
+            depend only on past inputs.
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
@@ -111,17 +111,17 @@ class Plant(eqx.Module):
         actuator: Actuator | None = None,
     ):
         check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
-        for kind, given in (("parameters", parameters), ("bounds", bounds), ("units", units)):
-            given = {} if given is None and kind != "parameters" else given
-            check_kind(kind, given, Mapping, "a dict by name")
+        for kind, mapping in (("parameters", parameters), ("bounds", bounds), ("units", units)):
+            mapping = {} if mapping is None and kind != "parameters" else mapping
+            check_kind(kind, mapping, Mapping, "a dict by name")
         self.dynamics = dynamics
         self.internal = internal
         self.actuator = actuator
         self.names = tuple(parameters)
-        self.inputs, self.outputs = _several("inputs", inputs), _several("outputs", outputs)
-        self.fixed = _several("fixed", fixed)
-        own = getattr(dynamics, "__name__", "<lambda>")
-        self.name = name or ("model" if own == "<lambda>" else own)
+        self.inputs, self.outputs = _name_tuple("inputs", inputs), _name_tuple("outputs", outputs)
+        self.fixed = _name_tuple("fixed", fixed)
+        function_name = getattr(dynamics, "__name__", "<lambda>")
+        self.name = name or ("model" if function_name == "<lambda>" else function_name)
         _check_names(self.names, self.fixed, bounds or {})
         for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
             check(len(set(channels)) == len(channels), kind, "must have different names", channels)
@@ -152,7 +152,7 @@ class Plant(eqx.Module):
         self._check_units()
         self._check_shapes()
 
-    # -- what it is made of ---------------------------------------------------------------
+    # -- parameters -----------------------------------------------------------------------
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -161,7 +161,7 @@ class Plant(eqx.Module):
 
     @property
     def units(self) -> dict[str, str]:
-        """Units by name, as given."""
+        """Units by name."""
         return dict(self.unit_items)
 
     @property
@@ -175,13 +175,13 @@ class Plant(eqx.Module):
         return np.asarray([float(key not in self.fixed) for key in self.names])
 
     def with_parameters(self, values: Mapping[str, float] | Any) -> "Plant":
-        """The same plant with other parameter values.
+        """The plant with different parameter values.
 
         Args:
             values: ``{name: value}`` for some or all names, or an array (np,).
 
         Raises:
-            ValueError: an unknown name, a value that is no number, an array of another length.
+            ValueError: an unknown name, a value that is no number, an array of a wrong length.
         """
         if isinstance(values, Mapping):
             for key, value in values.items():
@@ -208,13 +208,13 @@ class Plant(eqx.Module):
         bounds: Mapping[str, tuple[float, float]] | None = None,
         fixed: Sequence[str] = (),
     ) -> "Plant":
-        """The same equations with some other values and bounds, and more parameters fixed.
+        """The plant with some values and bounds replaced, and more parameters fixed.
 
         Raises:
             ValueError: as for a new plant.
         """
         limits = zip(self.names, self.lower, self.upper, strict=True)
-        own = {key: (float(low), float(high)) for key, low, high in limits}
+        declared_bounds = {key: (float(low), float(high)) for key, low, high in limits}
         return Plant(
             self.dynamics,
             {**self.parameters, **(parameters or {})},
@@ -223,7 +223,7 @@ class Plant(eqx.Module):
             outputs=self.outputs,
             internal=self.internal,
             internal_initial=self.internal_initial if self.internal else None,
-            bounds={**own, **(bounds or {})},
+            bounds={**declared_bounds, **(bounds or {})},
             fixed=(*self.fixed, *(key for key in fixed if key not in self.fixed)),
             units=self.units,
             name=self.name,
@@ -253,7 +253,7 @@ class Plant(eqx.Module):
     def driven(
         self, t: Float[Array, " S"], u: Float[Array, "S nu"], theta: Float[Array, " np"]
     ) -> Float[Array, "S nu"]:
-        """The inputs that f and g get along a record: behind its actuators."""
+        """The inputs of f and g along a record, behind the actuators."""
         return u if self.actuator is None else self.actuator(t, u, self.named(theta))
 
     def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
@@ -269,7 +269,7 @@ class Plant(eqx.Module):
     def input_slopes(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
     ) -> Float[Array, "ny nu"]:
-        """∂f/∂u: what one unit of each input adds to the highest derivative of each output."""
+        """∂f/∂u: derivative of the highest derivative of each output by each input."""
         return jax.jacfwd(lambda value: self.derivative(t, x, value, theta))(u)
 
     def at_rest(
@@ -279,27 +279,27 @@ class Plant(eqx.Module):
 
         A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
         """
-        above = jnp.diagonal(self._with_velocities(t, x, u, theta, REST))
-        return above, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST))
+        above_rest = jnp.diagonal(self._with_velocities(t, x, u, theta, REST))
+        return above_rest, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST))
 
     def _with_velocities(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
     ) -> Float[Array, "ny ny"]:
-        """f of every output, row j with the velocity of output j set to `velocity`."""
+        """f of every output; in row j the velocity of output j is set to `velocity`."""
         moved = [
             State(x.y.at[row, j].set(velocity), x.z)
             for j, row in enumerate(velocity_rows(self.degrees))
         ]
-        return jnp.stack([self.derivative(t, one, u, theta) for one in moved])
+        return jnp.stack([self.derivative(t, state, u, theta) for state in moved])
 
     # -- structure, found by probing ------------------------------------------------------
 
     @property
     def is_affine(self) -> bool:
-        """Whether θ enters f linearly (plus a constant), so that one least squares suffices.
+        """Whether f is affine in θ, so that a single least squares suffices.
 
-        ∂f/∂θ as it is traced must not read θ: the answer depends on the equations alone, not on a
-        state or a unit. What JAX cannot tell to be linear is not.
+        The traced ∂f/∂θ must not depend on θ: the result depends only on the equations, not on a
+        state or a unit. Equations that JAX cannot recognise as affine count as nonlinear.
         """
         if self.internal is not None or self.actuator is not None:
             return False
@@ -315,14 +315,15 @@ class Plant(eqx.Module):
     def jumps(self) -> Bool[np.ndarray, "ny ny"]:
         """Whether f of output i jumps where the velocity of output j changes sign, at [i, j].
 
-        Off the diagonal: masses coupled by inertia, on which the friction of another one acts.
+        Elements off the diagonal belong to masses coupled by inertia, on which the friction of
+        another mass acts.
         """
         theta = tuple(np.asarray(self.theta, float).tolist())
         return _jumps(jax.tree.structure(self), theta, jnp.result_type(float))
 
     @property
     def coupled(self) -> Bool[np.ndarray, "ny nu"]:
-        """Which positions an input pushes, where it pushes several: masses coupled by inertia."""
+        """Positions that an input pushes if it pushes several, as inertia couples the masses."""
         positions = np.asarray(self.degrees) >= 2
         if np.sum(positions) < 2:
             return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
@@ -332,15 +333,15 @@ class Plant(eqx.Module):
         return pushes & (np.sum(pushes, axis=0) > 1)
 
     def _check_units(self) -> None:
-        """Units are of parameters and channels; of internal states by their names, or z, z1, …."""
+        """Check that units belong to parameters, channels or internal states (named, or z, z1)."""
         states = tuple(getattr(self.internal, "states", None) or ())
-        known = (*self.names, *self.inputs, *self.outputs, *states)
+        names = (*self.names, *self.inputs, *self.outputs, *states)
         for key in self.units:
             if self.internal is None or not re.fullmatch(r"z\d*", key):
-                check_choice("units", key, known)
+                check_choice("units", key, names)
 
     def _check_shapes(self) -> None:
-        """Evaluate f and g once in the abstract: a wrong shape is found here, not in a scan."""
+        """Evaluate the shapes of f and g, so that a wrong shape is reported here, not in a scan."""
         theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
         start = jax.eval_shape(self.internal_start, theta)
         r, ny, nu = self.relative_degree, len(self.outputs), len(self.inputs)
@@ -366,9 +367,11 @@ class Plant(eqx.Module):
                 jax.ShapeDtypeStruct((3, nu), theta.dtype),
             )
             act = self.actuator
-            given = jax.eval_shape(lambda t, u, p: act(t, u, self.named(p)), *line, theta).shape
+            driven_shape = jax.eval_shape(
+                lambda t, u, p: act(t, u, self.named(p)), *line, theta
+            ).shape
             rule = "must return as many inputs as it gets, a row for each step"
-            check(given == (3, nu), "actuator", rule, f"shape {given} for {(3, nu)}")
+            check(driven_shape == (3, nu), "actuator", rule, f"shape {driven_shape} for {(3, nu)}")
         if self.internal is not None:
             shape = shapes(self.internal)
             check(
@@ -380,10 +383,10 @@ class Plant(eqx.Module):
 
 
 def velocity_rows(degrees: Sequence[int]) -> tuple[int, ...]:
-    """Row of `State.y` that holds each output's velocity.
+    """Row of `State.y` that holds the velocity of each output.
 
-    The first derivative of a position; an output of relative degree one is a speed itself, as far
-    as dry friction is concerned.
+    It is the first derivative of a position; for dry friction an output of relative degree one
+    counts as a speed.
     """
     return tuple(min(degree - 1, 1) for degree in degrees)
 
@@ -397,7 +400,7 @@ def velocity_of(y: Float[Array, "r ny"], degrees: Sequence[int]) -> Output:
 def with_velocity(
     y: Float[Array, "r ny"], velocity: Output, degrees: Sequence[int]
 ) -> Float[Array, "r ny"]:
-    """`State.y` with other velocities."""
+    """`State.y` with the velocities replaced."""
     rows = np.asarray(velocity_rows(degrees))
     if np.all(rows == rows[0]):
         return y.at[rows[0]].set(velocity)
@@ -408,21 +411,21 @@ _RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
 
 
 def derivative_unit(unit: str | None, order: int) -> str:
-    """The unit of a derivative with time: m/s² of a position, of a speed m/s too; "" of none."""
+    """The unit of a time derivative: m/s² for m and order 2, or m/s and order 1; "" for none."""
     if not unit:
         return ""
-    have = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
-    order += have
-    base = unit.removesuffix(f"/s{_RAISED[have]}") if have else unit
+    present = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
+    order += present
+    base = unit.removesuffix(f"/s{_RAISED[present]}") if present else unit
     return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
 
 
-def quotient_unit(unit: str, by: str) -> str:
-    """One unit over another: a power of 1/s where one is a derivative of the other; "" of none."""
-    if not unit or not by:
+def quotient_unit(unit: str, divisor: str) -> str:
+    """Quotient of two units: a power of 1/s if `unit` is a derivative of `divisor`; "" for none."""
+    if not unit or not divisor:
         return ""
-    orders = (n for n in range(5) if derivative_unit(by, n) == unit)
-    plain = f"{unit}/({by})" if "/" in by else f"{unit}/{by}"
+    orders = (n for n in range(5) if derivative_unit(divisor, n) == unit)
+    plain = f"{unit}/({divisor})" if "/" in divisor else f"{unit}/{divisor}"
     return next((derivative_unit("1", n) for n in orders), plain)
 
 
@@ -435,7 +438,7 @@ class UnknownParameterError(AttributeError, ValueError):
 
 def parameter_type(names: tuple[str, ...]) -> Any:
     """The type of `p` for these names: attributes in order."""
-    # One class per set of names: jit compares pytree types by identity.
+    # A single class for a tuple of names, as jit compares pytree types by identity.
     if names not in _TYPES:
         kind: Any = namedtuple("Parameters", names)
         kind.__getattr__ = _unknown
@@ -450,18 +453,18 @@ def _unknown(p: Any, name: str) -> Any:
         raise UnknownParameterError(str(error), name=name, obj=p) from None
 
 
-def _several(kind: str, names: Any) -> tuple[str, ...]:
-    """One name or several."""
-    several = (names,) if isinstance(names, str) else names
-    check_kind(kind, several, Iterable, "a name or several")
-    for one in several:
-        check_kind(kind, one, str, "a name or several")
-    return tuple(several)
+def _name_tuple(kind: str, names: Any) -> tuple[str, ...]:
+    """The names as a tuple; a single name may be a string."""
+    name_list = (names,) if isinstance(names, str) else names
+    check_kind(kind, name_list, Iterable, "a name or several")
+    for element in name_list:
+        check_kind(kind, element, str, "a name or several")
+    return tuple(name_list)
 
 
 def _limits(name: str, pair: Any) -> tuple[float, float]:
-    """Bounds of a parameter."""
-    values = [real(one) for one in pair] if np.iterable(pair) else []
+    """Check and convert the bounds of a parameter."""
+    values = [real(limit) for limit in pair] if np.iterable(pair) else []
     good = len(values) == 2 and not np.any(np.isnan(values))
     check(good, f"bounds[{name}]", "must be (lower, upper)", pair, "Use ±inf where there is none.")
     return values[0], values[1]
@@ -491,8 +494,8 @@ def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping
 
 
 def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
-    many = isinstance(relative_degree, Sequence)
-    degrees = tuple(relative_degree) if many else (relative_degree,) * ny  # type: ignore[arg-type]
+    is_sequence = isinstance(relative_degree, Sequence)
+    degrees = tuple(relative_degree) if is_sequence else (relative_degree,) * ny  # type: ignore[arg-type]
     good = len(degrees) == ny and all(is_whole(r) and r >= 1 for r in degrees)
     check(
         good,
@@ -517,16 +520,16 @@ def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
     return initial if callable(initial) else tuple(float(value) for value in initial)
 
 
-# Magnitudes of each coordinate at which structure is looked for, each on both sides of zero: what
-# happens only beyond some state is found whatever the unit is.
+# Magnitudes of each coordinate at which the structure is probed, on both sides of zero. The range
+# covers effects that occur only beyond some state, in any usual unit.
 _MAGNITUDES = np.geomspace(1e-4, 1e3, 64)
 
 
 def _probes(plant: Plant) -> tuple[Any, ...]:
-    """Fixed pseudo-random points (seed 0) at which structure is looked for: t, y, u, θ."""
+    """Fixed pseudo-random points (seed 0) at which the structure is probed: t, y, u, θ."""
     r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
     points, factors = _points(r * ny + nu, len(plant.names))
-    # Shifted off the nominal, so that a friction level declared as 0 still shows its jump.
+    # Shifted from the nominal values, so that friction with the nominal level 0 shows its jump.
     theta = np.asarray(plant.theta) * factors + 0.1
     return np.full(len(points), 0.3), points[:, nu:].reshape(-1, r, ny), points[:, :nu], theta
 
@@ -535,10 +538,10 @@ def _probes(plant: Plant) -> tuple[Any, ...]:
 def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates on both sides of zero, and factors of the parameters."""
     draw = np.random.default_rng(0)
-    # A Latin hypercube of the logarithms: every coordinate goes through all of them.
-    half = draw.permuted(np.tile(_MAGNITUDES, (coordinates, 1)), axis=1)
-    half *= draw.choice([-1.0, 1.0], half.shape)
-    points = np.concatenate([half, -half], axis=1).T
+    # A Latin hypercube of the logarithms: every coordinate takes all magnitudes.
+    one_side = draw.permuted(np.tile(_MAGNITUDES, (coordinates, 1)), axis=1)
+    one_side *= draw.choice([-1.0, 1.0], one_side.shape)
+    points = np.concatenate([one_side, -one_side], axis=1).T
     return points, draw.uniform(0.8, 1.2, (len(points), parameters))
 
 
@@ -546,7 +549,7 @@ def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
 def _affine(
     dynamics: Dynamics, names: tuple[str, ...], shape: tuple[int, int], inputs: int
 ) -> bool:
-    """Whether θ is not among what the jaxpr of ∂f/∂θ reads."""
+    """Whether the jaxpr of ∂f/∂θ does not read θ."""
 
     def slopes(theta: Array, t: Array, y: Array, u: Array) -> Array:
         x, named = State(y, jnp.zeros(0)), parameter_type(names)
@@ -558,15 +561,17 @@ def _affine(
 
 @functools.lru_cache(maxsize=64)
 def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndarray, "ny ny"]:
-    """`Plant.jumps` of the plant of this structure, whose bounds play no part."""
-    del dtype  # in which the probes are computed: another one, another answer
+    """`Plant.jumps` of the plant of this structure; its bounds have no influence."""
+    del dtype  # part of the cache key: the probes are computed in this type
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
-    near, far, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
+    near_change, far_change, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
     # A slope grows with the distance between the two velocities, a jump does not.
-    jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
-    # What another output does where one of degree one changes sign is no friction.
-    own = np.eye(len(plant.outputs), dtype=bool)
-    jumps = np.any(jumps, axis=0) & (own | (np.asarray(plant.degrees) >= 2))
+    jumps = (near_change > 1e2 * np.finfo(near_change.dtype).eps * size) & (
+        near_change > 0.5 * far_change
+    )
+    # A change of another output where an output of degree one changes sign is no friction.
+    diagonal = np.eye(len(plant.outputs), dtype=bool)
+    jumps = np.any(jumps, axis=0) & (diagonal | (np.asarray(plant.degrees) >= 2))
     jumps.flags.writeable = False
     return jumps
 
@@ -575,29 +580,29 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
 def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
     """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+    def slopes_at_probe(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
         x = State(y, plant.internal_start(theta) + 0.1)
         size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
         return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
-    return jax.vmap(one)(t, y, u, theta)
+    return jax.vmap(slopes_at_probe)(t, y, u, theta)
 
 
 @jit(static=())
 def _across_rest(
     plant: Plant, t: Array, y: Array, u: Array, theta: Array
 ) -> tuple[Array, Array, Array]:
-    """Change of f_i from below to above rest of output j: near rest, further off; and its size."""
+    """Change of f_i across rest of output j, at a small and a larger velocity, and size of f_i."""
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
+    def changes_at_probe(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
         x = State(y, plant.internal_start(theta) + 0.1)
 
         def change(distance: float) -> tuple[Array, Array]:
-            above = plant._with_velocities(t, x, u, theta, distance)
-            below = plant._with_velocities(t, x, u, theta, -distance)
-            return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
+            above_rest = plant._with_velocities(t, x, u, theta, distance)
+            below_rest = plant._with_velocities(t, x, u, theta, -distance)
+            return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
 
-        (near, size), (far, _) = change(REST), change(_APART * REST)
-        return near, far, size
+        (near_change, size), (far_change, _) = change(REST), change(_FAR_FACTOR * REST)
+        return near_change, far_change, size
 
-    return jax.vmap(one)(t, y, u, theta)
+    return jax.vmap(changes_at_probe)(t, y, u, theta)

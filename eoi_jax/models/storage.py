@@ -1,8 +1,8 @@
-"""Any result to one file and back, without pickle.
+"""Saving and loading of results in a single file, without pickle.
 
-A file is an `.npz`: its arrays, each once, and one JSON text that says how they make up the result.
-Only classes of this package are rebuilt, and no code is run on reading; a model that is a function
-of the user's own, or an effect, cannot be stored, so it is given again to `load`.
+A file is an `.npz` with the arrays, each once, and a JSON text with the structure of the result.
+Only classes of this package are rebuilt, and no code from the file is run. Model functions and
+effects of the user cannot be stored; they are arguments of `load`.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ from eoi_jax.models.stored_classes import (
     tag_of,
 )
 
-# 2: records keep what smoothed them. 3: errors of a pass lie together. 4: classes by their tags
+# 2: records with their smoothing. 3: errors of a pass in one class. 4: classes by their tags
 _FORMAT, _OLDEST = 4, 3
 _HEADER = "eoi_jax"
 _PACKAGE = "eoi_jax."
@@ -41,13 +41,13 @@ _FUNCTIONS = ("dynamics", "internal", "internal_initial", "actuator")  # of a pl
 
 
 class MissingModel:
-    """Stands for a model function that a file cannot hold; using it says what to do."""
+    """Placeholder of a model function that a file cannot hold; a call raises an error."""
 
     def __init__(self, name: str):
         self.name = name
 
     def __call__(self, *arguments: Any) -> Any:
-        """Raise: there is nothing to evaluate."""
+        """Raise a `ValueError` that says what to do."""
         del arguments
         check(
             False,
@@ -60,12 +60,12 @@ class MissingModel:
 
 @dataclasses.dataclass(frozen=True)
 class MissingEffect:
-    """Stands for an effect of the user's own; it has a name, and using it says what to do."""
+    """Placeholder of a user's effect; it has a name, and any other use raises an error."""
 
     name: str
     kind: str
     fields: dict[str, Any]
-    depends_on = "t"  # what a report draws it against, for lack of better knowledge
+    depends_on = "t"  # abscissa of its figure in reports
 
     def __getattr__(self, attribute: str) -> Any:
         if attribute.startswith("__"):
@@ -80,11 +80,11 @@ class MissingEffect:
 
 
 def save(result: Any, path: str | Path) -> None:
-    """Write a result to `path`, whole or not at all.
+    """Write a result to `path` atomically.
 
     Args:
         result: any result of this package.
-        path: of the file; ``.npz`` is customary.
+        path: of the file, usually with the suffix ``.npz``.
 
     Raises:
         ValueError: the folder cannot be written.
@@ -121,18 +121,19 @@ def load(
 
     Args:
         path: of the file.
-        plant: that the result was made with, if its model is not one of `eoi_jax.plants`; only its
-            functions are taken (f, g, the start of z, the actuator), parameters come from the file.
-        effects: of the user's own that the result holds.
-        max_gigabytes: what the file may unpack to [1e9 bytes]; infinite for no limit.
+        plant: the plant of the result, if its model is not one of `eoi_jax.plants`; only its
+            functions are used (f, g, the start of z, the actuator), the parameters of the file
+            are kept.
+        effects: effects of the user that the result contains.
+        max_gigabytes: largest unpacked size of the file [1e9 bytes]; infinite for no limit.
 
     Returns:
-        The result, of the class that was saved; of a JSON file the `Plant`.
+        The result, of the class that was saved; for a JSON file the `Plant`.
 
     Raises:
-        ValueError: no such file, a file of something else, of another format, damaged or larger
-            than `max_gigabytes`, a plant of other parameters, relative degrees or channels, or
-            with other functions left out.
+        ValueError: a file that does not exist, is no result, is of an unknown format, damaged or
+            larger than `max_gigabytes`; a plant whose parameters, relative degrees, channels or
+            optional functions differ from those of the file.
     """
     path = Path(path)
     check(path.is_file(), "path", "must be a file", path)
@@ -147,25 +148,25 @@ def load(
         "path",
         f"must be of format {_OLDEST} to {_FORMAT}",
         f"format {tree['format']}, written by eoi_jax {tree['version']}",
-        "Update eoi_jax." if tree["format"] > _FORMAT else "Make the result anew.",
+        "Update eoi_jax." if tree["format"] > _FORMAT else "Compute the result again.",
     )
-    given = _Given(plant, {_name(type(one)): type(one) for one in effects})
+    substitutes = _Substitutes(plant, {_name(type(effect)): type(effect) for effect in effects})
     try:
         check_tree(tree["result"], list(arrays))
     except ValueError as error:
         check(False, "path", "must be a result that `save` wrote", path, _reason(error))
-    return _decode(tree["result"], arrays, given)
+    return _decode(tree["result"], arrays, substitutes)
 
 
 def _read(path: Path, allowance: Allowance) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The tree of a file with its format and version, and its arrays."""
     rule = "must be a result that `save` wrote"
     try:
-        found = read_arrays(path, allowance)
-        arrays = {key: one for key, one in found.items() if one is not None}
+        content = read_arrays(path, allowance)
+        arrays = {key: array for key, array in content.items() if array is not None}
         header = arrays[_HEADER]
         tree = json.loads(str(header)) if header.ndim == 0 and header.dtype.kind == "U" else {}
-    except Exception as error:  # each part of a damaged archive raises its own kinds
+    except Exception as error:  # damaged archives raise errors of many classes
         check(False, "path", rule, path, _reason(error))
         raise
     good = isinstance(tree, dict) and "result" in tree
@@ -182,18 +183,18 @@ def _reason(error: Exception) -> str:
     return f"The reader says: {error or type(error).__name__}."
 
 
-def is_whole(plant: Plant) -> bool:
+def has_all_functions(plant: Plant) -> bool:
     """Whether a loaded plant has all its functions, so that it can be simulated and fitted.
 
     Args:
-        plant: of a result that was loaded.
+        plant: of a loaded result.
 
     Returns:
-        False where `load` needs the plant that the result was made with.
+        False if `load` needs the plant of the result as an argument.
     """
     for key in _FUNCTIONS:
         function = getattr(plant, key)
-        while _own(function) and hasattr(function, "base"):
+        while _of_package(function) and hasattr(function, "base"):
             function = function.base
         if isinstance(function, MissingModel):
             return False
@@ -201,73 +202,75 @@ def is_whole(plant: Plant) -> bool:
 
 
 class _Arrays:
-    """Arrays by key; one that several parts of a result share is kept once."""
+    """Arrays by key; an array that several parts of a result share is stored once."""
 
     def __init__(self):
         self.by_key: dict[str, np.ndarray] = {}
-        # Beside its key the array itself: while it is held no other one can have its id.
-        self._seen: dict[int, tuple[str, Any]] = {}
+        # Key and array by the array's id; the reference to the array keeps the id from reuse.
+        self._keys: dict[int, tuple[str, Any]] = {}
 
     def key(self, array: Any) -> str:
-        if id(array) not in self._seen:
+        if id(array) not in self._keys:
             key = f"a{len(self.by_key)}"
             self.by_key[key] = np.asarray(array)
-            self._seen[id(array)] = (key, array)
-        return self._seen[id(array)][0]
+            self._keys[id(array)] = (key, array)
+        return self._keys[id(array)][0]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Given:
-    """What a file cannot hold, and the caller of `load` gave.
+class _Substitutes:
+    """Arguments of `load` that replace what a file cannot hold.
 
     Attributes:
-        plant: whose functions are taken; None for none.
-        effects: classes by name.
+        plant: the plant whose functions are used, or None.
+        effects: classes of effects by name.
     """
 
     plant: Plant | None
     effects: dict[str, type]
 
     def check(self, fields: dict[str, Any]) -> None:
-        """The plant must be that of the file, as far as the file tells."""
+        """Check the plant against the declarations in the file."""
         if self.plant is None:
             return
-        mine = _declared(_encode(self.plant, _Arrays())["fields"])
-        for key, own in _declared(fields).items():
+        declared = _declared(_encode(self.plant, _Arrays())["fields"])
+        for key, expected in _declared(fields).items():
             advice = "Give the plant that the result was made with."
             check(
-                own == mine[key],
+                expected == declared[key],
                 f"plant.{key}",
-                f"must be as in the file, {own}",
-                mine[key],
+                f"must be as in the file, {expected}",
+                declared[key],
                 advice,
             )
 
     def function(self, field: str | None) -> Any:
-        """What the plant has in one of its fields, without effects around it; None for nothing."""
-        found: Any = getattr(self.plant, field, None) if field else None
-        while _own(found) and hasattr(found, "base"):
-            found = found.base
-        return found
+        """The function in a field of the plant, without the effects that wrap it, or None."""
+        function: Any = getattr(self.plant, field, None) if field else None
+        while _of_package(function) and hasattr(function, "base"):
+            function = function.base
+        return function
 
 
 def _declared(fields: dict[str, Any]) -> dict[str, str]:
-    """What a stored plant says of itself, without the effects around it."""
+    """Declarations of a stored plant, without the effects that wrap its functions."""
     bare = {key: _bare(fields[key]) for key in _FUNCTIONS}
     names = {"parameters": bare["dynamics"][1] or fields["names"]}
     names |= {key: fields[key] for key in ("degrees", "inputs", "outputs")}
-    about = {key: ", ".join(map(str, one["tuple"])) or "none" for key, one in names.items()}
+    description = {
+        key: ", ".join(map(str, entry["tuple"])) or "none" for key, entry in names.items()
+    }
     for key in ("internal", "actuator"):
-        about[key] = "none" if bare[key][0] is None else "a function"
+        description[key] = "none" if bare[key][0] is None else "a function"
     start = bare["internal_initial"][0]
-    about["internal_initial"] = (
+    description["internal_initial"] = (
         f"{len(start['tuple'])} values" if "tuple" in start else "a function"
     )
-    return about
+    return description
 
 
 def _bare(tree: Any) -> tuple[Any, Any]:
-    """A stored function without effects around it, and the parameters that these leave to it."""
+    """A stored function without the effects that wrap it, and the names of its parameters."""
     names = None
     while isinstance(tree, dict) and "base" in tree.get("fields", ()):
         names = tree["fields"].get("names", names)
@@ -283,27 +286,27 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     if isinstance(value, Path):
         return {"path": str(value)}
     if isinstance(value, dict):
-        return {"dict": {key: _encode(one, arrays) for key, one in value.items()}}
+        return {"dict": {key: _encode(element, arrays) for key, element in value.items()}}
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
-        return {kind: [_encode(one, arrays) for one in value]}
+        return {kind: [_encode(element, arrays) for element in value]}
     value = stored_form(value)
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
     if isinstance(value, MissingEffect):
-        content = {key: _encode(one, arrays) for key, one in value.fields.items()}
+        content = {key: _encode(element, arrays) for key, element in value.fields.items()}
         return {"effect": value.kind, "name": value.name, "fields": content}
     if isinstance(value, AbstractEffect):
         return {"effect": _name(type(value)), "name": value.name, "fields": content}
-    if dataclasses.is_dataclass(value) and (_own(value) or not callable(value)):
+    if dataclasses.is_dataclass(value) and (_of_package(value) or not callable(value)):
         return {"class": _name(type(value)), "fields": content}
     return {"function": _name(value)}
 
 
 def _decode(
-    tree: Any, arrays: dict[str, np.ndarray], given: _Given, field: str | None = None
+    tree: Any, arrays: dict[str, np.ndarray], substitutes: _Substitutes, field: str | None = None
 ) -> Any:
-    """What a tree stands for; `field` is that of the plant whose function it is part of."""
+    """The object of a tree; `field` is the field of the plant to whose function it belongs."""
     if not isinstance(tree, dict):
         return tree
     if "array" in tree:
@@ -311,52 +314,54 @@ def _decode(
     if "path" in tree:
         return Path(tree["path"])
     if "dict" in tree:
-        return {key: _decode(one, arrays, given) for key, one in tree["dict"].items()}
+        return {key: _decode(element, arrays, substitutes) for key, element in tree["dict"].items()}
     if "list" in tree:
-        return [_decode(one, arrays, given) for one in tree["list"]]
+        return [_decode(element, arrays, substitutes) for element in tree["list"]]
     if "tuple" in tree:
-        return tuple(_decode(one, arrays, given) for one in tree["tuple"])
+        return tuple(_decode(element, arrays, substitutes) for element in tree["tuple"])
     if "function" in tree:
-        return _function(tree["function"], given.function(field))
-    kind = _kind(tree, given)
+        return _function(tree["function"], substitutes.function(field))
+    kind = _kind(tree, substitutes)
     if kind is Plant:
-        given.check(tree["fields"])
+        substitutes.check(tree["fields"])
     content = {}
-    for name, one in tree["fields"].items():
-        # Effects around a function of the plant hold it as their base.
-        within = name if kind is Plant and name in _FUNCTIONS else field if name == "base" else None
-        content[name] = _decode(one, arrays, given, within)
+    for name, element in tree["fields"].items():
+        # Effects that wrap a function of the plant have it as their base.
+        function_field = (
+            name if kind is Plant and name in _FUNCTIONS else field if name == "base" else None
+        )
+        content[name] = _decode(element, arrays, substitutes, function_field)
     if kind is MissingEffect:
         return MissingEffect(tree["name"], tree["effect"], content)
-    # Past __init__: what was checked once is not worked out anew.
+    # Without __init__: the object was checked when it was first constructed.
     check_fields(kind, content, (MissingModel, MissingEffect))
     new = object.__new__(kind)
-    for name, one in content.items():
-        object.__setattr__(new, name, one)
+    for name, element in content.items():
+        object.__setattr__(new, name, element)
     return new
 
 
-def _kind(tree: dict[str, Any], given: _Given) -> Any:
-    """The class of a stored result, or effect."""
+def _kind(tree: dict[str, Any], substitutes: _Substitutes) -> Any:
+    """The class of a stored result or effect."""
     if "effect" in tree:
-        kind = given.effects.get(tree["effect"], class_named(tree["effect"]))
-        known = isinstance(kind, type) and issubclass(kind, AbstractEffect)
-        return kind if known else MissingEffect
+        kind = substitutes.effects.get(tree["effect"], class_named(tree["effect"]))
+        is_effect = isinstance(kind, type) and issubclass(kind, AbstractEffect)
+        return kind if is_effect else MissingEffect
     kind = class_named(tree["class"])
     good = kind is not None and dataclasses.is_dataclass(kind)
     check(good, "path", "must hold results of eoi_jax only", tree["class"])
     return kind
 
 
-def _function(name: str, given: Any) -> Callable:
-    if given is not None:
-        return given
-    found = function_named(name)
-    return found if found is not None else MissingModel(name)
+def _function(name: str, substitute: Any) -> Callable:
+    if substitute is not None:
+        return substitute
+    function = function_named(name)
+    return function if function is not None else MissingModel(name)
 
 
-def _own(value: Any) -> bool:
-    """Whether its class is of this package."""
+def _of_package(value: Any) -> bool:
+    """Whether the class of a value is of this package."""
     return type(value).__module__.startswith(_PACKAGE)
 
 

@@ -1,7 +1,7 @@
-"""What a stored result may look like: checked before anything of it is built.
+"""Classes and structure of stored results, checked before any object is built.
 
-A tree is a plain value, or an object with one key that says what it is: an array by its key, a
-path, a dictionary, a list, a tuple, a function by name, or a class or an effect with its fields.
+A tree is a plain value, or an object with a single key for its kind: an array by its key, a path,
+a dictionary, a list, a tuple, a function by name, or a class or an effect with its fields.
 """
 
 import dataclasses
@@ -21,9 +21,9 @@ from msgspec import UNSET, UnsetType
 from eoi_jax._checks import check, is_shallow
 
 _PACKAGE = "eoi_jax."
-_DEEPEST = 200  # objects and lists inside each other; results have fewer than fifty
-# Files name a class by a tag, which stays when the class moves or gets another name: where each
-# stands, with its name where that is not the tag.
+_MAX_DEPTH = 200  # nesting of objects and lists; results have fewer than fifty levels
+# Files name a class by a tag, which stays when the class is moved or renamed. Values: the module,
+# and the name of the class where it differs from the tag.
 CLASSES: Mapping[str, str] = {
     "Record": "data.record",
     "Clock": "data.time_axis",
@@ -114,8 +114,8 @@ FUNCTIONS: Mapping[str, str] = {
     "propeller_arm_dynamics": "models.library.propeller_arm",
     "three_mass_spring_damper_dynamics": "models.library.three_mass_spring_damper",
 }
-# Files of format 3 name classes by module and name, as they were then; the names are the tags but
-# for these.
+# Files of format 3 name classes by their module and name at that time. The names are the tags,
+# except for these.
 _FORMER = {
     "_Chains": "LinearChains",
     "_ZeroDynamics": "LinearZeroDynamics",
@@ -135,20 +135,20 @@ _WITH_FIELDS = {"class": {"fields"}, "effect": {"fields", "name"}}
 
 
 class Branch(msgspec.Struct, forbid_unknown_fields=True, rename=_RENAMES):
-    """A part of a tree that is no plain value: one of its keys says what it is.
+    """A part of a tree that is no plain value; its kind follows from its keys.
 
     Attributes:
-        array: key of an array of the file.
-        path: of a file.
-        mapping: of the key ``dict``: parts by name.
-        listed: of the key ``list``: parts in order.
-        grouped: of the key ``tuple``: parts in order.
-        function: its tag, or ``module:name`` of one that is not of this package.
-        kind: of the key ``class``: its tag, with its `fields`.
-        effect: tag of an effect's class, or ``module:name`` of one that is not of this package,
-            with its `fields` and its canonical `name`.
-        fields: by name.
-        name: of an effect.
+        array: key of an array in the file.
+        path: path of a file.
+        mapping: parts by name; key ``dict``.
+        listed: parts in order; key ``list``.
+        grouped: parts in order; key ``tuple``.
+        function: tag of a function, or ``module:name`` if it is not of this package.
+        kind: tag of a class, together with `fields`; key ``class``.
+        effect: tag of an effect's class, or ``module:name`` if it is not of this package,
+            together with `fields` and its canonical `name`.
+        fields: parts by name.
+        name: name of an effect.
     """
 
     array: str | UnsetType = UNSET
@@ -165,69 +165,69 @@ class Branch(msgspec.Struct, forbid_unknown_fields=True, rename=_RENAMES):
 
 @singledispatch
 def stored_form(value: Any) -> Any:
-    """What of a result a file holds in its place: itself, where nothing else is registered."""
+    """The object that is stored in place of `value`: `value` itself unless one is registered."""
     return value
 
 
 def check_tree(tree: Any, keys: Sequence[str]) -> None:
-    """A tree must be of the form that `save` writes, and name arrays that are there.
+    """Check that a tree has the form that `save` writes and refers to existing arrays.
 
     Args:
-        tree: as JSON has it.
+        tree: the tree, from JSON.
         keys: of the arrays.
 
     Raises:
-        ValueError: it is not, or is nested too deeply.
+        ValueError: a tree of a different form, or one that is nested too deeply.
     """
-    if not is_shallow(tree, _DEEPEST):
+    if not is_shallow(tree, _MAX_DEPTH):
         raise ValueError("it is nested too deeply")
     try:
         msgspec.convert(tree, Branch | str | float | int | bool | None)
     except msgspec.ValidationError as error:
         raise ValueError(f"its structure is not that of a result: {error}") from None
-    known, waiting = set(keys), [tree]
-    while waiting:
-        part = waiting.pop()
+    keys_present, pending = set(keys), [tree]
+    while pending:
+        part = pending.pop()
         if not isinstance(part, dict):
             continue
         marks = [key for key in part if key not in ("fields", "name")]
-        rest = set(part) - set(marks)
-        if len(marks) != 1 or rest != _WITH_FIELDS.get(marks[0], set()):
-            shown = ", ".join(sorted(part)) or "no key"
-            raise ValueError(f"its structure is not that of a result: an object of {shown}")
+        companions = set(part) - set(marks)
+        if len(marks) != 1 or companions != _WITH_FIELDS.get(marks[0], set()):
+            key_text = ", ".join(sorted(part)) or "no key"
+            raise ValueError(f"its structure is not that of a result: an object of {key_text}")
         content = part.get("fields", part[marks[0]])
-        if marks[0] == "array" and content not in known:
+        if marks[0] == "array" and content not in keys_present:
             raise ValueError(f"it has no array {content}")
         if isinstance(content, dict | list):
-            waiting += content.values() if isinstance(content, dict) else content
+            pending += content.values() if isinstance(content, dict) else content
 
 
 def class_named(name: str) -> type | None:
     """A stored class of this package; None for any other.
 
     Args:
-        name: its tag; or, of files of format 3, ``module:name`` of where it stood.
+        name: its tag; in files of format 3 its former ``module:name``.
     """
-    return _found(name, CLASSES)
+    return _import_named(name, CLASSES)
 
 
 def function_named(name: str) -> Callable | None:
     """A function of a plant of this package; None for any other.
 
     Args:
-        name: as of `class_named`.
+        name: as in `class_named`.
     """
-    return _found(name, FUNCTIONS)
+    return _import_named(name, FUNCTIONS)
 
 
 def tag_of(item: Any) -> str:
-    """What files name a class or a function by: its tag, or ``module:name`` where it has none.
+    """The name of a class or function in files: its tag, or ``module:name`` if it has none.
 
     Args:
         item: class or function.
 
     Raises:
-        TypeError: a class of this package without a tag, which could not be read back.
+        TypeError: a class of this package without a tag, as it could not be loaded.
     """
     name = f"{getattr(item, '__module__', '')}:{item.__qualname__}"
     if isinstance(item, type) and name.startswith(_PACKAGE) and name not in _TAGS:
@@ -235,33 +235,33 @@ def tag_of(item: Any) -> str:
     return _TAGS.get(name, name)
 
 
-def _found(name: str, table: Mapping[str, str]) -> Any:
-    """Only what the table names is imported, whatever a file says."""
+def _import_named(name: str, table: Mapping[str, str]) -> Any:
+    """Import the class or function of a name; only names in the table are imported."""
     module, colon, last = name.rpartition(":")
     if colon:
         last = _FORMER.get(last, last) if module.startswith(_PACKAGE) else ""
     if last not in table:
         return None
-    module, _, own = table[last].partition(":")
-    return vars(import_module(_PACKAGE + module))[own or last]
+    module, _, attribute = table[last].partition(":")
+    return vars(import_module(_PACKAGE + module))[attribute or last]
 
 
 def check_fields(kind: type, content: Mapping[str, Any], stand_ins: tuple[type, ...]) -> None:
-    """Fields of a stored object must be those that its class declares, and of their types.
+    """Check the fields of a stored object against the names and types that its class declares.
 
     Args:
         kind: a dataclass, or a class without fields.
-        content: the fields, built.
-        stand_ins: classes of what stands for something that a file cannot hold.
+        content: the fields, decoded.
+        stand_ins: classes of placeholders for objects that a file cannot hold.
 
     Raises:
-        ValueError: a field that is unknown, missing, or of another type or shape.
+        ValueError: a field that is unknown, missing, or of a wrong type or shape.
     """
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     declared = {field.name: field for field in fields}
     unknown = sorted(set(content) - set(declared))
     check(not unknown, "path", f"must hold a {kind.__name__} of this version", f"a field {unknown}")
-    with jaxtyped("context"):  # a size that two arrays share is one size
+    with jaxtyped("context"):  # an axis name has the same size in all fields
         for name, field in declared.items():
             optional = field.default is not dataclasses.MISSING
             optional |= field.default_factory is not dataclasses.MISSING
@@ -269,8 +269,8 @@ def check_fields(kind: type, content: Mapping[str, Any], stand_ins: tuple[type, 
             check(name in content or optional, "path", f"must hold {where}", "nothing")
             if name in content:
                 good = conforms(content[name], field.type, stand_ins)
-                shown = _shape(content[name])
-                check(good, "path", f"must hold {where} as it is declared", shown)
+                description = _shape(content[name])
+                check(good, "path", f"must hold {where} as it is declared", description)
 
 
 def _shape(value: Any) -> str:
@@ -279,12 +279,12 @@ def _shape(value: Any) -> str:
 
 
 def conforms(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
-    """Whether a value is of a declared type, containers with all that is in them.
+    """Whether a value is of a declared type; the elements of containers are checked, too.
 
     Args:
         value: any.
         annotation: of a field.
-        stand_ins: as of `check_fields`.
+        stand_ins: as in `check_fields`.
     """
     if annotation is None:
         return value is None
@@ -292,7 +292,7 @@ def conforms(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
         return True
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType):
-        return any(conforms(value, one, stand_ins) for one in inner)
+        return any(conforms(value, member, stand_ins) for member in inner)
     if origin is Annotated:
         return conforms(value, inner[0], stand_ins)
     if origin is Literal:
@@ -306,20 +306,25 @@ def _container(value: Any, origin: Any, inner: tuple, stand_ins: tuple[type, ...
     if origin is Callable or not inner:
         return callable(value) if origin is Callable else isinstance(value, origin)
     if issubclass(origin, tuple) and not (len(inner) == 2 and inner[1] is Ellipsis):
-        same = isinstance(value, tuple) and len(value) == len(inner)
-        return same and all(conforms(v, a, stand_ins) for v, a in zip(value, inner, strict=True))
+        equal_length = isinstance(value, tuple) and len(value) == len(inner)
+        return equal_length and all(
+            conforms(v, a, stand_ins) for v, a in zip(value, inner, strict=True)
+        )
     if issubclass(origin, Mapping):
         return isinstance(value, dict) and all(
-            conforms(key, inner[0], stand_ins) and _alone(one, inner[1], stand_ins)
-            for key, one in value.items()
+            conforms(key, inner[0], stand_ins)
+            and _conforms_separately(element, inner[1], stand_ins)
+            for key, element in value.items()
         )
     if issubclass(origin, Sequence):
-        return isinstance(value, origin) and all(_alone(v, inner[0], stand_ins) for v in value)
+        return isinstance(value, origin) and all(
+            _conforms_separately(v, inner[0], stand_ins) for v in value
+        )
     return isinstance(value, origin)
 
 
-def _alone(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
-    """One of several, as the records are: its sizes are its own."""
+def _conforms_separately(value: Any, annotation: Any, stand_ins: tuple[type, ...]) -> bool:
+    """`conforms` for an element of a collection, whose axis sizes may differ from the others'."""
     with jaxtyped("context"):
         return conforms(value, annotation, stand_ins)
 

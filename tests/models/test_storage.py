@@ -234,7 +234,7 @@ def test_a_class_that_is_no_result_is_refused(tmp_path, name):
         eoi.load(tmp_path / "forged.npz")
 
 
-@pytest.mark.parametrize(("number", "advice"), [(99, "Update"), (1, "Make the result anew")])
+@pytest.mark.parametrize(("number", "advice"), [(99, "Update"), (1, "Compute the result again")])
 def test_a_file_of_another_format_says_so(tmp_path, number, advice):
     tree = {"format": number, "version": "9.9", "result": None}
     np.savez(tmp_path / "other.npz", eoi_jax=np.asarray(json.dumps(tree)))
