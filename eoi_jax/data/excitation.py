@@ -1,7 +1,7 @@
 """Input signals for experiments and simulations: NumPy functions of time, float64.
 
-Every signal starts at the first stamp, wherever the clock stands there. What is random takes a
-seed, and the same seed gives the same signal.
+Every signal starts at the first stamp, whatever its time. Random signals take a seed; the same seed
+gives the same signal.
 """
 
 from collections.abc import Sequence
@@ -37,13 +37,13 @@ def square(
     check_positive("frequency", frequency)
     _check_finite("offset", offset)
     check(bool(0 < duty < 1), "duty", "must lie in (0, 1)", duty)
-    # The shift keeps a stamp that rounding left just short of an edge on the right side of it.
+    # The shift assigns a stamp that is rounded to just before an edge to the level after the edge.
     phase = np.mod(tau * float(frequency) + 1e-9, 1.0)
     return float(offset) + float(amplitude) * np.where(phase < duty, 1.0, -1.0)
 
 
 def prbs(time: Any, amplitude: Real, switching_period: Real, seed: int) -> TimeAxis:
-    """Pseudo-random binary signal: ± amplitude, drawn anew every `switching_period`.
+    """Pseudo-random binary signal: ± amplitude, drawn at random every `switching_period`.
 
     Args:
         time: stamps (N,) [s].
@@ -64,7 +64,7 @@ def prbs(time: Any, amplitude: Real, switching_period: Real, seed: int) -> TimeA
 
 
 def chirp(time: Any, amplitude: Real, start: Real, stop: Real) -> TimeAxis:
-    """Sine whose frequency runs linearly from `start` to `stop` [Hz] over the whole of `time`.
+    """Sine whose frequency changes linearly from `start` to `stop` [Hz] over the whole of `time`.
 
     Args:
         time: stamps (N,) [s].
@@ -92,7 +92,7 @@ def multisine(
     r"""Sum of cosines of equal size and random phase, $a\sqrt{2/n}\sum\cos(2\pi f_i t + \phi_i)$.
 
     The frequencies are spread over the band and moved to the nearest multiple of 1/duration: the
-    record is one period, and its rms is `amplitude`.
+    record is exactly a period, and its rms is `amplitude`.
 
     Args:
         time: uniform stamps (N,) [s].
@@ -136,7 +136,7 @@ def multisine(
 
 
 def steps(time: Any, levels: Sequence[Real] | np.ndarray, holding_time: Real) -> TimeAxis:
-    """Levels one after the other, each for `holding_time` [s]; the last one stays.
+    """Levels in sequence, each for `holding_time` [s]; the last one stays.
 
     Args:
         time: stamps (N,) [s].
@@ -193,7 +193,7 @@ def _elapsed(time: Any) -> TimeAxis:
 
 
 def _slot(tau: TimeAxis, name: str, length: Real) -> np.ndarray:
-    """Number of whole lengths elapsed; a stamp that rounding left just short counts as there."""
+    """Number of complete intervals elapsed; a stamp rounded to just below an edge is on it."""
     check_positive(name, length)
     return np.floor(tau / float(length) + 1e-6).astype(np.int64)
 

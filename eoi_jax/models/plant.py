@@ -566,9 +566,8 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
     near_change, far_change, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
     # A slope grows with the distance between the two velocities, a jump does not.
-    jumps = (near_change > 1e2 * np.finfo(near_change.dtype).eps * size) & (
-        near_change > 0.5 * far_change
-    )
+    rounding = 1e2 * np.finfo(near_change.dtype).eps * size
+    jumps = (near_change > rounding) & (near_change > 0.5 * far_change)
     # A change of another output where an output of degree one changes sign is no friction.
     diagonal = np.eye(len(plant.outputs), dtype=bool)
     jumps = np.any(jumps, axis=0) & (diagonal | (np.asarray(plant.degrees) >= 2))

@@ -81,7 +81,11 @@ def results(tmp_path_factory):
     return {type(one): one for one in every}
 
 
-EXPORTED = [item for item in vars(eoi).values() if isinstance(item, type) and hasattr(item, "plot")]
+EXPORTED = [
+    item
+    for item in (getattr(eoi, name) for name in eoi.__all__)
+    if isinstance(item, type) and hasattr(item, "plot")
+]
 
 
 @pytest.mark.parametrize("kind", EXPORTED, ids=lambda kind: kind.__name__)

@@ -3,13 +3,14 @@ r"""Two tanks, one above the other; only the level of the lower one is measured.
 $\dot z = -k_1 \sqrt z + k_4 u$ (upper level, an internal state),
 $\dot y = k_2 \sqrt z - k_3 \sqrt y$ (lower level).
 
-Source of model and measured set: M. Schoukens, P. Mattsson, T. Wigren, J.-P. Noël, *Cascaded tanks
+Source of the model and the measured data set: M. Schoukens, P. Mattsson, T. Wigren, J.-P. Noël, *Cascaded tanks
 benchmark combining soft and hard nonlinearities*, Workshop on Nonlinear System Identification
-Benchmarks, 2016. Overflow is left out here.
+Benchmarks, 2016. Overflow is not modelled.
 
-Nobody measures the upper level, so its unit is free: $z \to s z$ with $k_1 \to \sqrt s\,k_1$,
-$k_2 \to k_2/\sqrt s$, $k_4 \to s\,k_4$ leaves y as it is. $k_2$ is therefore fixed, which chooses
-that unit; only $k_1 k_2$, $k_3$, $k_2^2 k_4$ and $k_2^2 z(0)$ are in the data.
+The upper level is not measured, so its unit is arbitrary: $z \to s z$ with
+$k_1 \to \sqrt s\,k_1$, $k_2 \to k_2/\sqrt s$, $k_4 \to s\,k_4$ does not change y. $k_2$ is
+therefore fixed, which defines that unit; only $k_1 k_2$, $k_3$, $k_2^2 k_4$ and $k_2^2 z(0)$ are
+identifiable.
 """
 
 from typing import Any
@@ -22,7 +23,7 @@ from eoi_jax.models.plant import Plant, State
 
 
 def cascaded_tanks_dynamics(t: Any, x: State, u: Any, p: Any) -> Any:
-    """Rate of the lower level [V/s]: levels are given as the sensor's voltage."""
+    """Rate of the lower level [V/s]; levels are in volts of the sensor."""
     del t, u
     return p.k2 * square_root(x.z[0]) - p.k3 * square_root(x.y[0, 0])
 
@@ -34,7 +35,7 @@ def cascaded_tanks_internal(t: Any, x: State, u: Any, p: Any) -> Any:
 
 
 def cascaded_tanks_start(p: Any) -> Any:
-    """The upper level at the start of the record is a parameter of its own."""
+    """The upper level at the start of the record, a parameter."""
     return jnp.reshape(p.upper_initial, (1,))
 
 
@@ -42,7 +43,7 @@ def cascaded_tanks(*, reference: bool = False) -> Plant:
     """The two tanks of the benchmark, without overflow.
 
     Args:
-        reference: give values near the optimum (output error on the estimation record, 0.60 V rms)
+        reference: values near the optimum (output error on the estimation record, 0.60 V rms)
             instead of a rough guess.
 
     Returns:
@@ -59,7 +60,7 @@ def cascaded_tanks(*, reference: bool = False) -> Plant:
         outputs=("lower_level",),
         internal=cascaded_tanks_internal,
         internal_initial=cascaded_tanks_start,
-        fixed=("k2",),  # chooses the unit of the upper level
+        fixed=("k2",),  # defines the unit of the upper level
         bounds={"upper_initial": (0.0, np.inf)},  # a level
         units={
             "k1": "√V/s",

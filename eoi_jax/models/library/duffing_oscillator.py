@@ -1,9 +1,9 @@
-r"""Duffing oscillator, as the electronic one of the Silverbox benchmark.
+r"""Duffing oscillator, such as the electronic circuit of the Silverbox benchmark.
 
 $\ddot y = \text{gain}\,u - \text{damping}\,\dot y - \text{stiffness}\,y -
 \text{cubic\_stiffness}\,y^3 + \text{offset}$
 
-Source of the measured set: T. Wigren, J. Schoukens, *Three free data sets for development and
+Source of the measured data set: T. Wigren, J. Schoukens, *Three free data sets for development and
 benchmarking in nonlinear system identification*, European Control Conference 2013.
 """
 
@@ -13,7 +13,7 @@ from eoi_jax.models.plant import Plant, State
 
 
 def duffing_oscillator_dynamics(t: Any, x: State, u: Any, p: Any) -> Any:
-    """Acceleration [V/s²]: the displacement is measured as a voltage."""
+    """Acceleration [V/s²]; the displacement is measured as a voltage."""
     del t
     y, rate = x.y
     spring = p.stiffness * y + p.cubic_stiffness * y**3
@@ -24,7 +24,7 @@ def duffing_oscillator(*, reference: bool = False) -> Plant:
     """The Silverbox circuit.
 
     Args:
-        reference: give values near the optimum (regression on spectral derivatives of the record)
+        reference: values near the optimum (regression on spectral derivatives of the record)
             instead of a rough linear guess without cubic stiffness or offset.
 
     Returns:

@@ -15,10 +15,10 @@ GRAVITY = 9.81  # [m/s²]
 
 
 def square_root(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """√max(x, 0), with derivative 0 (not infinite or NaN) wherever x ≤ 0.
+    """√max(x, 0), with derivative 0 (not infinite or NaN) for x ≤ 0.
 
-    An empty tank has no outflow, and neither its regressor nor a sensitivity may become NaN when a
-    noisy level or an intermediate stage of a solver falls below zero.
+    An empty tank has no outflow, and regressors and sensitivities must not become NaN when a noisy
+    level or an intermediate stage of a solver falls below zero.
     """
     wet = x > 0
     # The inner `where` keeps the derivative of the branch not taken finite.
@@ -35,9 +35,9 @@ def level_tank(*, true: bool = False) -> Plant:
     """The paper's level tank, section 5.1.
 
     Args:
-        true: give the plant of the numerical experiment (nominal plus the paper's increments)
-            instead of the nominal model. The increment of α is +1: the text says −1, which
-            contradicts its own Table 1 and would make the outflow an inflow.
+        true: the plant of the numerical experiment (nominal plus the paper's increments) instead
+            of the nominal model. The increment of α is +1: the paper's text says −1, which
+            contradicts its Table 1 and would make the outflow an inflow.
 
     Returns:
         Plant of relative degree 1; input ``voltage`` [V], output ``level`` [m].

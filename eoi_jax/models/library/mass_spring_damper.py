@@ -19,8 +19,8 @@ def mass_spring_damper(*, true: bool = False) -> Plant:
     """The paper's plant for the comparison with other methods, section 6.
 
     Args:
-        true: give the values that the paper ends with, instead of those of the system
-            identification toolbox, from which it starts.
+        true: the final values of the paper instead of its initial values, those of the system
+            identification toolbox.
 
     Returns:
         Plant of relative degree 2; input ``voltage`` [V], output ``position`` [m].

@@ -21,12 +21,12 @@ def pendulum(*, true: bool = False) -> Plant:
     """The paper's pendulum, section 5.3.
 
     The nominal d is not given there; 103 follows from Table 10. Its final a, b, c are the nominal
-    values plus *three* increments (76 - 51.291 = 24.709, …), as the rule says for a minimum in
-    pass four; by the same rule 6.657 = d - 96.343. (The text names the sum of four, 96.0454.)
+    values plus *three* increments (76 - 51.291 = 24.709, …), by the rule for a minimum in
+    iteration four; by the same rule 6.657 = d - 96.343. (The text gives the sum of four, 96.0454.)
 
     Args:
-        true: give the plant of the numerical experiment (nominal plus the paper's increments)
-            instead of the nominal model.
+        true: the plant of the numerical experiment (nominal plus the paper's increments) instead
+            of the nominal model.
 
     Returns:
         Plant of relative degree 2 with dry friction; input ``voltage`` [V], output ``angle`` [rad].

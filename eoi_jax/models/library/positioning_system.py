@@ -2,8 +2,8 @@ r"""Electro-mechanical positioning system (EMPS): a motor moving a load on a bal
 
 $M \ddot y = \tau - F_v \dot y - F_c\,\mathrm{sign}(\dot y) - \mathrm{offset}$
 
-Written in its physical parameters: the mass then enters nonlinearly, and the passes are
-Gauss-Newton. Source of the model and of the measured set: A. Janot, M. Gautier, M. Brunot, *Data
+The parameters are the physical ones: the mass enters nonlinearly, and the iterations are
+Gauss-Newton. Source of the model and of the measured data set: A. Janot, M. Gautier, M. Brunot, *Data
 Set and Reference Models of EMPS*, Workshop on Nonlinear System Identification Benchmarks, 2019.
 """
 
@@ -27,7 +27,7 @@ def positioning_system(*, reference: bool = False) -> Plant:
     """The positioning system of the EMPS benchmark.
 
     Args:
-        reference: give the published values (IDIM-LS) instead of nominal values 40 % off them.
+        reference: the published values (IDIM-LS) instead of nominal values that differ by 40 %.
 
     Returns:
         Plant of relative degree 2 with dry friction; input ``force`` [N], output ``position`` [m].
@@ -38,16 +38,16 @@ def positioning_system(*, reference: bool = False) -> Plant:
         "coulomb_friction": 20.3935,
         "offset": -3.1648,
     }
-    # Too heavy, too slippery: no common factor, which a wrong gain of the force would explain.
-    off = {"mass": 1.4, "viscous_friction": 0.6, "coulomb_friction": 0.6, "offset": 1.4}
-    nominal = {key: value * off[key] for key, value in published.items()}
+    # Different factors: a common factor could be explained by a wrong gain of the force.
+    factors = {"mass": 1.4, "viscous_friction": 0.6, "coulomb_friction": 0.6, "offset": 1.4}
+    nominal = {key: value * factors[key] for key, value in published.items()}
     return Plant(
         positioning_system_dynamics,
         parameters=published if reference else nominal,
         relative_degree=2,
         inputs=("force",),
         outputs=("position",),
-        bounds={"mass": (1e-3, np.inf)},  # it divides
+        bounds={"mass": (1e-3, np.inf)},  # f divides by it
         units={
             "mass": "kg",
             "viscous_friction": "N s/m",

@@ -1,4 +1,4 @@
-r"""A pivoted arm lifted by one propeller: a pendulum driven by a quadratic thrust.
+r"""A pivoted arm lifted by a propeller: a pendulum driven by a quadratic thrust.
 
 $\ddot\vartheta = -a \sin\vartheta - b\,\dot\vartheta + c\,u|u| + \text{offset}$,
 angle in radians from the hanging position, u the command as a fraction of its full range.
@@ -22,8 +22,8 @@ def propeller_arm(*, reference: bool = False) -> Plant:
     """The quarter drone: a propeller on a pivoted arm.
 
     Args:
-        reference: give values near the optimum (regression on the record of steps, with the
-            command delayed by 0.1 s, which this model leaves out) instead of a rough guess.
+        reference: values near the optimum (regression on the record of steps, with the command
+            delayed by 0.1 s, which this model does not contain) instead of a rough guess.
 
     Returns:
         Plant of relative degree 2; input ``command`` [1], output ``angle`` [rad].

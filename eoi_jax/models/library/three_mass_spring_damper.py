@@ -1,4 +1,4 @@
-r"""Three masses in a row, springs between them, the first one driven: eq. (18) of the paper.
+r"""Three masses in series with springs between them, the first driven: eq. (18) of the paper.
 
 $$\ddot y_1 = -a_2 y_1 + a_3 y_2 - a_4 \dot y_1 + a_1 u$$
 $$\ddot y_2 = b_1 y_1 - b_2 y_2 + b_3 y_3 - b_4 \dot y_2$$
@@ -38,8 +38,8 @@ def three_mass_spring_damper(*, true: bool = False) -> Plant:
     """The paper's plant with three degrees of freedom, section 5.2.
 
     Args:
-        true: give the plant of the numerical experiment (nominal plus the paper's increments)
-            instead of the nominal model.
+        true: the plant of the numerical experiment (nominal plus the paper's increments) instead
+            of the nominal model.
 
     Returns:
         Plant of relative degree 2 in each of the outputs ``position_1`` … ``position_3`` [m];
