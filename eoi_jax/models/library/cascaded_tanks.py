@@ -3,9 +3,9 @@ r"""Two tanks, one above the other; only the level of the lower one is measured.
 $\dot z = -k_1 \sqrt z + k_4 u$ (upper level, an internal state),
 $\dot y = k_2 \sqrt z - k_3 \sqrt y$ (lower level).
 
-Source of the model and the measured data set: M. Schoukens, P. Mattsson, T. Wigren, J.-P. Noël, *Cascaded tanks
-benchmark combining soft and hard nonlinearities*, Workshop on Nonlinear System Identification
-Benchmarks, 2016. Overflow is not modelled.
+Source of the model and the measured data set: M. Schoukens, P. Mattsson, T. Wigren, J.-P. Noël,
+*Cascaded tanks benchmark combining soft and hard nonlinearities*, Workshop on Nonlinear System
+Identification Benchmarks, 2016. Overflow is not modelled.
 
 The upper level is not measured, so its unit is arbitrary: $z \to s z$ with
 $k_1 \to \sqrt s\,k_1$, $k_2 \to k_2/\sqrt s$, $k_4 \to s\,k_4$ does not change y. $k_2$ is

@@ -3,8 +3,9 @@ r"""Electro-mechanical positioning system (EMPS): a motor moving a load on a bal
 $M \ddot y = \tau - F_v \dot y - F_c\,\mathrm{sign}(\dot y) - \mathrm{offset}$
 
 The parameters are the physical ones: the mass enters nonlinearly, and the iterations are
-Gauss-Newton. Source of the model and of the measured data set: A. Janot, M. Gautier, M. Brunot, *Data
-Set and Reference Models of EMPS*, Workshop on Nonlinear System Identification Benchmarks, 2019.
+Gauss-Newton. Source of the model and of the measured data set: A. Janot, M. Gautier, M. Brunot,
+*Data Set and Reference Models of EMPS*, Workshop on Nonlinear System Identification Benchmarks,
+2019.
 """
 
 from typing import Any
