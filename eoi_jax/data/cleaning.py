@@ -175,7 +175,7 @@ def drop_repeats(
         )
     distinct = np.concatenate([[True], spacing > 0])
     notes.append(
-        f"{repeats.size} of {stamps.size} stamps repeat the one before with equal values "
+        f"{repeats.size} of {stamps.size} stamps repeat the previous stamp with equal values "
         "and were dropped."
     )
     check(

@@ -191,7 +191,7 @@ def _declared_period(table: Table, clock: Clock) -> Clock:
         periods = np.unique(values[np.isfinite(values.astype(float))].astype(float))
         if len(periods) == 1 and periods[0] > 0:
             period = float(periods[0] if word in _PERIODS else 1.0 / periods[0])
-            return replace(clock, sample_period=period, why=f"`{key}` says {periods[0]:g}")
+            return replace(clock, sample_period=period, why=f"`{key}` is {periods[0]:g}")
     return clock
 
 
@@ -345,8 +345,10 @@ def _assign_roles(
         roles[undecided[0]] = ("output", "it is the only column left")
     elif undecided and not moving:  # t, u, y is the usual order
         first = undecided[:1] if len(undecided) > 1 else []
-        roles |= dict.fromkeys(first, ("input", "it stands first; nothing else tells its role"))
-        roles |= dict.fromkeys(undecided[len(first) :], ("output", "nothing tells its role"))
+        roles |= dict.fromkeys(first, ("input", "it comes first; there is no other evidence"))
+        roles |= dict.fromkeys(
+            undecided[len(first) :], ("output", "there is no evidence of its role")
+        )
     _separate_references(roles)
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
@@ -399,15 +401,15 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
     called_output = name_role == "output"
     if name_role == "input":
         manner = ", and is held between changes" if staircase else ""
-        return "input", f"it is called so{manner}"
+        return "input", f"its name says so{manner}"
     if jump > _JUMP and (staircase or not called_output):
         manner = "is held and jumps" if staircase else "jumps"
         return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
     if called_output:
-        return "output", "it is called so"
+        return "output", "its name says so"
     if jump <= _JUMP and channel.changes and channel.changes > STAIRCASE:
         return "output", f"it moves smoothly, at most {100 * jump:.2g} % of its range in one sample"
-    return "other", "nothing tells its role"
+    return "other", "there is no evidence of its role"
 
 
 def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str]:

@@ -60,7 +60,7 @@ def record_from_pandas(
     check(
         stamped != (sample_period is not None),
         "time, sample_period",
-        "must be given one and not the other, where the index counts rows",
+        "must not be both given or both omitted, where the index counts rows",
         f"time={time}, sample_period={sample_period}, an index of {type(frame.index).__name__}",
     )
     values = frame[time] if time is not None else frame.index

@@ -113,7 +113,11 @@ def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str
     if dates:
         return "it holds dates or times of day"
     growing = "it increases" if np.all(np.diff(values) > 0) else "it mostly increases"
-    return f"{growing} and is called so" if _NAMES.match(_stem(column)) else f"{growing} throughout"
+    return (
+        f"{growing}, and its name says so"
+        if _NAMES.match(_stem(column))
+        else f"{growing} throughout"
+    )
 
 
 def _unit(

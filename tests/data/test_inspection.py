@@ -221,7 +221,7 @@ def test_a_clock_is_known_by_its_name_without_unit_and_path(tmp_path, name):
     stamps = np.concatenate([T[: N // 2], T[: N // 2]])
     found = inspect(written(tmp_path / "run.csv", **{"u.time.of_flight": U, name: stamps, "y": Y}))
     assert found.clock.column == name
-    assert "is called so" in found.clock.why
+    assert "its name says so" in found.clock.why
     assert found.clock.backwards == (1, N // 2)
 
 
@@ -336,7 +336,7 @@ def test_the_draft_says_every_guess_and_the_alternatives(tmp_path, monkeypatch):
     for part in (
         "# other columns: angle",
         "# it might be, too: count",
-        "u: input, it is called so",
+        "u: input, its name says so",
     ):
         assert part in text
     assert re.search(r"everything in it is a guess", text)

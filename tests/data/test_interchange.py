@@ -91,7 +91,7 @@ def test_a_variable_with_labels_is_as_many_channels():
         ({"inputs": ["v"]}, "`inputs` must be one of"),
         ({"time": "t"}, "`time` must be one of"),
         ({"sample_period": None}, "`time, sample_period` must be given one .*RangeIndex"),
-        ({"time": "u"}, "`time, sample_period` must be given one and not the other"),
+        ({"time": "u"}, "`time, sample_period` must not be both given or both omitted"),
     ],
 )
 def test_what_a_frame_does_not_hold_is_named(options, message):

@@ -120,7 +120,7 @@ def test_repeated_stamps_with_equal_values_are_dropped_and_said():
     with pytest.warns(RecordWarning) as caught:
         record = Record(TIME[rows], TIME[rows], y[rows])
     assert len(record) == N
-    assert "3 of 403 stamps repeat the one before" in str(caught[0].message)
+    assert "3 of 403 stamps repeat the previous stamp" in str(caught[0].message)
     assert any("repeat" in note for note in record.notes)
 
 

@@ -42,6 +42,6 @@ def _array(archive: ZipFile, member: Any) -> np.ndarray | None:
         return None
     size = math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or size > member.file_size:
-        raise ValueError(f"`{member.filename}` says that it is larger than it is")
+        raise ValueError(f"`{member.filename}` declares a larger size than it has")
     with archive.open(member) as stream:
         return npy.read_array(stream, allow_pickle=False)

@@ -222,7 +222,7 @@ def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
     check(
         (time is None) != (sample_period is None),
         "time, sample_period",
-        "must be given one and not the other",
+        "must not be both given or both omitted",
         f"time={time}, sample_period={sample_period}",
         "Name the column of the stamps, or give the time between samples in seconds.",
     )
@@ -309,7 +309,7 @@ def _printable(table: Table) -> Table:
     changed = [name for key, name in readable.items() if name != key]
     if not changed:
         return table
-    note = f"What does not print in a name stands as its code: {', '.join(changed[:5])}."
+    note = f"Unprintable characters in names are written as escape codes: {', '.join(changed[:5])}."
     return Table(
         {readable[key]: values for key, values in table.columns.items()},
         {readable.get(key, printable(key)): printable(unit) for key, unit in table.units.items()},

@@ -122,7 +122,7 @@ def zipped(header: bytes, size: int = 400) -> bytes:
 def test_an_array_that_says_it_is_larger_than_it_is_is_refused(shape, tmp_path):
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     (tmp_path / "run.npz").write_bytes(zipped(header))
-    refused(tmp_path / "run.npz", "`y.npy` says that it is larger than it is")
+    refused(tmp_path / "run.npz", "`y.npy` declares a larger size than it has")
 
 
 def element(kind, data):
@@ -306,7 +306,7 @@ def test_names_hold_nothing_that_a_terminal_obeys(tmp_path):
     found = read_table(tmp_path / "run.npz")
     shown = r"\x1b[31mred\n\u202e"
     assert list(found.columns) == ["t", shown]
-    assert f"What does not print in a name stands as its code: {shown}." in found.notes
+    assert f"Unprintable characters in names are written as escape codes: {shown}." in found.notes
     for given in (name, shown):
         assert read_record(tmp_path / "run.npz", "t", (), given).output_names == (shown,)
 
