@@ -90,7 +90,7 @@ def test_a_variable_with_labels_is_as_many_channels():
         ({"outputs": "yy"}, r"`outputs` must be one of those present \(u, y\), got `yy`. Did you"),
         ({"inputs": ["v"]}, "`inputs` must be one of"),
         ({"time": "t"}, "`time` must be one of"),
-        ({"sample_period": None}, "`time, sample_period` must be given one .*RangeIndex"),
+        ({"sample_period": None}, "`time, sample_period` must not be both given .*RangeIndex"),
         ({"time": "u"}, "`time, sample_period` must not be both given or both omitted"),
     ],
 )

@@ -181,7 +181,7 @@ def test_stamps_of_a_parquet_file_may_be_datetimes(tmp_path):
         ({"outputs": ["yy"]}, r"`outputs` must be .*, got `yy`. Did you mean `y`\?"),
         ({"outputs": ["y[1]"]}, r"`outputs` must be below y\[1\], the number of columns of `y`"),
         ({"outputs": ()}, "`outputs` must name at least one column, got none. .* t, u, y"),
-        ({"time": None}, "`time, sample_period` must be given one .*, got time=None"),
+        ({"time": None}, "`time, sample_period` must not be both given .*, got time=None"),
         ({"sample_period": 1}, "`time, sample_period` must not be both given or both omitted"),
         ({"time": None, "sample_period": -1}, "`sample_period` must be positive .*, got -1"),
         ({"scale": {"x": 2}}, "`scale` must be one of t, u, y, got 'x'"),
