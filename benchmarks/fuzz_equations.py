@@ -18,7 +18,7 @@ import numpy as np
 from common import Report, arguments, table
 
 from eoi_jax.models.equations.expression import FUNCTIONS, Symbol, value_of
-from eoi_jax.models.equations.grammar import parse
+from eoi_jax.models.equations.parser import parse
 from eoi_jax.models.equations.system import Equations
 
 NAMES = ("angle", "rate", "voltage", "a", "b", "c", "d", "x1", "α")

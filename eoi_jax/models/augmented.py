@@ -236,8 +236,8 @@ class _Dynamics:
             if one.through is not None:
                 continue
             if isinstance(one.effect, AbstractTerm | AbstractInternalEffect):
-                gain, shape = _parameters(one, p)
-                f = f.at[one.output].add(one.effect.term(_at(one, t, x, u, z), gain, shape))
+                gain, shape = split_parameters(one, p)
+                f = f.at[one.output].add(one.effect.term(instant(one, t, x, u, z), gain, shape))
         return f
 
 
@@ -265,13 +265,13 @@ class _Internal:
             rate = jnp.reshape(jnp.asarray(rate), (self.nz,))
             for one in self.placed:
                 if isinstance(one.effect, AbstractInternalEffect):
-                    at, (_, shape) = _at(one, t, x, u, x.z[:0]), _parameters(one, p)
+                    at, (_, shape) = instant(one, t, x, u, x.z[:0]), split_parameters(one, p)
                     rate = rate.at[one.channel].add(one.effect.change(at, shape))
             rates.append(rate)
         at_input = u
         for one, z in _own_states(self.placed, x.z[self.nz :]):
-            _, shape = _parameters(one, p)
-            at = _at(one, t, x, at_input, z)
+            _, shape = split_parameters(one, p)
+            at = instant(one, t, x, at_input, z)
             if one.effect.states:
                 rates.append(jnp.reshape(one.effect.rate(at, shape), (one.effect.states,)))
             if isinstance(one.effect, AbstractInputEffect):
@@ -290,7 +290,7 @@ class _Actuator:
     def __call__(self, t: Any, u: Any, p: Any) -> Any:
         for one in self.placed:
             if isinstance(one.effect, AbstractActuator):
-                _, shape = _parameters(one, p)
+                _, shape = split_parameters(one, p)
                 u = u.at[:, one.channel].set(one.effect.along(t, u[:, one.channel], shape))
         return u if self.base is None else self.base(t, u, _own(self.names, p))
 
@@ -317,8 +317,8 @@ def _own(names: tuple[str, ...], p: Any) -> Any:
 def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> Any:
     for one, z in _own_states(model.placed, x.z[model.nz :]):
         if isinstance(one.effect, AbstractInputEffect):
-            _, shape = _parameters(one, p)
-            u = u.at[one.channel].set(one.effect.changed(_at(one, t, x, u, z), shape))
+            _, shape = split_parameters(one, p)
+            u = u.at[one.channel].set(one.effect.changed(instant(one, t, x, u, z), shape))
     return u
 
 
@@ -326,8 +326,8 @@ def _forced(model: _Dynamics, t: Any, x: State, inputs: Any, u: Any, p: Any) -> 
     """Inputs with the forces beside them; an effect sees the inputs u as they are measured."""
     for one, z in _own_states(model.placed, x.z[model.nz :]):
         if isinstance(one.effect, AbstractTerm) and one.through is not None:
-            gain, shape = _parameters(one, p)
-            force = one.effect.term(_at(one, t, x, u, z), gain, shape)
+            gain, shape = split_parameters(one, p)
+            force = one.effect.term(instant(one, t, x, u, z), gain, shape)
             inputs = inputs.at[one.through].add(force)
     return inputs
 
@@ -340,13 +340,15 @@ def _own_states(placed: tuple[Placed, ...], z: Any) -> list[tuple[Placed, Any]]:
     return parts
 
 
-def _parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
+def split_parameters(one: Placed, p: Any) -> tuple[list[Any], list[Any]]:
+    """Values of an effect's gains and of its shapes."""
     values = [getattr(p, name) for name in one.names]
     count = len(one.effect.gains)
     return values[:count], values[count:]
 
 
-def _at(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
+def instant(one: Placed, t: Any, x: State, u: Any, z: Any) -> At:
+    """What an effect at its place sees: time, state, inputs of the plant; its own states."""
     y = one.coordinate(x.y)
     rate = y[one.row] if one.row < x.y.shape[0] else jnp.zeros_like(y[0])
     # A plant may have no input at all.

@@ -21,9 +21,10 @@ from eoi_jax.models.equations.expression import (
     Number,
     Operation,
     Symbol,
+    parts_of,
     value_of,
 )
-from eoi_jax.models.equations.grammar import good_name, parse, words
+from eoi_jax.models.equations.parser import good_name, parse, words
 from eoi_jax.models.plant import State
 
 MOST_TEXT = 40_000  # characters of all equations together
@@ -278,15 +279,6 @@ def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: A
 # -- trees ------------------------------------------------------------------------------------
 
 
-def _parts(expression: Expression) -> tuple[Expression, ...]:
-    match expression:
-        case Operation(left=left, right=right):
-            return left, right
-        case Call(arguments=arguments):
-            return arguments
-    return ()
-
-
 def _known_as(name: str, tree: Expression) -> Expression:
     # A constant is what it is, so that what it makes constant is worked out, and its size known.
     return tree if isinstance(tree, Number) else Symbol(name)
@@ -306,7 +298,7 @@ def _size(expression: Expression, sizes: Mapping[str, int]) -> int:
     """Number of parts of a formula, those of definitions included."""
     if isinstance(expression, Symbol):
         return sizes.get(expression.name, 1)
-    return min(1 + sum(_size(part, sizes) for part in _parts(expression)), _LONGEST_SHOWN + 1)
+    return min(1 + sum(_size(part, sizes) for part in parts_of(expression)), _LONGEST_SHOWN + 1)
 
 
 def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expression:

@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Collection, Mapping, Sequence
 
 from eoi_jax.models.equations.expression import Symbol
-from eoi_jax.models.equations.grammar import RESERVED
+from eoi_jax.models.equations.parser import RESERVED
 from eoi_jax.models.export.program import Program
 
 _LONGEST = 48  # characters; C99 tells 63 apart, MATLAB as many

@@ -1,21 +1,22 @@
 """A model as text again: the table that `plant_from_text` and a config's [model] take."""
 
+from dataclasses import replace
+
 from eoi_jax._checks import check
 from eoi_jax.models.augmented import actuators
-from eoi_jax.models.equations.expression import Expression
-from eoi_jax.models.equations.model import ModelTable, plant_of
+from eoi_jax.models.equations.expression import symbols_of
+from eoi_jax.models.equations.printer import code_notation, power_operator, written
 from eoi_jax.models.equations.system import TextDynamics
-from eoi_jax.models.export.code import Language, symbols_of, written
+from eoi_jax.models.equations.text_model import ModelTable, plant_of
 from eoi_jax.models.export.names import identifiers
 from eoi_jax.models.export.program import Program, program
 from eoi_jax.models.plant import Plant
 
-_TEXT = Language(
-    power="{0}**{1}",
-    power_is_call=False,
-    functions={"plain_root": "({0})**0.5"},
-    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+_TEXT = code_notation(
+    power=power_operator("**"),
+    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
     logic={"and": "({0} and {1})", "or": "({0} or {1})", "not": "(not {0})"},
+    functions={"plain_root": "({0})**0.5"},
 )
 
 
@@ -56,9 +57,7 @@ def _of_text(plant: Plant, own: TextDynamics, model: Program) -> ModelTable:
 def _written(plant: Plant, model: Program) -> ModelTable:
     names = identifiers(model, as_text=True)
 
-    def code(one: Expression) -> str:
-        return written(one, names, _TEXT)
-
+    notation = replace(_TEXT, symbol=names.__getitem__)
     used = set().union(*(symbols_of(tree) for tree in model.starts.values()))
     used |= set().union(*(symbols_of(tree) for tree in model.rates))
     used |= set().union(*(symbols_of(tree) for _, tree in model.definitions))
@@ -72,12 +71,12 @@ def _written(plant: Plant, model: Program) -> ModelTable:
         outputs=tuple(known[name] for name in plant.outputs),
         parameters={known[name]: value for name, value in plant.parameters.items()},
         derivatives={
-            names[one.symbol]: code(tree)
+            names[one.symbol]: written(tree, notation)
             for one, tree in zip(model.states, model.rates, strict=True)
         },
         inputs=tuple(known[name] for name in plant.inputs),
-        definitions={names[symbol]: code(tree) for symbol, tree in model.definitions},
-        initial={names[symbol]: code(tree) for symbol, tree in model.starts.items()},
+        definitions={names[symbol]: written(tree, notation) for symbol, tree in model.definitions},
+        initial={names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
         bounds={known[name]: pair for name, pair in _bounds(plant).items()},
         fixed=tuple(known[name] for name in plant.fixed),
         units={known[name]: unit for name, unit in plant.units.items() if name in known},
