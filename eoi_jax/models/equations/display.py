@@ -12,10 +12,10 @@ from typing import Any
 from eoi_jax.models.augmented import Placed, instant, split_parameters
 from eoi_jax.models.effects import INPUT_EFFECTS, ActuatorLag, InputDelay
 from eoi_jax.models.effects.effect import (
-    AbstractActuator,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
+    AbstractTerm,
     internal_names,
 )
 from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
@@ -78,8 +78,8 @@ def equation_lines(
     """The equations in LaTeX, with what was added apart; arguments as in `equation_text`.
 
     Returns:
-        Left side, declared right side ("" where it is nothing but what was added) and the terms that were
-        added, of each equation; then what happens to inputs.
+        Left side, declared right side ("" where there is nothing but what was added) and the terms
+        that were added, of each equation; then what happens to inputs.
     """
     return _lines(plant, added, numeric, LATEX, r"\to")
 
@@ -123,57 +123,46 @@ def equations_of(
         the model gets instead.
     """
     states = internal_names(plant)
-    outer = zip(plant.outputs, plant.degrees, _declared(plant), strict=True)
+    f = _right_sides(plant, plant.dynamics, plant.derivative, "f", len(plant.outputs))
+    g = _right_sides(plant, plant.internal, plant.internal_rate, "g", len(states))
+    outer = zip(plant.outputs, plant.degrees, f, strict=True)
     equations = [Equation(Symbol(name, degree), right) for name, degree, right in outer]
-    rates = zip(states, _internal(plant, len(states)), strict=True)
-    equations += [Equation(Symbol(name, 1), right) for name, right in rates]
+    equations += [Equation(Symbol(name, 1), right) for name, right in zip(states, g, strict=True)]
     changes: list[tuple[Symbol, Expression]] = []
     count = len(states)
     for item in added:
-        effects = AddedEffect(plant, _placed(plant, item), count)
+        formulas = _EffectFormulas(plant, _placed(plant, item), count)
         count += item.effect.states
-        place, terms = effects.placed, effects.terms()
-        if place.on_input:
-            changes.append((Symbol(item.output), terms[0]))
-        elif place.through is not None:
-            drive = Symbol(plant.inputs[place.through])
-            changes.append((drive, Operation("+", drive, terms[0])))
-        elif place.on_state:
-            equations[len(plant.outputs) + place.channel].added.append(effects.change())
-        if not place.on_input and place.through is None and terms[0] != Number(0.0):
-            equations[place.output].added.append(terms[0])
-        own = zip(effects.states, effects.rates(), strict=True)
-        equations += [Equation(Symbol(name, 1), None, [rate]) for name, rate in own]
+        placed = formulas.placed
+        if placed.on_input:
+            drive = Symbol(plant.inputs[placed.channel])
+            changes.append((drive, formulas.changed(drive)))
+        elif placed.through is not None:
+            drive = Symbol(plant.inputs[placed.through])
+            changes.append((drive, Operation("+", drive, formulas.term())))
+        elif (term := formulas.term()) != Number(0.0):
+            equations[placed.output].added.append(term)
+        if placed.on_state:
+            equations[len(plant.outputs) + placed.channel].added.append(formulas.change())
+        rates = zip(formulas.states, formulas.rates(), strict=True)
+        equations += [Equation(Symbol(name, 1), None, [rate]) for name, rate in rates]
     return equations, changes
 
 
-def _declared(plant: Plant) -> Sequence[Expression]:
-    """y^(r) of the outputs."""
-    found: Sequence[Expression | None] | None
-    if isinstance(plant.dynamics, TextDynamics):
-        text = plant.dynamics.equations
-        found = [text.written_out(tree) for tree in text.highest]
+def _right_sides(
+    plant: Plant, model: Any, function: Callable[..., Any], letter: str, count: int
+) -> Sequence[Expression]:
+    """What f or g of a plant returns; a model of text is its own formula."""
+    trees: Sequence[Expression | None] | None
+    if isinstance(model, TextDynamics | TextInternal):
+        text = model.equations
+        written_trees = text.highest if isinstance(model, TextDynamics) else text.internal
+        trees = [text.written_out(tree) for tree in written_trees]
     else:
-        found = SymbolicPlant(plant).formulas(plant.derivative)
-    if found is not None and None not in found:
-        return found  # type: ignore[return-value]
-    several = len(plant.outputs) > 1
-    return [_unknown(plant, f"f{j + 1}" if several else "f") for j in range(len(plant.outputs))]
-
-
-def _internal(plant: Plant, count: int) -> Sequence[Expression]:
-    """Rates of the internal states."""
-    if not count:
-        return []
-    found: Sequence[Expression | None] | None
-    if isinstance(plant.internal, TextInternal):
-        text = plant.internal.equations
-        found = [text.written_out(tree) for tree in text.internal]
-    else:
-        found = SymbolicPlant(plant).formulas(plant.internal_rate)
-    if found is not None and None not in found:
-        return found  # type: ignore[return-value]
-    return [_unknown(plant, f"g{j + 1}" if count > 1 else "g") for j in range(count)]
+        trees = SymbolicPlant(plant).formulas(function) if count else []
+    if trees is not None and None not in trees:
+        return trees  # type: ignore[return-value]
+    return [_unknown(plant, letter if count == 1 else f"{letter}{j + 1}") for j in range(count)]
 
 
 def _unknown(plant: Plant, name: str) -> Expression:
@@ -209,7 +198,7 @@ def _placed(plant: Plant, item: Any) -> Placed:
     )
 
 
-class AddedEffect:
+class _EffectFormulas:
     """An effect at its place in a plant, as formulas.
 
     Attributes:
@@ -226,44 +215,45 @@ class AddedEffect:
         self.states = tuple(f"z{first + i + 1}" if numbered else "z" for i in range(count))
         self._inner = len(inner)
         self._symbolic = SymbolicPlant(plant, placed.names, (*inner, *self.states))
+        self._parameters = [Symbol(name, parameter=True) for name in placed.names]
 
-    def terms(self) -> list[Expression]:
-        """What it adds to y^(r), or what the model gets instead of the input."""
+    def term(self) -> Expression:
+        """What it adds to y^(r)."""
         effect = self.placed.effect
-        drive = self._symbolic.inputs[self.placed.channel].value if self.placed.on_input else None
-        parameters = [Symbol(name, parameter=True) for name in self.placed.names]
-        if isinstance(effect, InputDelay):
-            return [Call(drive.name, (Operation("-", Symbol("t"), parameters[0]),))]
-        if isinstance(effect, ActuatorLag):
-            # In Laplace's s, as lags are written.
-            lag = Operation("+", Operation("*", parameters[0], Symbol("s")), Number(1.0))
-            return [Operation("/", drive, lag)]
-        if isinstance(effect, AbstractActuator):
-            return [Call(effect.name, (drive, *parameters))]
-        if isinstance(effect, AbstractInputEffect):
-            return self._formulas(lambda at, _, shapes: effect.changed(at, shapes))
-        return self._formulas(effect.term)
+        assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
+        return self._formulas(effect.term)[0]
 
     def change(self) -> Expression:
         """What it adds to the rate of the internal state that it acts on."""
         effect = self.placed.effect
-        (found,) = self._formulas(lambda at, _, shapes: effect.change(at, shapes))
-        return found
+        assert isinstance(effect, AbstractInternalEffect)
+        return self._formulas(lambda at, _, shapes: effect.change(at, shapes))[0]
+
+    def changed(self, drive: Symbol) -> Expression:
+        """What the model gets instead of an input; what depends on its past has a notation."""
+        effect, parameters = self.placed.effect, self._parameters
+        if isinstance(effect, InputDelay):
+            return Call(drive.name, (Operation("-", Symbol("t"), parameters[0]),))
+        if isinstance(effect, ActuatorLag):  # in Laplace's s
+            lag = Operation("+", Operation("*", parameters[0], Symbol("s")), Number(1.0))
+            return Operation("/", drive, lag)
+        if isinstance(effect, AbstractInputEffect):
+            return self._formulas(lambda at, _, shapes: effect.changed(at, shapes))[0]
+        return Call(effect.name, (drive, *parameters))
 
     def rates(self) -> list[Expression]:
         """Rates of its own states."""
-        if not self.states:
-            return []
         effect = self.placed.effect
-        return self._formulas(lambda at, _, shapes: effect.rate(at, shapes))
+        return self._formulas(lambda at, _, shapes: effect.rate(at, shapes)) if self.states else []
 
     def _formulas(self, function: Callable[[Any, Any, Any], Any]) -> list[Expression]:
-        def computed(t: Any, x: State, u: Any, theta: Any) -> Any:
+        """A function of the instant, gains and shapes; by its name where it has no formula."""
+
+        def at_instant(t: Any, x: State, u: Any, theta: Any) -> Any:
             named = parameter_type(self.placed.names)(*theta)
-            base = State(x.y, x.z[: self._inner])
-            at = instant(self.placed, t, base, u, x.z[self._inner :])
+            declared = State(x.y, x.z[: self._inner])
+            at = instant(self.placed, t, declared, u, x.z[self._inner :])
             return function(at, *split_parameters(self.placed, named))
 
-        found = self._symbolic.formulas(computed)
-        names = [Symbol(name, parameter=True) for name in self.placed.names]
-        return found or [Call(self.placed.effect.name, tuple(names))]
+        unknown: Expression = Call(self.placed.effect.name, tuple(self._parameters))
+        return self._symbolic.formulas(at_instant) or [unknown] * max(len(self.states), 1)
