@@ -243,9 +243,9 @@ class AbstractInternalEffect(AbstractEffect):
 
 def internal_names(plant: Plant) -> tuple[str, ...]:
     """Names of a plant's internal states: its own (`internal.states`), else z, or z1, z2, …."""
-    own = getattr(plant.internal, "states", None)
-    if isinstance(own, tuple):
-        return own
+    names = getattr(plant.internal, "states", None)
+    if isinstance(names, tuple):
+        return names
     count = len(plant.internal_start(jnp.asarray(plant.theta)))
     return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
 

@@ -118,10 +118,10 @@ class InputDelay(AbstractActuator):
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Means over steps: of a shifted staircase they are interpolated linearly, exactly.
         steps = shape[0] / (time[1] - time[0])
-        whole = jnp.floor(steps)
-        late = jnp.arange(len(u)) - whole.astype(int)
+        whole_steps = jnp.floor(steps)
+        late = jnp.arange(len(u)) - whole_steps.astype(int)
         after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
-        return after + (steps - whole) * (before - after)
+        return after + (steps - whole_steps) * (before - after)
 
 
 def _times(seen: Seen) -> Grid:

@@ -94,12 +94,12 @@ def _lines(
     lines = []
     for equation in equations:
         terms = [valued(term, values) for term in equation.added]
-        right, first = "", written
+        right, write_first = "", written
         if equation.declared is not None and not (terms and equation.declared == Number(0.0)):
-            right, first = written(valued(equation.declared, values), notation), written_term
-        shown = [first(term, notation) for term in terms[:1]]
-        shown += [written_term(term, notation) for term in terms[1:]]
-        lines.append((written(equation.left, notation), right, shown))
+            right, write_first = written(valued(equation.declared, values), notation), written_term
+        term_texts = [write_first(term, notation) for term in terms[:1]]
+        term_texts += [written_term(term, notation) for term in terms[1:]]
+        lines.append((written(equation.left, notation), right, term_texts))
     return lines, [
         f"{written(drive, notation)} {arrow} {written(valued(changed, values), notation)}"
         for drive, changed in changes

@@ -95,8 +95,8 @@ def functions_of(expression: Expression) -> set[str]:
     Args:
         expression: any.
     """
-    own = {expression.name} if isinstance(expression, Call) else set()
-    return own.union(*map(functions_of, parts_of(expression)))
+    called = {expression.name} if isinstance(expression, Call) else set()
+    return called.union(*map(functions_of, parts_of(expression)))
 
 
 # -- what functions are worth -----------------------------------------------------------------
@@ -127,9 +127,9 @@ def _root(m: Any, x: Any) -> Any:
 
 
 def _joined(name: str) -> Function:
-    def value(m: Any, first: Any, *others: Any) -> Any:
-        for one in others:
-            first = getattr(m, name)(first, one)
+    def value(m: Any, first: Any, *arguments: Any) -> Any:
+        for argument in arguments:
+            first = getattr(m, name)(first, argument)
         return first
 
     return Function(2, 8, value)
@@ -191,5 +191,7 @@ def value_of(expression: Expression, values: Mapping[Symbol, Any], m: Any) -> An
         case Call(name="not", arguments=(inner,)):
             return m.logical_not(value_of(inner, values, m))
         case Call(name=name, arguments=arguments):
-            return FUNCTIONS[name].value(m, *(value_of(one, values, m) for one in arguments))
+            return FUNCTIONS[name].value(
+                m, *(value_of(argument, values, m) for argument in arguments)
+            )
     raise TypeError(expression)

@@ -79,8 +79,8 @@ class SymbolicPlant:
         arguments = [time, self.y, *map(_row, (self.z, driven, self.theta))]
         dtype = jnp.result_type(float)
         shapes = [jax.ShapeDtypeStruct(array.shape, dtype) for array in arguments]
-        (found,) = translated(self.graph, of_arrays, shapes, arguments)
-        return list(found)
+        (nodes,) = translated(self.graph, of_arrays, shapes, arguments)
+        return list(nodes)
 
     def formulas(self, function: Callable[..., Any]) -> list[Expression] | None:
         """What a function computes, to be read; None where there is no formula, or a long one.
@@ -167,8 +167,8 @@ class _Forms:
         self.depth: dict[int, int] = {}
         self.definitions: list[tuple[Symbol, Expression]] = []
         for node in ordered(roots):
-            own = node.op == "input" and not node.value.parameter
-            self.varies[node.order] = own or any(self.varies[arg.order] for arg in node.args)
+            is_signal = node.op == "input" and not node.value.parameter
+            self.varies[node.order] = is_signal or any(self.varies[arg.order] for arg in node.args)
 
     def is_long(self, node: Node) -> bool:
         """Whether a node's tree is too long to be read."""

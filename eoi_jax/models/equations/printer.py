@@ -142,17 +142,17 @@ def _write(expression: Expression, how: Notation) -> tuple[str, int]:
 
 def _within(expression: Expression, how: Notation, binding: int) -> str:
     """An operand, in brackets where it binds less tightly than what it stands in."""
-    shown, own = _write(expression, how)
-    return shown if own >= binding else how.brackets[0] + shown + how.brackets[1]
+    operand, tightness = _write(expression, how)
+    return operand if tightness >= binding else how.brackets[0] + operand + how.brackets[1]
 
 
 def _number(value: float, how: Notation) -> tuple[str, int]:
-    shown = how.number(value)
+    digits = how.number(value)
     if value < 0:
-        return shown, SUM
-    if "/" in shown:
-        return shown, PRODUCT
-    return shown, ATOM if re.fullmatch(r"[\w.+-]+|\\\w+", shown) else POWER
+        return digits, SUM
+    if "/" in digits:
+        return digits, PRODUCT
+    return digits, ATOM if re.fullmatch(r"[\w.+-]+|\\\w+", digits) else POWER
 
 
 def _infix(expression: Operation, how: Notation) -> tuple[str, int]:
@@ -172,12 +172,12 @@ def _in_a_row(product: Operation) -> Operation:
 def _with_powers(product: Operation) -> Operation:
     """k·x·x as k·x²."""
     factor, power = product.right, 1
-    rest: Expression = product.left
-    while isinstance(rest, Operation) and rest.sign == "*" and rest.right == factor:
-        rest, power = rest.left, power + 1
+    factors: Expression = product.left
+    while isinstance(factors, Operation) and factors.sign == "*" and factors.right == factor:
+        factors, power = factors.left, power + 1
     if power == 1 or isinstance(factor, Number):
         return product
-    return Operation("*", rest, Operation("^", factor, Number(float(power))))
+    return Operation("*", factors, Operation("^", factor, Number(float(power))))
 
 
 def _call(name: str, arguments: Sequence[str], how: Notation) -> str:
@@ -201,14 +201,14 @@ def _choice(expression: Call, how: Notation) -> str:
 
 
 def _sum(expression: Expression, how: Notation) -> str:
-    shown = ""
+    total = ""
     for negative, term in _terms(expression, False):
         sign = "-" if negative else "+"
-        if shown:
-            shown += f" {sign} {_within(term, how, PRODUCT)}"
+        if total:
+            total += f" {sign} {_within(term, how, PRODUCT)}"
         else:
-            shown = ("-" if negative else "") + _within(term, how, PRODUCT)
-    return shown
+            total = ("-" if negative else "") + _within(term, how, PRODUCT)
+    return total
 
 
 def _terms(expression: Expression, negative: bool) -> list[tuple[bool, Expression]]:
@@ -268,8 +268,8 @@ _JOINING = ("and", "or")
 
 def _comparisons(signs: Mapping[str, str]) -> dict[str, Infix]:
     return {
-        sign: Infix(f"{{}} {shown} {{}}".format, SUM, SUM, COMPARISON)
-        for sign, shown in signs.items()
+        sign: Infix(f"{{}} {name} {{}}".format, SUM, SUM, COMPARISON)
+        for sign, name in signs.items()
     }
 
 
@@ -284,10 +284,10 @@ def _multiple_of_pi(value: float) -> tuple[int, int] | None:
     """Numerator and denominator of a value that is a simple multiple of π."""
     for denominator in _DENOMINATORS:
         count = value / math.pi * denominator
-        whole = round(count)
-        near = abs(count - whole) <= _PI_TOLERANCE * abs(count)
-        if near and 1 <= whole <= _LARGEST_MULTIPLE:
-            return whole, denominator
+        numerator = round(count)
+        near = abs(count - numerator) <= _PI_TOLERANCE * abs(count)
+        if near and 1 <= numerator <= _LARGEST_MULTIPLE:
+            return numerator, denominator
     return None
 
 
@@ -378,8 +378,8 @@ def _latex_symbol(symbol: Symbol) -> str:
 def _latex_number(value: float) -> str:
     if (multiple := _multiple_of_pi(value)) is not None:
         count, denominator = multiple
-        shown = ("" if count == 1 else rf"{count}") + r"\pi"
-        return rf"\frac{{{shown}}}{{{denominator}}}" if denominator > 1 else shown
+        numerator = ("" if count == 1 else rf"{count}") + r"\pi"
+        return rf"\frac{{{numerator}}}{{{denominator}}}" if denominator > 1 else numerator
     mantissa, _, exponent = f"{value:.5g}".partition("e")
     return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 

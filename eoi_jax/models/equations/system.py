@@ -103,8 +103,8 @@ class Equations:
     @cached_property
     def names(self) -> dict[str, Expression]:
         """What each name stands for in an equation."""
-        known = {name: _known_as(name, tree) for name, tree in self.defined.items()}
-        return {**self.symbols, **known}
+        definitions = {name: _known_as(name, tree) for name, tree in self.defined.items()}
+        return {**self.symbols, **definitions}
 
     @cached_property
     def rates(self) -> dict[str, Expression]:
@@ -117,11 +117,13 @@ class Equations:
     @cached_property
     def starts(self) -> dict[str, Expression]:
         """Trees of the initial values."""
-        known: dict[str, Expression] = {
+        parameters: dict[str, Expression] = {
             name: Symbol(name, parameter=True) for name in self.parameters
         }
         texts = dict(self.initial)
-        return {name: parse(texts[name], known, f"model.initial.{name}") for name in self.states}
+        return {
+            name: parse(texts[name], parameters, f"model.initial.{name}") for name in self.states
+        }
 
     @property
     def highest(self) -> tuple[Expression, ...]:
@@ -265,8 +267,8 @@ class TextStart:
 
     def __call__(self, p: Any) -> Any:
         """Internal states, shape (nz,)."""
-        known = self.equations.parameters
-        values = {Symbol(name, parameter=True): getattr(p, name) for name in known}
+        names = self.equations.parameters
+        values = {Symbol(name, parameter=True): getattr(p, name) for name in names}
         trees = [self.equations.starts[name] for name in self.equations.states]
         return _stacked(trees, values, jnp.result_type(*p))
 
@@ -308,5 +310,5 @@ def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expressi
         case Operation(sign=sign, left=left, right=right):
             return Operation(sign, _put_in(left, trees), _put_in(right, trees))
         case Call(name=name, arguments=arguments):
-            return Call(name, tuple(_put_in(one, trees) for one in arguments))
+            return Call(name, tuple(_put_in(argument, trees) for argument in arguments))
     return expression

@@ -54,10 +54,10 @@ def c_text(model: Program, name: str, version: str) -> str:
 def _unread(listing: Listing) -> list[str]:
     """Arguments of the function of which compilers would say that nothing reads them."""
     model, used = listing.model, listing.used
-    several = {"states": model.states, "inputs": model.inputs}
+    vectors = {"states": model.states, "inputs": model.inputs}
     names = [
         vector
-        for vector, variables in several.items()
+        for vector, variables in vectors.items()
         if not any(variable.symbol in used for variable in variables)
     ]
     return names if Symbol("t") in used else [*names, "t"]

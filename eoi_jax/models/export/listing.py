@@ -57,19 +57,19 @@ class Listing:
     def parameters(self) -> list[str]:
         """Values of those that are used."""
         return [
-            self.assigned.format(self.names[one.symbol], repr(value))
-            + (self.remark.format(comment(one.unit)) if one.unit else "")
-            for one, value in self.model.parameters
-            if one.symbol in self.used
+            self.assigned.format(self.names[variable.symbol], repr(value))
+            + (self.remark.format(comment(variable.unit)) if variable.unit else "")
+            for variable, value in self.model.parameters
+            if variable.symbol in self.used
         ]
 
     def elements(self, element: Callable[[str, int], str]) -> list[str]:
         """States and inputs that are used, from their vectors."""
         return [
-            self.assigned.format(self.names[one.symbol], element(vector, k))
+            self.assigned.format(self.names[variable.symbol], element(vector, k))
             for vector, variables in (("states", self.model.states), ("inputs", self.model.inputs))
-            for k, one in enumerate(variables)
-            if one.symbol in self.used
+            for k, variable in enumerate(variables)
+            if variable.symbol in self.used
         ]
 
     def definitions(self) -> list[str]:

@@ -104,18 +104,18 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         note = f"{source} behind its lag; starts at the first value of {source}"
         states.append(Variable(Symbol(name), name, plant.units.get(source, ""), note))
         rates.append(node)
-    taken = {*plant.names, *plant.inputs, *(one.name for one in states)}
+    taken = {*plant.names, *plant.inputs, *(variable.name for variable in states)}
     free = (name for i in itertools.count(1) if (name := f"w{i}") not in taken)
     trees, definitions = shared_formulas(rates, free)
     names = [Symbol(name) for name in internal_names(plant)]
-    first = np.asarray(plant.internal_start(jnp.asarray(plant.theta)), dtype=float).tolist()
+    values = np.asarray(plant.internal_start(jnp.asarray(plant.theta)), dtype=float).tolist()
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
         plant.name,
         tuple(states),
         tuple(trees),
         dict(zip(names, plain_formulas(start), strict=True)),
-        dict(zip(names, first, strict=True)),
+        dict(zip(names, values, strict=True)),
         tuple(_variable(plant, Symbol(name), name) for name in plant.inputs),
         tuple(
             (_variable(plant, Symbol(name, parameter=True), name), value)
@@ -140,9 +140,9 @@ def _chains(symbolic: SymbolicPlant, f: Sequence[Node]) -> tuple[list[Variable],
     for j, (output, degree) in enumerate(zip(plant.outputs, plant.degrees, strict=True)):
         for i in range(degree):
             name = text[output][i] if text else _derivative_name(output, i)
-            own = plant.units.get(output, "")
+            output_unit = plant.units.get(output, "")
             power = "" if i < 2 else f"^{i}"
-            unit = f"{own}/s{power}" if own and i else own
+            unit = f"{output_unit}/s{power}" if output_unit and i else output_unit
             note = "" if i == 0 else f"derivative {i} of {output}"
             states.append(Variable(Symbol(output, i), name, unit, note))
             rates.append(symbolic.y[i + 1, j] if i + 1 < degree else f[j])
@@ -157,10 +157,10 @@ def _delays_and_lags(plant: Plant) -> tuple[dict[str, tuple[str, ...]], dict[str
     """Delays and lags by input; they commute."""
     delays: dict[str, tuple[str, ...]] = {}
     lags: dict[str, tuple[str, ...]] = {}
-    for one in actuators(plant):
-        kind = lags if isinstance(one.effect, ActuatorLag) else delays
-        source = plant.inputs[one.channel]
-        kind[source] = (*kind.get(source, ()), one.names[0])
+    for placed in actuators(plant):
+        kind = lags if isinstance(placed.effect, ActuatorLag) else delays
+        source = plant.inputs[placed.channel]
+        kind[source] = (*kind.get(source, ()), placed.names[0])
     return delays, lags
 
 
