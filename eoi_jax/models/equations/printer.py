@@ -291,6 +291,13 @@ def _multiple_of_pi(value: float) -> tuple[int, int] | None:
     return None
 
 
+def _digits(value: float) -> str:
+    """Five digits; of a large number that has few more, all: a time that is counted from 1e6 s."""
+    short, exact = f"{value:.5g}", f"{value:.10g}"
+    is_large = abs(value) >= 1e5 and "e" not in exact
+    return exact if is_large and float(exact) == value != float(short) else short
+
+
 # -- text -------------------------------------------------------------------------------------
 
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
@@ -302,7 +309,7 @@ def _text_symbol(symbol: Symbol) -> str:
 
 def _text_number(value: float) -> str:
     if (multiple := _multiple_of_pi(value)) is None:
-        return f"{value:.5g}"
+        return _digits(value)
     count, denominator = multiple
     return ("" if count == 1 else f"{count}·") + "π" + f"/{denominator}" * (denominator > 1)
 
@@ -380,7 +387,7 @@ def _latex_number(value: float) -> str:
         count, denominator = multiple
         numerator = ("" if count == 1 else rf"{count}") + r"\pi"
         return rf"\frac{{{numerator}}}{{{denominator}}}" if denominator > 1 else numerator
-    mantissa, _, exponent = f"{value:.5g}".partition("e")
+    mantissa, _, exponent = _digits(value).partition("e")
     return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
 

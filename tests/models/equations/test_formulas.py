@@ -228,6 +228,7 @@ def tank():
         (effects.FreePlay(), "stiffness·clip(y, -gap, gap)"),
         (effects.Gravity(degrees=True), "-c·sin(π/180·y)"),
         (effects.Drift(start=-2.5), "c·(t + 2.5)"),
+        (effects.Drift(start=1234567.5), "c·(t - 1234567.5)"),
         (effects.InputDelay(), "u(t - c)"),
         (effects.ActuatorLag(), "u/(c·s + 1)"),
         (effects.InputSaturation(), "clip(u, -c, c)"),
