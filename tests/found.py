@@ -101,7 +101,6 @@ class Jerk(effects.AbstractTerm):
     name = "jerk"
     sentence = "a jerk"
     gains = (effects.Parameter("", "{f}"),)
-    form = ("+ {0}", "+ {0}")
     power: int = 3
 
     def term(self, at, gain, shape):

@@ -20,7 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.common import Report, arguments, table
 from eoi_jax.models.equations.expression import FUNCTIONS, Symbol, value_of
-from eoi_jax.models.equations.grammar import parse
+from eoi_jax.models.equations.parser import parse
 from eoi_jax.models.equations.system import Equations
 
 NAMES = ("angle", "rate", "voltage", "a", "b", "c", "d", "x1", "α")

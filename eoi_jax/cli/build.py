@@ -34,7 +34,7 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models import library as plants
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import AbstractEffect, standard
-from eoi_jax.models.equations.model import plant_of
+from eoi_jax.models.equations.text_model import plant_of
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.simulate import simulate

@@ -106,9 +106,11 @@ class Graph:
     Attributes:
         branches: conditions on which a program takes its rarer way, in the order in which they
             were met; None while nobody asks.
+        as_written: whether operands stay in their order, for formulas that are to be read.
     """
 
-    def __init__(self):
+    def __init__(self, *, as_written: bool = False):
+        self.as_written = as_written
         self.branches: list[Node] | None = None
         self._known: dict[tuple, Node] = {}
         self._order = itertools.count()
@@ -132,7 +134,7 @@ class Graph:
         if all(arg.op == "constant" for arg in args):
             with np.errstate(all="ignore"):
                 return self.constant(operation.function(*(arg.value for arg in args)))
-        if operation.commutes:
+        if operation.commutes and not self.as_written:
             args = tuple(sorted(args, key=lambda arg: arg.order))
         is_bool = args[1].is_bool if op == "select" else operation.is_bool
         return self._node(op, args, is_bool, None)
@@ -217,7 +219,7 @@ def _add(graph: Graph, a: Node, b: Node) -> Node | None:
         return b if _is(a, 0.0) else a
     if b.op == "neg":
         return graph.make("sub", a, b.args[0])
-    return graph.make("sub", b, a.args[0]) if a.op == "neg" else None
+    return graph.make("sub", b, a.args[0]) if a.op == "neg" and not graph.as_written else None
 
 
 def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
@@ -228,7 +230,8 @@ def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
     if b.op == "neg":
         return graph.make("add", a, b.args[0])
     # Signs move outwards, so that what differs by its sign only is computed once.
-    return graph.make("neg", graph.make("add", a.args[0], b)) if a.op == "neg" else None
+    moves = a.op == "neg" and not graph.as_written
+    return graph.make("neg", graph.make("add", a.args[0], b)) if moves else None
 
 
 def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
@@ -240,8 +243,10 @@ def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
         if _is(one, -1.0):
             return graph.make("neg", other)
         if one.op == "neg":
-            return graph.make("neg", graph.make("mul", one.args[0], other))
-        if one.op == "select" and _is(one.args[1], 1.0) and _is(one.args[2], 0.0):
+            sides = (one.args[0], other) if one is a else (other, one.args[0])
+            return graph.make("neg", graph.make("mul", *sides))
+        flag = one.op == "select" and _is(one.args[1], 1.0) and _is(one.args[2], 0.0)
+        if flag and not graph.as_written:
             return graph.make("select", one.args[0], other, one.args[2])
     return None
 

@@ -244,9 +244,9 @@ class _Dynamics:
             if placement.through is not None:
                 continue
             if isinstance(placement.effect, AbstractTerm | AbstractInternalEffect):
-                gain, shape = _parameters(placement, p)
+                gain, shape = split_parameters(placement, p)
                 f = f.at[placement.output].add(
-                    placement.effect.term(_signals(placement, t, x, u, z), gain, shape)
+                    placement.effect.term(instant(placement, t, x, u, z), gain, shape)
                 )
         return f
 
@@ -282,15 +282,15 @@ class _Internal:
             for placement in self.placed:
                 if isinstance(placement.effect, AbstractInternalEffect):
                     at, (_, shape) = (
-                        _signals(placement, t, x, u, x.z[:0]),
-                        _parameters(placement, p),
+                        instant(placement, t, x, u, x.z[:0]),
+                        split_parameters(placement, p),
                     )
                     rate = rate.at[placement.channel].add(placement.effect.change(at, shape))
             rates.append(rate)
         at_input = u
         for placement, z in _split_states(self.placed, x.z[self.nz :]):
-            _, shape = _parameters(placement, p)
-            at = _signals(placement, t, x, at_input, z)
+            _, shape = split_parameters(placement, p)
+            at = instant(placement, t, x, at_input, z)
             if placement.effect.states:
                 rates.append(
                     jnp.reshape(placement.effect.rate(at, shape), (placement.effect.states,))
@@ -311,7 +311,7 @@ class _Actuator:
     def __call__(self, t: Any, u: Any, p: Any) -> Any:
         for placement in self.placed:
             if isinstance(placement.effect, AbstractActuator):
-                _, shape = _parameters(placement, p)
+                _, shape = split_parameters(placement, p)
                 u = u.at[:, placement.channel].set(
                     placement.effect.along(t, u[:, placement.channel], shape)
                 )
@@ -342,9 +342,9 @@ def _declared_parameters(names: tuple[str, ...], p: Any) -> Any:
 def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> Any:
     for placement, z in _split_states(model.placed, x.z[model.nz :]):
         if isinstance(placement.effect, AbstractInputEffect):
-            _, shape = _parameters(placement, p)
+            _, shape = split_parameters(placement, p)
             u = u.at[placement.channel].set(
-                placement.effect.changed(_signals(placement, t, x, u, z), shape)
+                placement.effect.changed(instant(placement, t, x, u, z), shape)
             )
     return u
 
@@ -353,8 +353,8 @@ def _forced(model: _Dynamics, t: Any, x: State, inputs: Any, u: Any, p: Any) -> 
     """Inputs with the forces that share their paths; effects depend on the measured inputs u."""
     for placement, z in _split_states(model.placed, x.z[model.nz :]):
         if isinstance(placement.effect, AbstractTerm) and placement.through is not None:
-            gain, shape = _parameters(placement, p)
-            force = placement.effect.term(_signals(placement, t, x, u, z), gain, shape)
+            gain, shape = split_parameters(placement, p)
+            force = placement.effect.term(instant(placement, t, x, u, z), gain, shape)
             inputs = inputs.at[placement.through].add(force)
     return inputs
 
@@ -367,13 +367,13 @@ def _split_states(placed: tuple[Placed, ...], z: Any) -> list[tuple[Placed, Any]
     return parts
 
 
-def _parameters(placement: Placed, p: Any) -> tuple[list[Any], list[Any]]:
+def split_parameters(placement: Placed, p: Any) -> tuple[list[Any], list[Any]]:
     values = [getattr(p, name) for name in placement.names]
     count = len(placement.effect.gains)
     return values[:count], values[count:]
 
 
-def _signals(placement: Placed, t: Any, x: State, u: Any, z: Any) -> At:
+def instant(placement: Placed, t: Any, x: State, u: Any, z: Any) -> At:
     y = placement.coordinate(x.y)
     rate = y[placement.row] if placement.row < x.y.shape[0] else jnp.zeros_like(y[0])
     # A plant may have no input at all.

@@ -22,7 +22,7 @@ from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.resampling import Real
 from eoi_jax.models.effects import AbstractEffect
-from eoi_jax.models.equations.model import plant_from_json
+from eoi_jax.models.equations.text_model import plant_from_json
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.stored_classes import (
     check_fields,

@@ -20,8 +20,8 @@ def equation_mathml(lines: Sequence[Sequence[Any]], changes: Sequence[str]) -> s
     """Equations below each other, aligned at the sign of equality.
 
     Args:
-        lines: left side, declared right side, and the terms that were added with their signs, all
-            in LaTeX; of `equation_lines`.
+        lines: left side, declared right side or "", and the terms that were added with their
+            signs, all in LaTeX; of `equation_lines`.
         changes: LaTeX of what happens to inputs on their way into the model.
 
     Returns:
@@ -42,8 +42,9 @@ class _UnreadableError(Exception):
 def _rows(lines: Sequence[Sequence[Any]], changes: Sequence[str]) -> list[str]:
     rows = []
     for left, declared, added in lines:
-        right = _converted(declared)
-        right += "".join(_marked(_infix(_converted(term))) for term in added)
+        right = _converted(declared) if declared else ""
+        terms = [_converted(term) for term in added]
+        right += "".join(_marked(_infix(term) if declared else term) for term in terms)
         cells = (_converted(left), "<mo>=</mo>", f"<mrow>{right}</mrow>")
         rows.append("".join(f"<mtd>{cell}</mtd>" for cell in cells))
     for change in changes:

@@ -461,7 +461,6 @@ class CrossedDamping(AbstractTerm):
     sentence = "damping that grows with the displacement"
     gains = (Parameter("", "1/(s ({y})²)", lower=0.0),)
     depends_on = "v"
-    form = ("- {0}·{v}·{y}²", r"- {0}\,{v}\,{y}^2")
 
     def term(self, at, gain, shape):
         return -gain[0] * at.v * at.y**2

@@ -82,7 +82,8 @@ def test_it_is_told_as_one_between_two(found):
     near = next(one for one in found.added if one.output == "near")
     assert "at near towards far of 6" in phrase(found, near)
     assert "- cubic_stiffness_near_far·(near - far)³" in equation_text(PLANT, found.added)
-    assert r"(\mathrm{near} - \mathrm{far})^3" in equation_latex(PLANT, [near])
+    cube = r"\left(\mathrm{near} - \mathrm{far}\right)^{3}"
+    assert cube in equation_latex(PLANT, [near])
     assert {one.against for one in found.ranking if one.effect == "free_play"} == {
         "", "near", "far",
     }  # fmt: skip

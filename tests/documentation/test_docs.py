@@ -10,12 +10,14 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pages
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.models.equations.display import equation_text
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -185,10 +187,24 @@ def test_the_table_of_effects_is_that_of_the_library():
     text = (DOCS / "reference" / "effects.md").read_text().replace("\\|", "|")
     rare = eoi.effects.rare()
     for one in (*eoi.effects.standard(), *rare):
-        names = [parameter.name or "c" for parameter in one.parameters]
-        form = one.form[0].format(*names, y="y", v="y'", u="u")
         remark = " (rare)" if one in rare else ""
-        assert f"| `{one.name}`{remark} | {one.sentence} | `{form}` |" in text
+        assert f"| `{one.name}`{remark} | {one.sentence} | `{printed(one)}` |" in text
+
+
+def printed(effect: Any) -> str:
+    """What an effect adds to the output's highest derivative, to another's; or makes of u."""
+    inner = isinstance(effect, eoi.effects.AbstractInternalEffect)
+    states = {"internal": lambda t, x, u, p: 0.0 * x.z, "internal_initial": [0.0]}
+    plant = eoi.Plant(lambda t, x, u, p: 0.0 * x.y[0], {"none": 1.0}, 2, **states if inner else {})
+    added = SimpleNamespace(
+        effect=effect,
+        output=effect.channels(plant)[0],
+        parameters=dict.fromkeys([part.name or "c" for part in effect.parameters], 1.0),
+        against="",
+        through="",
+    )
+    lines = [line for line in equation_text(plant, [added]).splitlines() if line != "y'' = 0"]
+    return "; ".join(line.removeprefix("with ").removeprefix("y'' = ") for line in lines)
 
 
 def test_the_page_on_comparing_has_every_method():

@@ -151,7 +151,6 @@ def test_term_sees_the_input_as_recorded():
         sentence = "a force with the input"
         gains = (Parameter("", "{f}/{u}"),)
         depends_on = "u"
-        form = ("+ {0}·{u}", r"+ {0}\,{u}")
 
         def term(self, at, gain, shape):
             return gain[0] * at.u

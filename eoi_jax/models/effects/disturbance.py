@@ -16,7 +16,6 @@ class ConstantOffset(AbstractTerm):
     sentence = "a constant offset"
     gains = (Parameter("", "{f}"),)
     depends_on = "t"
-    form = ("+ {0}", "+ {0}")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return gain[0] + 0.0 * at.t
@@ -40,14 +39,6 @@ class Drift(AbstractTerm):
 
     start: float = 0.0
 
-    @property
-    def form(self) -> tuple[str, str]:
-        """With t, or with the time since the start."""
-        if self.start == 0.0:
-            return "+ {0}·t", r"+ {0}\,t"
-        since = f"(t {'-' if self.start > 0 else '+'} {abs(self.start):.10g})"
-        return f"+ {{0}}·{since}", rf"+ {{0}}\,{since}"
-
     def since(self, start: float) -> "Drift":
         """From there on, unless it has a start of its own."""
         return replace(self, start=start) if self.start == 0.0 else self
@@ -64,7 +55,6 @@ class SinusoidalDisturbance(AbstractTerm):
     gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
     shapes = (Parameter("frequency", "rad/s", lower=0.0),)
     depends_on = "t"
-    form = ("+ {0}·sin({2}·t) + {1}·cos({2}·t)", r"+ {0}\sin({2}\,t) + {1}\cos({2}\,t)")
 
     def grid(self, seen: Seen) -> Grid:
         # A neighbour on the grid would have to be within 1/T: only peaks of the residual are tried.

@@ -10,7 +10,6 @@ A new one is a small class:
         sentence = "a spring whose stiffness grows with the square of the displacement"
         gains = (Parameter("", "{f}/{y}³"),)
         depends_on = "y"
-        form = ("-{0} {y}³", r"-{0}\,{y}^3")
 
         def term(self, at, gain, shape):
             return -gain[0] * at.y**3
@@ -107,7 +106,6 @@ class AbstractEffect(ABC):
         depends_on: the variable that it is drawn against: "y", "v", "u" or "t".
         contains: names of simpler effects that it can imitate exactly.
         rarity: twice the log-odds by which a twin that is more common is preferred.
-        form: the term as text and LaTeX; {0}, {1}, … its parameters, {y}, {v}, {u} variables.
     """
 
     name: ClassVar[str]
@@ -118,7 +116,6 @@ class AbstractEffect(ABC):
     depends_on: ClassVar[str] = "t"
     contains: ClassVar[tuple[str, ...]] = ()
     rarity: ClassVar[float] = 0.0
-    form: ClassVar[tuple[str, str]]
 
     def __eq__(self, other: object) -> bool:
         # By value: a model with the same effects is then compiled once.
@@ -170,14 +167,6 @@ class AbstractEffect(ABC):
         """dz/dt of the own states, shape (states,)."""
         del shape
         return at.z
-
-    def text(self, parameters: Sequence[str], y: str, v: str, u: str) -> str:
-        """The term as plain text."""
-        return self.form[0].format(*parameters, y=y, v=v, u=u)
-
-    def latex(self, parameters: Sequence[str], y: str, v: str, u: str) -> str:
-        """The term in LaTeX."""
-        return self.form[1].format(*parameters, y=y, v=v, u=u)
 
 
 class AbstractTerm(AbstractEffect):
@@ -238,13 +227,7 @@ class AbstractInternalEffect(AbstractEffect):
 
     Nobody measures that state: it is followed by the model. What it loses may enter the first
     output, linear in the gains.
-
-    Attributes:
-        form: what is added to the state's rate, as text and LaTeX; {y} is the state.
-        outer_form: what is added to y^(r), likewise; "" for nothing.
     """
-
-    outer_form: ClassVar[tuple[str, str]] = ("", "")
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return internal_names(plant)
@@ -260,9 +243,9 @@ class AbstractInternalEffect(AbstractEffect):
 
 def internal_names(plant: Plant) -> tuple[str, ...]:
     """Names of a plant's internal states: its own (`internal.states`), else z, or z1, z2, …."""
-    own = getattr(plant.internal, "states", None)
-    if isinstance(own, tuple):
-        return own
+    names = getattr(plant.internal, "states", None)
+    if isinstance(names, tuple):
+        return names
     count = len(plant.internal_start(jnp.asarray(plant.theta)))
     return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
 

@@ -25,7 +25,6 @@ class ViscousFriction(AbstractFriction):
     sentence = "viscous friction, proportional to the velocity"
     joins = True
     gains = (Parameter("", "{f/v}", lower=0.0),)
-    form = ("- {0}·{v}", r"- {0}\,{v}")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.v
@@ -37,7 +36,6 @@ class CoulombFriction(AbstractFriction):
     name = "coulomb_friction"
     sentence = "Coulomb (dry) friction"
     gains = (Parameter("", "{f}", lower=0.0),)
-    form = ("- {0}·sign({v})", r"- {0}\,\operatorname{{sign}}({v})")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.sign(at.v)
@@ -54,13 +52,10 @@ class AsymmetricFriction(AbstractFriction):
     sentence = "dry friction that differs between the two directions"
     gains = (Parameter("forward", "{f}", lower=0.0), Parameter("backward", "{f}", lower=0.0))
     contains = ("coulomb_friction", "constant_offset")
-    form = (
-        "- {0}·[{v} > 0] + {1}·[{v} < 0]",
-        r"- {0}\,[{v} > 0] + {1}\,[{v} < 0]",
-    )
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return jnp.where(at.v > 0, -gain[0], jnp.where(at.v < 0, gain[1], 0.0))
+        forward, backward = jnp.where(at.v > 0, 1.0, 0.0), jnp.where(at.v < 0, 1.0, 0.0)
+        return -gain[0] * forward + gain[1] * backward
 
 
 class StribeckFriction(AbstractFriction):
@@ -71,10 +66,6 @@ class StribeckFriction(AbstractFriction):
     gains = (Parameter("level", "{f}", lower=0.0), Parameter("rise", "{f}", lower=0.0))
     shapes = (Parameter("velocity", "{v}", lower=0.0),)
     contains = ("coulomb_friction",)
-    form = (
-        "- ({0} + {1}·exp(-({v}/{2})²))·sign({v})",
-        r"- \left({0} + {1}\,e^{{-({v}/{2})^2}}\right)\operatorname{{sign}}({v})",
-    )
 
     def grid(self, seen: Seen) -> Grid:
         return np.geomspace(0.03, 1.0, 8)[:, None] * _rms(seen.v)
@@ -95,7 +86,6 @@ class QuadraticDrag(AbstractFriction):
     sentence = "drag that grows with the square of the velocity"
     joins = True
     gains = (Parameter("", "{f}/({v})²", lower=0.0),)
-    form = ("- {0}·{v}·|{v}|", r"- {0}\,{v}\,|{v}|")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.v * jnp.abs(at.v)
@@ -109,7 +99,6 @@ class CubicDamping(AbstractFriction):
     joins = True
     rarity = 1.0
     gains = (Parameter("", "{f}/({v})³", lower=0.0),)
-    form = ("- {0}·{v}³", r"- {0}\,{v}^3")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.v**3
@@ -124,7 +113,6 @@ class AsymmetricViscousFriction(AbstractFriction):
     name = "asymmetric_friction"
     sentence = "viscous friction that differs between the two directions"
     gains = (Parameter("slope", "{f/v}"),)
-    form = ("- {0}·|{v}|", r"- {0}\,|{v}|")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.abs(at.v)

@@ -28,10 +28,6 @@ class InputDeadZone(AbstractInputEffect):
     rarity = 1.0  # of an input of one sign, a zone that it never enters is an offset
     shapes = (Parameter("", "{u}", lower=0.0),)
     depends_on = "u"
-    form = (
-        "{u} → sign({u})·max(|{u}| - {0}, 0)",
-        r"{u} \to \operatorname{{sign}}({u})\max(|{u}| - {0}, 0)",
-    )
 
     def grid(self, seen: Seen) -> Grid:
         return np.geomspace(0.005, 0.8, 12)[:, None] * np.max(np.abs(seen.u))
@@ -47,7 +43,6 @@ class InputSaturation(AbstractInputEffect):
     sentence = "a saturation of the input"
     shapes = (Parameter("", "{u}", lower=0.0),)
     depends_on = "u"
-    form = ("{u} → clip({u}, -{0}, {0})", r"{u} \to \operatorname{{clip}}({u}, -{0}, {0})")
 
     def grid(self, seen: Seen) -> Grid:
         shares = [0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.99]
@@ -73,12 +68,6 @@ class InputQuadratic(AbstractInputEffect):
 
     odd: bool = True
 
-    @property
-    def form(self) -> tuple[str, str]:
-        """The changed input as text and LaTeX."""
-        text, latex = ("{u}·|{u}|", r"{u}\,|{u}|") if self.odd else ("{u}²", "{u}^2")
-        return "{u} → {u} + {0}·" + text, r"{u} \to {u} + {0}\," + latex
-
     def grid(self, seen: Seen) -> Grid:
         size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])
         size /= np.max(np.abs(seen.u)) or 1.0
@@ -95,7 +84,6 @@ class ActuatorLag(AbstractActuator):
     sentence = "a first-order lag of the actuator"
     shapes = (Parameter("", "s", lower=0.0),)
     depends_on = "t"
-    form = ("{u} → u/({0} s + 1)", r"{u} \to \frac{{1}}{{{0}\,s + 1}}\,{u}")
 
     def grid(self, seen: Seen) -> Grid:
         return _times(seen)
@@ -120,7 +108,6 @@ class InputDelay(AbstractActuator):
     sentence = "a delay of the input"
     shapes = (Parameter("", "s", lower=0.0),)
     depends_on = "t"
-    form = ("{u} → {u}(t - {0})", r"{u} \to {u}(t - {0})")
 
     def grid(self, seen: Seen) -> Grid:
         # A cost over delays is narrow, a quarter period of the band: long ones are looked for.
@@ -131,10 +118,10 @@ class InputDelay(AbstractActuator):
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Means over steps: of a shifted staircase they are interpolated linearly, exactly.
         steps = shape[0] / (time[1] - time[0])
-        whole = jnp.floor(steps)
-        late = jnp.arange(len(u)) - whole.astype(int)
+        whole_steps = jnp.floor(steps)
+        late = jnp.arange(len(u)) - whole_steps.astype(int)
         after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
-        return after + (steps - whole) * (before - after)
+        return after + (steps - whole_steps) * (before - after)
 
 
 def _times(seen: Seen) -> Grid:

@@ -28,10 +28,6 @@ class Hysteresis(AbstractTerm):
     states = 1
     depends_on = "y"
     contains = ("coulomb_friction",)
-    form = (
-        "- {0}·z,  {1}·z' = {v} - {2}·|{v}|·z - (1 - {2})·{v}·|z|",
-        r"- {0}\,z,\quad {1}\,\dot z = {v} - {2}\,|{v}|\,z - (1 - {2})\,{v}\,|z|",
-    )
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)

@@ -29,7 +29,6 @@ class Leak(AbstractTerm):
     sentence = "a leak: an outflow proportional to the level"
     gains = (Parameter("", "{f/y}", lower=0.0),)
     depends_on = "y"
-    form = ("- {0}·{y}", r"- {0}\,{y}")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return plant.degrees[output] == 1
@@ -49,7 +48,6 @@ class Overflow(AbstractTerm):
     gains = (Parameter("rate", "{f/y}", lower=0.0),)
     shapes = (Parameter("level", "{y}"),)
     depends_on = "y"
-    form = ("- {0}·max({y} - {1}, 0)", r"- {0}\max({y} - {1}, 0)")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return plant.degrees[output] == 1
@@ -85,22 +83,6 @@ class InternalOverflow(AbstractInternalEffect):
     def gains(self) -> tuple[Parameter, ...]:
         """The share that is caught."""
         return (Parameter("share", "1", lower=0.0),) if self.caught else ()
-
-    @property
-    def form(self) -> tuple[str, str]:
-        """What the state loses, as text and LaTeX."""
-        rate, level = ("{1}", "{2}") if self.caught else ("{0}", "{1}")
-        return (
-            f"- {rate}·max({{y}} - {level}, 0)",
-            rf"- {rate}\max({{y}} - {level}, 0)",
-        )
-
-    @property
-    def outer_form(self) -> tuple[str, str]:
-        """What the first output gets."""
-        if not self.caught:
-            return "", ""
-        return "+ {0}·{1}·max({y} - {2}, 0)", r"+ {0}\,{1}\max({y} - {2}, 0)"
 
     def fits(self, plant: Plant, output: int) -> bool:
         return plant.degrees[0] == 1

@@ -18,7 +18,6 @@ class Product(AbstractTerm):
     name = "product"
     sentence = "a product of two signals"
     gains = (Parameter("", ""),)
-    form = ("", "")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return gain[0] * getattr(at, self.first) * getattr(at, self.second)
@@ -34,7 +33,6 @@ class ModulatedSinusoid(AbstractTerm):
     sentence = "a sinusoid whose amplitude follows the plant"
     gains = (Parameter("sine", ""), Parameter("cosine", ""))
     shapes = (Parameter("frequency", "rad/s", lower=0.0),)
-    form = ("", "")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.t

@@ -29,7 +29,6 @@ class LinearStiffness(AbstractTerm):
     joins = True
     gains = (Parameter("", "{f}/{y}"),)
     depends_on = "y"
-    form = ("- {0}·{y}", r"- {0}\,{y}")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
@@ -47,7 +46,6 @@ class QuadraticStiffness(AbstractTerm):
     rarity = 1.0
     gains = (Parameter("", "{f}/({y})²"),)
     depends_on = "y"
-    form = ("- {0}·{y}²", r"- {0}\,{y}^2")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
@@ -65,7 +63,6 @@ class CubicStiffness(AbstractTerm):
     rarity = 1.0
     gains = (Parameter("", "{f}/({y})³"),)
     depends_on = "y"
-    form = ("- {0}·{y}³", r"- {0}\,{y}^3")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
@@ -91,13 +88,6 @@ class Gravity(AbstractTerm):
 
     degrees: bool = False
 
-    @property
-    def form(self) -> tuple[str, str]:
-        """The term as text and LaTeX."""
-        if self.degrees:
-            return "- {0}·sin(π/180·{y})", r"- {0}\sin(\pi/180\,{y})"
-        return "- {0}·sin({y})", r"- {0}\sin {y}"
-
     def fits(self, plant: Plant, output: int) -> bool:
         in_degrees = plant.units.get(plant.outputs[output]) in _DEGREES
         return mechanical(plant, output) and in_degrees == self.degrees
@@ -122,10 +112,6 @@ class PositionRipple(AbstractTerm):
     gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
     shapes = (Parameter("wavenumber", "1/{y}", lower=0.0),)
     depends_on = "y"
-    form = (
-        "+ {0}·sin({2}·{y}) + {1}·cos({2}·{y})",
-        r"+ {0}\sin({2}\,{y}) + {1}\cos({2}\,{y})",
-    )
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
@@ -180,15 +166,6 @@ class EndStop(AbstractTerm):
         """Of the name of a parameter: beside a stop above, that below needs another."""
         return "lower_" if self.side < 0 else ""
 
-    @property
-    def form(self) -> tuple[str, str]:
-        """The term as text and LaTeX."""
-        extreme = "min" if self.side < 0 else "max"
-        return (
-            f"- {{0}}·{extreme}({{y}} - {{1}}, 0)",
-            rf"- {{0}}\,\{extreme}({{y}} - {{1}}, 0)",
-        )
-
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
 
@@ -212,7 +189,6 @@ class FreePlay(AbstractTerm):
     gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
     shapes = (Parameter("gap", "{y}", lower=0.0),)
     depends_on = "y"
-    form = ("+ {0}·clip({y}, -{1}, {1})", r"+ {0}\operatorname{{clip}}({y}, -{1}, {1})")
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)

@@ -1,37 +1,50 @@
-"""A model's equations as text and LaTeX: the declared part from its source, effects from their own.
+"""A model's equations as text and LaTeX: the declared part, and what was added to it.
 
-The declared part is a Python function. Its source is read, not run: local names are replaced by
-what they stand for, so that ``angle, rate = x.y`` turns ``-p.b * rate`` into ``-b·angle'``. What
-cannot be read is shown as f(…) with the names of what it may depend on.
+The declared part is traced (a model of text is its own formula), and so are effects. What has no
+formula, because it looks into a table or runs until something happens, is shown as f(…) with the
+names of what it may depend on.
 """
 
-import ast
-import inspect
-import itertools
-import re
-import textwrap
-from collections.abc import Iterable, Sequence
-from tokenize import TokenError
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
-
-from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
-from eoi_jax.models.effects.effect import internal_names
+from eoi_jax.models.augmented import Placed, instant, split_parameters
+from eoi_jax.models.effects import INPUT_EFFECTS, ActuatorLag, InputDelay
+from eoi_jax.models.effects.effect import (
+    AbstractEffect,
+    AbstractInputEffect,
+    AbstractInternalEffect,
+    AbstractTerm,
+    internal_names,
+)
+from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
+from eoi_jax.models.equations.from_plant import SymbolicPlant
 from eoi_jax.models.equations.printer import (
-    Call,
-    Expression,
-    Number,
-    Operation,
-    Symbol,
-    evaluate,
-    latex,
-    name_latex,
-    text,
+    LATEX,
+    TEXT,
+    Notation,
+    valued,
+    written,
+    written_term,
 )
 from eoi_jax.models.equations.system import TextDynamics, TextInternal
-from eoi_jax.models.plant import Plant, State, velocity_rows
+from eoi_jax.models.plant import Plant, State, parameter_type, velocity_rows
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation of a model.
+
+    Attributes:
+        left: the derivative that it gives.
+        declared: its right side; None for the state of an effect.
+        added: what effects add to it.
+    """
+
+    left: Symbol
+    declared: Expression | None
+    added: list[Expression] = field(default_factory=list)
 
 
 def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
@@ -43,28 +56,18 @@ def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = Fa
         numeric: values instead of names.
 
     Returns:
-        ``angle'' = -a·sin(angle) - b·angle' + d·voltage - coulomb_friction·sign(angle')``; effects
-        of an input, and states of the model's own, are lines under it.
+        ``angle'' = -a·sin(angle) - b·angle' + d·voltage - coulomb_friction·sign(angle')``; states
+        of the model's own and of effects, and effects of an input, are lines under it.
     """
-    values = plant.parameters if numeric else {}
-    names = [_prime(name, r) for name, r in zip(plant.outputs, plant.degrees, strict=True)]
-    rights = [text(one, values) for one in declared(plant)]
-    terms, changes = _effects(plant, added, numeric, False)
-    lines = [
-        " ".join([f"{left} = {right}", *terms.get(output, ())])
-        for left, right, output in zip(names, rights, plant.outputs, strict=True)
-    ]
-    inner = [
-        " ".join([f"{_prime(name, 1)} = {text(one, values)}", *terms.get(name, ())])
-        for name, one in _internal(plant)
-    ]
-    return "\n".join([*lines, *inner, *(f"with {change}" for change in changes)])
+    lines, changes = _lines(plant, added, numeric, TEXT, "→")
+    equations = [" ".join([f"{left} = {right}".rstrip(), *terms]) for left, right, terms in lines]
+    return "\n".join([*equations, *(f"with {change}" for change in changes)])
 
 
 def equation_latex(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
     r"""The same as the body of an ``aligned`` environment; arguments as in `equation_text`."""
     parts, changes = equation_lines(plant, added, numeric=numeric)
-    lines = [" ".join([f"{left} &= {right}", *terms]) for left, right, terms in parts]
+    lines = [" ".join([f"{left} &= {right}".rstrip(), *terms]) for left, right, terms in parts]
     lines += [rf"&\text{{with }} {change}" for change in changes]
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
@@ -75,349 +78,182 @@ def equation_lines(
     """The equations in LaTeX, with what was added apart; arguments as in `equation_text`.
 
     Returns:
-        Left side, declared right side and the terms that were added, of each equation; then what
-        happens to inputs.
+        Left side, declared right side ("" where there is nothing but what was added) and the terms
+        that were added, of each equation; then what happens to inputs.
     """
-    values = plant.parameters if numeric else {}
-    rights = [latex(one, values) for one in declared(plant)]
-    terms, changes = _effects(plant, added, numeric, True)
-    outputs = zip(plant.outputs, plant.degrees, rights, strict=True)
-    lines = [
-        (latex(Symbol(output, degree), {}), right, terms.get(output, []))
-        for output, degree, right in outputs
+    return _lines(plant, added, numeric, LATEX, r"\to")
+
+
+def _lines(
+    plant: Plant, added: Sequence[Any], numeric: bool, notation: Notation, arrow: str
+) -> tuple[list[tuple[str, str, list[str]]], list[str]]:
+    values: dict[str, float] = plant.parameters if numeric else {}
+    for item in added:
+        values = {**values, **item.parameters} if numeric else values
+    equations, changes = equations_of(plant, added)
+    lines = []
+    for equation in equations:
+        terms = [valued(term, values) for term in equation.added]
+        right, write_first = "", written
+        if equation.declared is not None and not (terms and equation.declared == Number(0.0)):
+            right, write_first = written(valued(equation.declared, values), notation), written_term
+        term_texts = [write_first(term, notation) for term in terms[:1]]
+        term_texts += [written_term(term, notation) for term in terms[1:]]
+        lines.append((written(equation.left, notation), right, term_texts))
+    return lines, [
+        f"{written(drive, notation)} {arrow} {written(valued(changed, values), notation)}"
+        for drive, changed in changes
     ]
-    for name, one in _internal(plant):
-        lines.append((latex(Symbol(name, 1), {}), latex(one, values), terms.get(name, [])))
-    return lines, changes
 
 
-def _prime(name: str, order: int) -> str:
-    return text(Symbol(name, order), {})
+# -- the equations ----------------------------------------------------------------------------
 
 
-# -- the effects ------------------------------------------------------------------------------
+def equations_of(
+    plant: Plant, added: Sequence[Any] = ()
+) -> tuple[list[Equation], list[tuple[Symbol, Expression]]]:
+    """The equations of a plant and of what was added to it, as formulas.
+
+    Args:
+        plant: as declared.
+        added: as in `equation_text`.
+
+    Returns:
+        Equations of the outputs, of internal states, of states of effects; then inputs with what
+        the model gets instead.
+    """
+    states = internal_names(plant)
+    f = _right_sides(plant, plant.dynamics, plant.derivative, "f", len(plant.outputs))
+    g = _right_sides(plant, plant.internal, plant.internal_rate, "g", len(states))
+    outer = zip(plant.outputs, plant.degrees, f, strict=True)
+    equations = [Equation(Symbol(name, degree), right) for name, degree, right in outer]
+    equations += [Equation(Symbol(name, 1), right) for name, right in zip(states, g, strict=True)]
+    changes: list[tuple[Symbol, Expression]] = []
+    count = len(states)
+    for item in added:
+        formulas = _EffectFormulas(plant, _placed(plant, item), count)
+        count += item.effect.states
+        placed = formulas.placed
+        if placed.on_input:
+            drive = Symbol(plant.inputs[placed.channel])
+            changes.append((drive, formulas.changed(drive)))
+        elif placed.through is not None:
+            drive = Symbol(plant.inputs[placed.through])
+            changes.append((drive, Operation("+", drive, formulas.term())))
+        elif (term := formulas.term()) != Number(0.0):
+            equations[placed.output].added.append(term)
+        if placed.on_state:
+            equations[len(plant.outputs) + placed.channel].added.append(formulas.change())
+        rates = zip(formulas.states, formulas.rates(), strict=True)
+        equations += [Equation(Symbol(name, 1), None, [rate]) for name, rate in rates]
+    return equations, changes
 
 
-def _effects(
-    plant: Plant, added: Sequence[Any], numeric: bool, in_latex: bool
-) -> tuple[dict[str, list[str]], list[str]]:
-    """Terms by output or internal state, and what happens to inputs."""
-    write = latex if in_latex else text
-    velocity = dict(zip(plant.outputs, velocity_rows(plant.degrees), strict=True))
-    terms: dict[str, list[str]] = {}
-    changes: list[str] = []
-    for one in added:
-        of_input = isinstance(one.effect, INPUT_EFFECTS)
-        output = plant.outputs[0] if of_input else one.output
-        drive = one.output if of_input else (plant.inputs or ("u",))[0]
-        names = [_named(name, value, numeric, in_latex) for name, value in one.parameters.items()]
-        ends = (output, one.against)
-        shown = (one.effect.latex if in_latex else one.effect.text)(
-            names,
-            _difference(ends, 0, write),
-            _difference(ends, velocity.get(output, 1), write),
-            write(Symbol(drive), {}),
-        )
-        if of_input:
-            changes.append(shown)
-        elif one.through:
-            beside = write(Symbol(one.through), {})
-            arrow = r"\to" if in_latex else "→"
-            changes.append(f"{beside} {arrow} {beside} {_signs(shown)}")
-        else:
-            terms.setdefault(output, []).append(_signs(shown))
-        if isinstance(one.effect, AbstractInternalEffect) and one.effect.outer_form[in_latex]:
-            outer = one.effect.outer_form[in_latex].format(*names, y=write(Symbol(output), {}))
-            terms.setdefault(plant.outputs[0], []).append(_signs(outer))
-    return terms, changes
+def _right_sides(
+    plant: Plant, model: Any, function: Callable[..., Any], letter: str, count: int
+) -> Sequence[Expression]:
+    """What f or g of a plant returns; a model of text is its own formula."""
+    trees: Sequence[Expression | None] | None
+    if isinstance(model, TextDynamics | TextInternal):
+        text = model.equations
+        written_trees = text.highest if isinstance(model, TextDynamics) else text.internal
+        trees = [text.written_out(tree) for tree in written_trees]
+    else:
+        trees = SymbolicPlant(plant).formulas(function) if count else []
+    if trees is not None and None not in trees:
+        return trees  # type: ignore[return-value]
+    return [_unknown(plant, letter if count == 1 else f"{letter}{j + 1}") for j in range(count)]
 
 
-def _difference(ends: tuple[str, str], order: int, write: Any) -> str:
-    """A derivative of an output, less that of the one that it is counted from, if any."""
-    own, other = (write(Symbol(name, order), {}) for name in ends)
-    return f"({own} - {other})" if ends[1] else own
+def _unknown(plant: Plant, name: str) -> Expression:
+    """A function of all that a model may depend on."""
+    outputs = [
+        Symbol(output, i)
+        for output, degree in zip(plant.outputs, plant.degrees, strict=True)
+        for i in range(degree)
+    ]
+    names = (*internal_names(plant), *plant.inputs, *plant.names)
+    return Call(name, (*outputs, *map(Symbol, names)))
 
 
-def _named(name: str, value: float, numeric: bool, in_latex: bool) -> str:
-    if not numeric:
-        return name_latex(name) if in_latex else name
-    shown = (latex if in_latex else text)(Number(value), {})
-    return f"({shown})" if value < 0 else shown
+# -- effects ----------------------------------------------------------------------------------
 
 
-def _signs(term: str) -> str:
-    """``+ (-3.2)·y`` as ``- 3.2·y``: a negative value takes the sign before it."""
-    flip = {"+": "-", "-": "+"}
-    return re.sub(
-        r"(?<![^ ])([+-]) \(-([^()]*)\)", lambda found: f"{flip[found[1]]} {found[2]}", term
+def _placed(plant: Plant, item: Any) -> Placed:
+    """Where something that was found acts."""
+    effect: AbstractEffect = item.effect
+    if isinstance(effect, INPUT_EFFECTS):
+        return Placed(effect, plant.inputs.index(item.output), tuple(item.parameters))
+    if isinstance(effect, AbstractInternalEffect):
+        channel = internal_names(plant).index(item.output)
+        return Placed(effect, channel, tuple(item.parameters))
+    channel = plant.outputs.index(item.output)
+    return Placed(
+        effect,
+        channel,
+        tuple(item.parameters),
+        velocity_rows(plant.degrees)[channel],
+        plant.outputs.index(item.against) if item.against else None,
+        plant.inputs.index(item.through) if item.through else None,
     )
 
 
-# -- the declared part ------------------------------------------------------------------------
+class _EffectFormulas:
+    """An effect at its place in a plant, as formulas.
 
-
-def declared(plant: Plant) -> tuple[Expression, ...]:
-    """What a plant's function returns, an expression for each output.
-
-    Args:
-        plant: any; its function is read where it can be.
-
-    Returns:
-        Expressions in the names of outputs, inputs, internal states and parameters; where the
-        source cannot be read, ``f(…)`` of all of them.
+    Attributes:
+        placed: what and where.
+        states: names of its own states.
     """
-    found = _read(plant.dynamics, plant, len(plant.outputs))
-    if found is not None:
-        return found
-    name = "f" if len(plant.outputs) == 1 else "f{}"
-    return tuple(Call(name.format(j + 1), _arguments(plant)) for j in range(len(plant.outputs)))
 
+    def __init__(self, plant: Plant, placed: Placed, first: int):
+        """The symbols; `first` is the number of internal states before its own."""
+        inner = internal_names(plant)
+        count = placed.effect.states
+        numbered = first > 0 or count > 1
+        self.placed = placed
+        self.states = tuple(f"z{first + i + 1}" if numbered else "z" for i in range(count))
+        self._inner = len(inner)
+        self._symbolic = SymbolicPlant(plant, placed.names, (*inner, *self.states))
+        self._parameters = [Symbol(name, parameter=True) for name in placed.names]
 
-def _internal(plant: Plant) -> list[tuple[str, Expression]]:
-    if plant.internal is None:
-        return []
-    states = _states(plant)
-    found = _read(plant.internal, plant, len(states))
-    return list(zip(states, found or [Call("g", _arguments(plant))] * len(states), strict=True))
+    def term(self) -> Expression:
+        """What it adds to y^(r)."""
+        effect = self.placed.effect
+        assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
+        return self._formulas(effect.term)[0]
 
+    def change(self) -> Expression:
+        """What it adds to the rate of the internal state that it acts on."""
+        effect = self.placed.effect
+        assert isinstance(effect, AbstractInternalEffect)
+        return self._formulas(lambda at, _, shapes: effect.change(at, shapes))[0]
 
-def _states(plant: Plant) -> list[str]:
-    return list(internal_names(plant))
+    def changed(self, drive: Symbol) -> Expression:
+        """What the model gets instead of an input; what depends on its past has a notation."""
+        effect, parameters = self.placed.effect, self._parameters
+        if isinstance(effect, InputDelay):
+            return Call(drive.name, (Operation("-", Symbol("t"), parameters[0]),))
+        if isinstance(effect, ActuatorLag):  # in Laplace's s
+            lag = Operation("+", Operation("*", parameters[0], Symbol("s")), Number(1.0))
+            return Operation("/", drive, lag)
+        if isinstance(effect, AbstractInputEffect):
+            return self._formulas(lambda at, _, shapes: effect.changed(at, shapes))[0]
+        return Call(effect.name, (drive, *parameters))
 
+    def rates(self) -> list[Expression]:
+        """Rates of its own states."""
+        effect = self.placed.effect
+        return self._formulas(lambda at, _, shapes: effect.rate(at, shapes)) if self.states else []
 
-def _arguments(plant: Plant) -> tuple[Expression, ...]:
-    outputs = [
-        Symbol(name, i)
-        for name, degree in zip(plant.outputs, plant.degrees, strict=True)
-        for i in range(degree)
-    ]
-    others = (*_states(plant), *plant.inputs, *plant.names)
-    return (*outputs, *(Symbol(name) for name in others))
+    def _formulas(self, function: Callable[[Any, Any, Any], Any]) -> list[Expression]:
+        """A function of the instant, gains and shapes; by its name where it has no formula."""
 
+        def at_instant(t: Any, x: State, u: Any, theta: Any) -> Any:
+            named = parameter_type(self.placed.names)(*theta)
+            declared = State(x.y, x.z[: self._inner])
+            at = instant(self.placed, t, declared, u, x.z[self._inner :])
+            return function(at, *split_parameters(self.placed, named))
 
-class _UnreadableError(Exception):
-    """The source says something that this reader does not know."""
-
-
-def _read(function: Any, plant: Plant, count: int) -> tuple[Expression, ...] | None:
-    """What `function` returns, flattened; None where it cannot be read."""
-    if isinstance(function, TextDynamics | TextInternal):
-        text = function.equations
-        trees = text.highest if isinstance(function, TextDynamics) else text.internal
-        written = tuple(text.written_out(tree) for tree in trees)
-        return None if None in written else written  # type: ignore[return-value]
-    try:
-        inner = inspect.unwrap(function)  # a decorator may have its own globals
-        body, arguments = _source(inner)
-        value = _Reader(plant, inner, arguments).run(body)
-        flat = tuple(_flat(value))
-        right = len(flat) == count and _agrees(flat, function, plant)
-    except _UNREADABLE:
-        return None
-    return flat if right else None
-
-
-def _agrees(read: Sequence[Expression], function: Any, plant: Plant) -> bool:
-    """Whether what was read has the value of the function at a point without symmetry.
-
-    A formula that is not the model's is worse than none: two lambdas in one line, an array product.
-    """
-    count = itertools.count(1)
-    values: dict[Symbol, float] = {Symbol("t"): 0.3}
-
-    def some(symbols: Iterable[Symbol]) -> list[float]:
-        for symbol in symbols:
-            values[symbol] = 0.2 + 0.6180339887 * next(count) % 1.0
-        return [values[symbol] for symbol in symbols]
-
-    rows = range(plant.relative_degree)
-    y = [some([Symbol(name, i) for name in plant.outputs]) for i in rows]
-    owned = np.asarray([[float(i < r) for r in plant.degrees] for i in rows])
-    z = some([Symbol(name) for name in _states(plant)])
-    u = some([Symbol(name) for name in plant.inputs])
-    theta = some([Symbol(name, parameter=True) for name in plant.names])
-    x = State(jnp.asarray(y) * owned, jnp.asarray(z))
-    computed = function(jnp.asarray(0.3), x, jnp.asarray(u), plant.named(np.asarray(theta)))
-    for expression, value in zip(read, np.ravel(np.asarray(computed)), strict=True):
-        mine = evaluate(expression, values)
-        if mine is not None and not np.isclose(mine, value, rtol=1e-4):
-            return False
-    return True
-
-
-_UNREADABLE = (
-    _UnreadableError, OSError, TypeError, SyntaxError, IndexError, ValueError, KeyError,
-    TokenError,  # the file is not Python: code that was run from a string
-)  # fmt: skip
-
-
-def _source(function: Any) -> tuple[list[ast.stmt], list[str]]:
-    """Statements and names of arguments of a function or a lambda."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
-            return node.body, [one.arg for one in node.args.args]
-        if isinstance(node, ast.Lambda):
-            return [ast.Return(node.body)], [one.arg for one in node.args.args]
-    raise _UnreadableError
-
-
-# Parts of JAX's arrays that only arrange values.
-_ARRANGING = ("stack", "array", "asarray", "concatenate", "reshape", "atleast_1d", "squeeze")
-_RENAMED = {"square_root": "sqrt", "absolute": "abs", "arctan": "atan", "arctan2": "atan2"}
-_OPERATIONS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
-_COMPARISONS = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
-
-# A value is an expression, or a tuple of values: arrays are nested tuples.
-_Value = Any
-
-
-class _Reader:
-    """Evaluates a function's statements with symbols in place of numbers."""
-
-    def __init__(self, plant: Plant, function: Any, arguments: Sequence[str]):
-        rows = range(plant.relative_degree)
-        outputs = list(zip(plant.outputs, plant.degrees, strict=True))
-        self.y = tuple(
-            tuple(Symbol(name, i) if i < r else Number(0.0) for name, r in outputs) for i in rows
-        )
-        self.z = tuple(Symbol(name) for name in _states(plant))
-        self.parameters = plant.names
-        if len(arguments) != 4:
-            raise _UnreadableError
-        self.time, self.state, self.drive, self.named = arguments
-        self.scope: dict[str, _Value] = {
-            self.time: Symbol("t"),
-            self.drive: tuple(Symbol(name) for name in plant.inputs),
-        }
-        known = inspect.getclosurevars(function)
-        self.outside = {**known.globals, **known.nonlocals}
-
-    def run(self, body: Sequence[ast.stmt]) -> _Value:
-        for statement in body:
-            match statement:
-                case ast.Return(value=ast.expr() as value):
-                    return self.value(value)
-                case ast.Assign(targets=[target], value=value):
-                    self.bind(target, self.value(value))
-                case ast.AugAssign(target=ast.Name(id=name), op=operation, value=value):
-                    new = self.operation(operation, self.scope[name], self.value(value))
-                    self.scope[name] = new
-                case ast.Expr(value=ast.Constant()) | ast.Delete():
-                    continue
-                case _:
-                    raise _UnreadableError
-        raise _UnreadableError
-
-    def bind(self, target: ast.expr, value: _Value) -> None:
-        if isinstance(target, ast.Name):
-            self.scope[target.id] = value
-        elif isinstance(target, ast.Tuple) and isinstance(value, tuple):
-            for part, one in zip(target.elts, value, strict=True):
-                self.bind(part, one)
-        else:
-            raise _UnreadableError
-
-    def value(self, node: ast.expr) -> _Value:
-        match node:
-            case ast.Constant(value=int() | float() as number):
-                return Number(float(number))
-            case ast.Name(id=name):
-                return self.name(name)
-            case ast.Attribute():
-                return self.attribute(node)
-            case ast.UnaryOp(op=ast.USub(), operand=inner):
-                return _each(lambda one: Operation("-", Number(0.0), one), self.value(inner))
-            case ast.UnaryOp(op=ast.UAdd(), operand=inner):
-                return self.value(inner)
-            case ast.BinOp(left=left, op=operation, right=right):
-                return self.operation(operation, self.value(left), self.value(right))
-            case ast.Compare(left=left, ops=[compared], comparators=[right]):
-                sign = _COMPARISONS[type(compared)]
-                return _pairs(sign, self.value(left), self.value(right))
-            case ast.Tuple(elts=parts) | ast.List(elts=parts):
-                return tuple(self.value(part) for part in parts)
-            case ast.Subscript(value=array, slice=place):
-                return self.item(self.value(array), place)
-            case ast.Call(func=function, args=arguments, keywords=options):
-                return self.call(function, arguments, bool(options))
-        raise _UnreadableError
-
-    def name(self, name: str) -> _Value:
-        if name in self.scope:
-            return self.scope[name]
-        value = self.outside.get(name)
-        if isinstance(value, int | float):
-            return Number(float(value))
-        raise _UnreadableError
-
-    def attribute(self, node: ast.Attribute) -> _Value:
-        owner = node.value.id if isinstance(node.value, ast.Name) else ""
-        if owner == self.state and node.attr in ("y", "z"):
-            return self.y if node.attr == "y" else self.z
-        if owner == self.named and node.attr in self.parameters:
-            return Symbol(node.attr, parameter=True)
-        if node.attr == "pi":
-            return Symbol("pi")
-        raise _UnreadableError
-
-    def operation(self, operation: ast.operator, left: _Value, right: _Value) -> _Value:
-        if type(operation) not in _OPERATIONS:
-            raise _UnreadableError
-        return _pairs(_OPERATIONS[type(operation)], left, right)
-
-    def item(self, array: _Value, place: ast.expr) -> _Value:
-        for part in place.elts if isinstance(place, ast.Tuple) else [place]:
-            index = ast.literal_eval(part)
-            if not (isinstance(array, tuple) and isinstance(index, int)):
-                raise _UnreadableError
-            array = array[index]
-        return array
-
-    def call(self, function: ast.expr, arguments: Sequence[ast.expr], options: bool) -> _Value:
-        match function:
-            case ast.Attribute(attr=name) | ast.Name(id=name):
-                name = _RENAMED.get(name, name)
-            case _:
-                raise _UnreadableError
-        if name in _ARRANGING:
-            return self.value(arguments[0])
-        if options:
-            raise _UnreadableError
-        values = [self.value(one) for one in arguments]
-        if len(values) == 1:
-            return _each(lambda one: Call(name, (one,)), values[0])
-        return Call(name, tuple(_single(one) for one in values))
-
-
-def _single(value: _Value) -> Expression:
-    flat = list(_flat(value))
-    if len(flat) != 1:
-        raise _UnreadableError
-    return flat[0]
-
-
-def _flat(value: _Value) -> list[Expression]:
-    if not isinstance(value, tuple):
-        return [value]
-    return [one for part in value for one in _flat(part)]
-
-
-def _each(change: Any, value: _Value) -> _Value:
-    if isinstance(value, tuple):
-        return tuple(_each(change, one) for one in value)
-    return change(value)
-
-
-def _pairs(sign: str, left: _Value, right: _Value) -> _Value:
-    """An operation on two arrays, element by element; one element goes with all."""
-    if isinstance(left, tuple) and isinstance(right, tuple):
-        if len(left) == 1 or len(right) == 1:
-            size = max(len(left), len(right))
-            left, right = left * (size // len(left)), right * (size // len(right))
-        return tuple(_pairs(sign, *pair) for pair in zip(left, right, strict=True))
-    if isinstance(left, tuple):
-        return tuple(_pairs(sign, one, right) for one in left)
-    if isinstance(right, tuple):
-        return tuple(_pairs(sign, left, one) for one in right)
-    return Operation(sign, left, right)
+        unknown: Expression = Call(self.placed.effect.name, tuple(self._parameters))
+        return self._symbolic.formulas(at_instant) or [unknown] * max(len(self.states), 1)

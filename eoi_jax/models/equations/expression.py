@@ -64,6 +64,41 @@ def is_flag(expression: Expression) -> bool:
     return False
 
 
+def parts_of(expression: Expression) -> tuple[Expression, ...]:
+    """Operands or arguments.
+
+    Args:
+        expression: any.
+    """
+    match expression:
+        case Operation(left=left, right=right):
+            return left, right
+        case Call(arguments=arguments):
+            return arguments
+    return ()
+
+
+def symbols_of(expression: Expression) -> set[Symbol]:
+    """Symbols of a formula.
+
+    Args:
+        expression: any.
+    """
+    if isinstance(expression, Symbol):
+        return {expression}
+    return set().union(*map(symbols_of, parts_of(expression)))
+
+
+def functions_of(expression: Expression) -> set[str]:
+    """Names of the functions that a formula calls.
+
+    Args:
+        expression: any.
+    """
+    called = {expression.name} if isinstance(expression, Call) else set()
+    return called.union(*map(functions_of, parts_of(expression)))
+
+
 # -- what functions are worth -----------------------------------------------------------------
 
 
@@ -92,9 +127,9 @@ def _root(m: Any, x: Any) -> Any:
 
 
 def _joined(name: str) -> Function:
-    def value(m: Any, first: Any, *others: Any) -> Any:
-        for one in others:
-            first = getattr(m, name)(first, one)
+    def value(m: Any, first: Any, *arguments: Any) -> Any:
+        for argument in arguments:
+            first = getattr(m, name)(first, argument)
         return first
 
     return Function(2, 8, value)
@@ -145,8 +180,6 @@ def value_of(expression: Expression, values: Mapping[Symbol, Any], m: Any) -> An
     match expression:
         case Number(value=value):
             return value
-        case Symbol(name="pi"):
-            return float(m.pi)
         case Symbol():
             return values[expression]
         case Operation(sign="-", left=Number(value=0.0), right=right):
@@ -158,5 +191,7 @@ def value_of(expression: Expression, values: Mapping[Symbol, Any], m: Any) -> An
         case Call(name="not", arguments=(inner,)):
             return m.logical_not(value_of(inner, values, m))
         case Call(name=name, arguments=arguments):
-            return FUNCTIONS[name].value(m, *(value_of(one, values, m) for one in arguments))
+            return FUNCTIONS[name].value(
+                m, *(value_of(argument, values, m) for argument in arguments)
+            )
     raise TypeError(expression)

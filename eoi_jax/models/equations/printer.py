@@ -1,34 +1,66 @@
-"""Small formulas, and how they are written: as plain text and in LaTeX."""
+"""Formulas as written: one printer, and the notations of plain text and of LaTeX.
 
-import operator
+The program languages have theirs in `models/export`; what a notation has to say is in `Notation`.
+"""
+
+import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-import numpy as np
+from eoi_jax.models.equations.expression import (
+    COMPARISONS,
+    Call,
+    Expression,
+    Number,
+    Operation,
+    Symbol,
+)
 
-from eoi_jax.models.equations.expression import Call as Call
-from eoi_jax.models.equations.expression import Expression as Expression
-from eoi_jax.models.equations.expression import Number as Number
-from eoi_jax.models.equations.expression import Operation as Operation
-from eoi_jax.models.equations.expression import Symbol as Symbol
-
-# How tightly an operation binds.
-_COMPARISON, _SUM, _PRODUCT, _POWER, _ATOM = range(5)
+# How tightly an operation binds, in all notations alike.
+LOGIC, COMPARISON, SUM, PRODUCT, POWER, ATOM = range(6)
 
 
 @dataclass(frozen=True)
-class _Notation:
-    """What differs between text and LaTeX."""
+class Infix:
+    """How an operation on two operands is written.
 
-    symbol: Callable[[Symbol], str]
-    number: Callable[[float], str]
-    product: Callable[[str, str], str]
-    power: Callable[[str, str], str]
-    quotient: str | None
-    call: Callable[[str, list[str]], str]
-    brackets: tuple[str, str]
+    Attributes:
+        form: of the operands' texts.
+        left, right: how tightly an operand must bind to need no brackets.
+        binding: how tightly the result binds.
+    """
+
+    form: Callable[[str, str], str]
+    left: int
+    right: int
+    binding: int
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How formulas are written.
+
+    Attributes:
+        operations: by sign; sums and differences are alike everywhere.
+        functions: templates of the arguments, by name; other functions are called by `head`.
+        symbol: how a name is written.
+        number: how a value is written.
+        head: how the name of a function is written.
+        brackets: around what would bind too loosely.
+        for_reading: whether products are in a row, ``k·x·x`` is a power, and a number that is 1
+            where a condition holds and 0 elsewhere is the condition in square brackets.
+        cases: of pairs of value and condition, and of the value otherwise; None: nested calls.
+    """
+
+    operations: Mapping[str, Infix]
+    functions: Mapping[str, str] = field(default_factory=dict)
+    symbol: Callable[[Symbol], str] = str
+    number: Callable[[float], str] = repr
+    head: Callable[[str], str] = str
+    brackets: tuple[str, str] = ("(", ")")
+    for_reading: bool = False
+    cases: Callable[[Sequence[tuple[str, str]], str], str] | None = None
 
 
 def text(expression: Expression, values: Mapping[str, float]) -> str:
@@ -38,71 +70,149 @@ def text(expression: Expression, values: Mapping[str, float]) -> str:
         expression: what to write.
         values: of parameters that are to be shown as numbers.
     """
-    return _write(_valued(expression, values), _TEXT)[0]
+    return written(valued(expression, values), TEXT)
 
 
 def latex(expression: Expression, values: Mapping[str, float]) -> str:
     """In LaTeX, for mathematics mode; arguments as in `text`."""
-    return _write(_valued(expression, values), _LATEX)[0]
+    return written(valued(expression, values), LATEX)
 
 
-def _valued(expression: Expression, values: Mapping[str, float]) -> Expression:
+def valued(expression: Expression, values: Mapping[str, float]) -> Expression:
+    """A formula with values in place of parameters.
+
+    Args:
+        expression: any.
+        values: by name; parameters without one stay.
+    """
     match expression:
         case Symbol(name=name, parameter=True) if name in values:
             return Number(values[name])
         case Operation(left=left, right=right):
-            return replace(expression, left=_valued(left, values), right=_valued(right, values))
+            return replace(expression, left=valued(left, values), right=valued(right, values))
         case Call(arguments=arguments):
-            return replace(expression, arguments=tuple(_valued(one, values) for one in arguments))
+            return replace(expression, arguments=tuple(valued(part, values) for part in arguments))
     return expression
 
 
-def _write(expression: Expression, how: _Notation) -> tuple[str, int]:
+def written(expression: Expression, notation: Notation) -> str:
+    """A formula in a notation.
+
+    Args:
+        expression: what to write.
+        notation: `TEXT`, `LATEX`, or that of a language.
+    """
+    return _write(expression, notation)[0]
+
+
+def written_term(expression: Expression, notation: Notation) -> str:
+    """A formula as what follows in a sum: ``- k·y``, ``+ a·sin(t) + b·cos(t)``.
+
+    Args:
+        expression: what is added.
+        notation: `TEXT` or `LATEX`.
+    """
+    return " ".join(
+        f"{'-' if negative else '+'} {_within(term, notation, PRODUCT)}"
+        for negative, term in _terms(expression, False)
+    )
+
+
+def _write(expression: Expression, how: Notation) -> tuple[str, int]:
     """What is written, and how tightly it binds."""
     match expression:
         case Number(value=value):
-            return how.number(value), _ATOM if value >= 0 else _SUM
+            return _number(value, how)
         case Symbol():
-            return how.symbol(expression), _ATOM
-        case Call(name=name, arguments=arguments):
-            return how.call(name, [_write(one, how)[0] for one in arguments]), _ATOM
+            return how.symbol(expression), ATOM
         case Operation(sign="+" | "-"):
-            return _sum(expression, how), _SUM
-        case Operation(sign="*", left=left, right=right):
-            first = _within(left, how, _PRODUCT)
-            return how.product(first, _within(right, how, _POWER)), _PRODUCT
-        case Operation(sign="/", left=left, right=right):
-            if how.quotient is not None:
-                over, under = _write(left, how)[0], _write(right, how)[0]
-                return how.quotient % (over, under), _POWER
-            return f"{_within(left, how, _PRODUCT)}/{_within(right, how, _POWER)}", _PRODUCT
-        case Operation(sign="^", left=left, right=right):
-            return how.power(_within(left, how, _ATOM), _write(right, how)[0]), _POWER
-        case Operation(sign=sign, left=left, right=right):
-            return f"{_write(left, how)[0]} {sign} {_write(right, how)[0]}", _COMPARISON
+            return _sum(expression, how), SUM
+        case Operation(sign="*" | "/") if _terms(expression, False)[0][0]:
+            return _sum(expression, how), SUM  # of one term, with a minus
+        case Operation(sign="*") if how.for_reading:
+            return _infix(_with_powers(_in_a_row(expression)), how)
+        case Operation():
+            return _infix(expression, how)
+        case Call(name="where"):
+            return _choice(expression, how), ATOM
+        case Call(name=name, arguments=arguments):
+            return _call(name, [_write(part, how)[0] for part in arguments], how), ATOM
     raise TypeError(expression)
 
 
-def _within(expression: Expression, how: _Notation, binding: int) -> str:
+def _within(expression: Expression, how: Notation, binding: int) -> str:
     """An operand, in brackets where it binds less tightly than what it stands in."""
-    written, own = _write(expression, how)
-    return written if own >= binding else how.brackets[0] + written + how.brackets[1]
+    operand, tightness = _write(expression, how)
+    return operand if tightness >= binding else how.brackets[0] + operand + how.brackets[1]
 
 
-def _sum(expression: Expression, how: _Notation) -> str:
-    shown = ""
+def _number(value: float, how: Notation) -> tuple[str, int]:
+    digits = how.number(value)
+    if value < 0:
+        return digits, SUM
+    if "/" in digits:
+        return digits, PRODUCT
+    return digits, ATOM if re.fullmatch(r"[\w.+-]+|\\\w+", digits) else POWER
+
+
+def _infix(expression: Operation, how: Notation) -> tuple[str, int]:
+    rule = how.operations[expression.sign]
+    left = _within(expression.left, how, rule.left)
+    return rule.form(left, _within(expression.right, how, rule.right)), rule.binding
+
+
+def _in_a_row(product: Operation) -> Operation:
+    """a·(b·c) as (a·b)·c, which needs no brackets."""
+    while isinstance(product.right, Operation) and product.right.sign == "*":
+        inner = product.right
+        product = Operation("*", Operation("*", product.left, inner.left), inner.right)
+    return product
+
+
+def _with_powers(product: Operation) -> Operation:
+    """k·x·x as k·x²."""
+    factor, power = product.right, 1
+    factors: Expression = product.left
+    while isinstance(factors, Operation) and factors.sign == "*" and factors.right == factor:
+        factors, power = factors.left, power + 1
+    if power == 1 or isinstance(factor, Number):
+        return product
+    return Operation("*", factors, Operation("^", factor, Number(float(power))))
+
+
+def _call(name: str, arguments: Sequence[str], how: Notation) -> str:
+    if name in how.functions:
+        return how.functions[name].format(*arguments)
+    return f"{how.head(name)}{how.brackets[0]}{', '.join(arguments)}{how.brackets[1]}"
+
+
+def _choice(expression: Call, how: Notation) -> str:
+    condition, first, second = expression.arguments
+    if how.for_reading and (first, second) == (Number(1.0), Number(0.0)):
+        return f"[{written(condition, how)}]"
+    if how.cases is None:
+        return _call("where", [written(part, how) for part in expression.arguments], how)
+    ways: list[tuple[str, str]] = []
+    last: Expression = expression
+    while isinstance(last, Call) and last.name == "where":
+        condition, first, last = last.arguments
+        ways.append((written(first, how), written(condition, how)))
+    return how.cases(ways, written(last, how))
+
+
+def _sum(expression: Expression, how: Notation) -> str:
+    total = ""
     for negative, term in _terms(expression, False):
         sign = "-" if negative else "+"
-        written = _within(term, how, _PRODUCT)
-        if shown:
-            shown += f" {sign} {written}"
+        if total:
+            total += f" {sign} {_within(term, how, PRODUCT)}"
         else:
-            shown = ("-" if negative else "") + written
-    return shown or how.number(0.0)
+            total = ("-" if negative else "") + _within(term, how, PRODUCT)
+    return total
 
 
 def _terms(expression: Expression, negative: bool) -> list[tuple[bool, Expression]]:
-    """The terms of a sum, each with whether it is taken away; signs of values are drawn out."""
+    """The terms of a sum, each with whether it is taken away; changes of sign are exact."""
     match expression:
         case Operation(sign="+" | "-" as sign, left=left, right=right):
             first = [] if left == Number(0.0) else _terms(left, negative)
@@ -116,64 +226,76 @@ def _terms(expression: Expression, negative: bool) -> list[tuple[bool, Expressio
     return [(negative, expression)]
 
 
-# -- values -----------------------------------------------------------------------------------
-
-_COMMON = (
-    "sin",
-    "cos",
-    "tan",
-    "exp",
-    "log",
-    "sqrt",
-    "sign",
-    "sinh",
-    "cosh",
-    "tanh",
-    "abs",
-    "where",
-)
-_FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _COMMON} | {
-    "clip": np.clip,
-    "maximum": np.maximum,
-    "minimum": np.minimum,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-}
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "^": operator.pow,
-    "<": operator.lt,
-    "≤": operator.le,
-    ">": operator.gt,
-    "≥": operator.ge,
-}
+# -- program languages ------------------------------------------------------------------------
 
 
-def evaluate(expression: Expression, values: Mapping[Symbol, float]) -> float | None:
-    """The value of a formula, or None where it holds a function that is not a common one.
+def code_notation(
+    power: Infix,
+    comparisons: Mapping[str, str],
+    logic: Mapping[str, str],
+    functions: Mapping[str, str],
+) -> Notation:
+    """The notation of a program language; numbers keep all their digits.
 
     Args:
-        expression: what to work out.
-        values: of its symbols.
+        power: of base and exponent.
+        comparisons: how ``≤ = ≠`` are written.
+        logic: templates of ``and``, ``or`` and ``not``, with brackets of their own.
+        functions: templates by name; other functions are called by their own name.
     """
-    match expression:
-        case Number(value=value):
-            return value
-        case Symbol(name="pi"):
-            return float(np.pi)
-        case Symbol():
-            return values[expression]
-        case Operation(sign=sign, left=left, right=right):
-            function, parts = _OPERATORS[sign], (left, right)
-        case Call(name=name, arguments=parts):
-            function = _FUNCTIONS.get(name)
-    arguments = [evaluate(one, values) for one in parts]
-    if function is None or any(one is None for one in arguments):
-        return None
-    return float(function(*arguments))
+    operations = {
+        # (a*b)*c as it is, a*(b*c) in brackets: rounding is that of the model.
+        "*": Infix("{}*{}".format, PRODUCT, POWER, PRODUCT),
+        "/": Infix("{}/{}".format, PRODUCT, POWER, PRODUCT),
+        "^": power,
+        **_comparisons({sign: comparisons.get(sign, sign) for sign in COMPARISONS}),
+        **{sign: Infix(logic[sign].format, COMPARISON, COMPARISON, LOGIC) for sign in _JOINING},
+    }
+    return Notation(operations, {**functions, "not": logic["not"]})
+
+
+def power_operator(sign: str) -> Infix:
+    """A power written by a sign, whole exponents without a point.
+
+    Args:
+        sign: ``"**"`` or ``"^"``.
+    """
+    return Infix(lambda base, n: f"{base}{sign}{n.removesuffix('.0')}", ATOM, ATOM, POWER)
+
+
+_JOINING = ("and", "or")
+
+
+def _comparisons(signs: Mapping[str, str]) -> dict[str, Infix]:
+    return {
+        sign: Infix(f"{{}} {name} {{}}".format, SUM, SUM, COMPARISON)
+        for sign, name in signs.items()
+    }
+
+
+# -- numbers to read --------------------------------------------------------------------------
+
+_DENOMINATORS = (1, 2, 3, 4, 6, 180)
+_LARGEST_MULTIPLE = 6
+_PI_TOLERANCE = 1e-7  # relative: single precision
+
+
+def _multiple_of_pi(value: float) -> tuple[int, int] | None:
+    """Numerator and denominator of a value that is a simple multiple of π."""
+    for denominator in _DENOMINATORS:
+        count = value / math.pi * denominator
+        numerator = round(count)
+        near = abs(count - numerator) <= _PI_TOLERANCE * abs(count)
+        if near and 1 <= numerator <= _LARGEST_MULTIPLE:
+            return numerator, denominator
+    return None
+
+
+def _digits(value: float) -> str:
+    """Five digits; of a large number that has few more, all: a time that is counted from 1e6 s."""
+    short, exact = f"{value:.5g}", f"{value:.10g}"
+    is_large = abs(value) >= 1e5 and "e" not in exact
+    return exact if is_large and float(exact) == value != float(short) else short
 
 
 # -- text -------------------------------------------------------------------------------------
@@ -182,32 +304,35 @@ _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def _text_symbol(symbol: Symbol) -> str:
-    return ("π" if symbol.name == "pi" else symbol.name) + "'" * symbol.order
+    return symbol.name + "'" * symbol.order
 
 
 def _text_number(value: float) -> str:
-    return f"{value:.5g}"
+    if (multiple := _multiple_of_pi(value)) is None:
+        return _digits(value)
+    count, denominator = multiple
+    return ("" if count == 1 else f"{count}·") + "π" + f"/{denominator}" * (denominator > 1)
 
 
 def _text_power(base: str, exponent: str) -> str:
-    whole = re.fullmatch(r"-?\d+", exponent)
-    if whole:
+    if re.fullmatch(r"-?\d+", exponent):
         return base + exponent.translate(_RAISED)
     return f"{base}^{exponent}" if re.fullmatch(r"[\w.]+", exponent) else f"{base}^({exponent})"
 
 
-def _text_call(name: str, arguments: list[str]) -> str:
-    return f"|{arguments[0]}|" if name == "abs" else f"{name}({', '.join(arguments)})"
-
-
-_TEXT = _Notation(
-    _text_symbol,
-    _text_number,
-    lambda left, right: f"{left}·{right}",
-    _text_power,
-    None,
-    _text_call,
-    ("(", ")"),
+TEXT = Notation(
+    operations={
+        "*": Infix("{}·{}".format, PRODUCT, POWER, PRODUCT),
+        "/": Infix("{}/{}".format, PRODUCT, POWER, PRODUCT),
+        "^": Infix(_text_power, ATOM, LOGIC, POWER),
+        **_comparisons({sign: sign for sign in COMPARISONS}),
+        "and": Infix("{} and {}".format, COMPARISON, COMPARISON, LOGIC),
+        "or": Infix("{} or {}".format, COMPARISON, COMPARISON, LOGIC),
+    },
+    functions={"abs": "|{0}|", "plain_root": "sqrt({0})", "not": "not ({0})"},
+    symbol=_text_symbol,
+    number=_text_number,
+    for_reading=True,
 )
 
 # -- LaTeX ------------------------------------------------------------------------------------
@@ -220,9 +345,9 @@ _SPECIAL = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
-    **{one: f"\\{one}" for one in "{}$&#%_"},
+    **{sign: f"\\{sign}" for sign in "{}$&#%_"},
 }
-_KNOWN = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "max", "min")
+_LATEX_FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sinh", "cosh", "tanh", "max", "min")
 
 
 def escaped(text: str) -> str:
@@ -231,7 +356,7 @@ def escaped(text: str) -> str:
     Args:
         text: any.
     """
-    return "".join(_SPECIAL.get(one, one if one.isprintable() else " ") for one in text)
+    return "".join(_SPECIAL.get(sign, sign if sign.isprintable() else " ") for sign in text)
 
 
 def name_latex(name: str) -> str:
@@ -258,7 +383,11 @@ def _latex_symbol(symbol: Symbol) -> str:
 
 
 def _latex_number(value: float) -> str:
-    mantissa, _, exponent = f"{value:.5g}".partition("e")
+    if (multiple := _multiple_of_pi(value)) is not None:
+        count, denominator = multiple
+        numerator = ("" if count == 1 else rf"{count}") + r"\pi"
+        return rf"\frac{{{numerator}}}{{{denominator}}}" if denominator > 1 else numerator
+    mantissa, _, exponent = _digits(value).partition("e")
     return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
 
@@ -267,27 +396,37 @@ def _latex_product(left: str, right: str) -> str:
     return rf"{left} \cdot {right}" if right[:1].isdigit() else rf"{left}\,{right}"
 
 
-def _latex_call(name: str, arguments: list[str]) -> str:
-    if name == "abs":
-        return rf"\left|{arguments[0]}\right|"
-    if name == "sqrt":
-        return rf"\sqrt{{{arguments[0]}}}"
-    if name == "where" and len(arguments) == 3:
-        condition, first, second = arguments
-        ways = rf"{first} & {condition} \\ {second} & \text{{otherwise}}"
-        return rf"\begin{{cases}} {ways} \end{{cases}}"
-    head = (
-        rf"\{name}" if name in _KNOWN else rf"\operatorname{{{name.replace('_', chr(92) + '_')}}}"
-    )
-    return rf"{head}\left({', '.join(arguments)}\right)"
+def _latex_head(name: str) -> str:
+    if name in _LATEX_FUNCTIONS:
+        return rf"\{name}"
+    return name if len(name) == 1 else rf"\operatorname{{{name.replace('_', chr(92) + '_')}}}"
 
 
-_LATEX = _Notation(
-    _latex_symbol,
-    _latex_number,
-    _latex_product,
-    lambda base, exponent: f"{base}^{{{exponent}}}",
-    r"\frac{%s}{%s}",
-    _latex_call,
-    (r"\left(", r"\right)"),
+def _latex_cases(ways: Sequence[tuple[str, str]], otherwise: str) -> str:
+    rows = [f"{value} & {condition}" for value, condition in ways]
+    rows = r" \\ ".join([*rows, rf"{otherwise} & \text{{otherwise}}"])
+    return rf"\begin{{cases}} {rows} \end{{cases}}"
+
+
+LATEX = Notation(
+    operations={
+        "*": Infix(_latex_product, PRODUCT, POWER, PRODUCT),
+        "/": Infix(r"\frac{{{}}}{{{}}}".format, LOGIC, LOGIC, POWER),
+        "^": Infix("{}^{{{}}}".format, ATOM, LOGIC, POWER),
+        **_comparisons({"<": "<", "≤": r"\le", ">": ">", "≥": r"\ge", "=": "=", "≠": r"\ne"}),
+        "and": Infix(r"{} \wedge {}".format, COMPARISON, COMPARISON, LOGIC),
+        "or": Infix(r"{} \vee {}".format, COMPARISON, COMPARISON, LOGIC),
+    },
+    functions={
+        "abs": r"\left|{0}\right|",
+        "sqrt": r"\sqrt{{{0}}}",
+        "plain_root": r"\sqrt{{{0}}}",
+        "not": r"\neg\left({0}\right)",
+    },
+    symbol=_latex_symbol,
+    number=_latex_number,
+    head=_latex_head,
+    brackets=(r"\left(", r"\right)"),
+    for_reading=True,
+    cases=_latex_cases,
 )

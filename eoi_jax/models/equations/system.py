@@ -21,9 +21,10 @@ from eoi_jax.models.equations.expression import (
     Number,
     Operation,
     Symbol,
+    parts_of,
     value_of,
 )
-from eoi_jax.models.equations.grammar import good_name, parse, words
+from eoi_jax.models.equations.parser import good_name, parse, words
 from eoi_jax.models.plant import State
 
 MOST_TEXT = 40_000  # characters of all equations together
@@ -102,8 +103,8 @@ class Equations:
     @cached_property
     def names(self) -> dict[str, Expression]:
         """What each name stands for in an equation."""
-        known = {name: _known_as(name, tree) for name, tree in self.defined.items()}
-        return {**self.symbols, **known}
+        definitions = {name: _known_as(name, tree) for name, tree in self.defined.items()}
+        return {**self.symbols, **definitions}
 
     @cached_property
     def rates(self) -> dict[str, Expression]:
@@ -116,11 +117,13 @@ class Equations:
     @cached_property
     def starts(self) -> dict[str, Expression]:
         """Trees of the initial values."""
-        known: dict[str, Expression] = {
+        parameters: dict[str, Expression] = {
             name: Symbol(name, parameter=True) for name in self.parameters
         }
         texts = dict(self.initial)
-        return {name: parse(texts[name], known, f"model.initial.{name}") for name in self.states}
+        return {
+            name: parse(texts[name], parameters, f"model.initial.{name}") for name in self.states
+        }
 
     @property
     def highest(self) -> tuple[Expression, ...]:
@@ -264,8 +267,8 @@ class TextStart:
 
     def __call__(self, p: Any) -> Any:
         """Internal states, shape (nz,)."""
-        known = self.equations.parameters
-        values = {Symbol(name, parameter=True): getattr(p, name) for name in known}
+        names = self.equations.parameters
+        values = {Symbol(name, parameter=True): getattr(p, name) for name in names}
         trees = [self.equations.starts[name] for name in self.equations.states]
         return _stacked(trees, values, jnp.result_type(*p))
 
@@ -276,15 +279,6 @@ def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: A
 
 
 # -- trees ------------------------------------------------------------------------------------
-
-
-def _parts(expression: Expression) -> tuple[Expression, ...]:
-    match expression:
-        case Operation(left=left, right=right):
-            return left, right
-        case Call(arguments=arguments):
-            return arguments
-    return ()
 
 
 def _known_as(name: str, tree: Expression) -> Expression:
@@ -306,7 +300,7 @@ def _size(expression: Expression, sizes: Mapping[str, int]) -> int:
     """Number of parts of a formula, those of definitions included."""
     if isinstance(expression, Symbol):
         return sizes.get(expression.name, 1)
-    return min(1 + sum(_size(part, sizes) for part in _parts(expression)), _LONGEST_SHOWN + 1)
+    return min(1 + sum(_size(part, sizes) for part in parts_of(expression)), _LONGEST_SHOWN + 1)
 
 
 def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expression:
@@ -316,5 +310,5 @@ def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expressi
         case Operation(sign=sign, left=left, right=right):
             return Operation(sign, _put_in(left, trees), _put_in(right, trees))
         case Call(name=name, arguments=arguments):
-            return Call(name, tuple(_put_in(one, trees) for one in arguments))
+            return Call(name, tuple(_put_in(argument, trees) for argument in arguments))
     return expression

@@ -1,17 +1,19 @@
 """A model as a C function (C99, `math.h` and nothing else)."""
 
 from eoi_jax.models.equations.expression import Symbol
-from eoi_jax.models.export.code import Language
+from eoi_jax.models.equations.printer import ATOM, LOGIC, Infix, code_notation
 from eoi_jax.models.export.listing import Listing
 from eoi_jax.models.export.program import Program
 
-_C = Language(
-    power="pow({0}, {1})",
-    power_is_call=True,
+_C = code_notation(
+    power=Infix("pow({}, {})".format, LOGIC, LOGIC, ATOM),
+    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "!({0})"},
     functions={
         "abs": "fabs({0})",
         "max": "fmax({0}, {1})",
         "min": "fmin({0}, {1})",
+        "clip": "fmin(fmax({0}, {1}), {2})",
         "rem": "fmod({0}, {1})",
         "round": "rint({0})",
         "where": "({0} ? {1} : {2})",
@@ -19,8 +21,6 @@ _C = Language(
         "sqrt": "guarded_root({0})",
         "sign": "sign_of({0})",
     },
-    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
-    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "!({0})"},
 )
 _HELPERS = {
     "sign": "static double sign_of(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x; }",
@@ -54,6 +54,10 @@ def c_text(model: Program, name: str, version: str) -> str:
 def _unread(listing: Listing) -> list[str]:
     """Arguments of the function of which compilers would say that nothing reads them."""
     model, used = listing.model, listing.used
-    several = {"states": model.states, "inputs": model.inputs}
-    names = [name for name, all_ in several.items() if not any(one.symbol in used for one in all_)]
+    vectors = {"states": model.states, "inputs": model.inputs}
+    names = [
+        vector
+        for vector, variables in vectors.items()
+        if not any(variable.symbol in used for variable in variables)
+    ]
     return names if Symbol("t") in used else [*names, "t"]

@@ -7,7 +7,7 @@ from typing import Any
 
 from eoi_jax._atomic import write_file
 from eoi_jax._checks import check, check_choice
-from eoi_jax.models.equations.model import model_json
+from eoi_jax.models.equations.text_model import model_json
 from eoi_jax.models.export.c import c_text
 from eoi_jax.models.export.matlab import matlab_text
 from eoi_jax.models.export.names import identifier

@@ -1,11 +1,11 @@
 """What the program languages share: names, expressions, comments, and what of a model they use."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
-from eoi_jax.models.equations.expression import Expression, Symbol
-from eoi_jax.models.export.code import Language, functions_of, symbols_of, written
+from eoi_jax.models.equations.expression import Expression, Symbol, functions_of, symbols_of
+from eoi_jax.models.equations.printer import Notation, written
 from eoi_jax.models.export.names import comment, header, identifiers
 from eoi_jax.models.export.program import Program
 
@@ -16,13 +16,13 @@ class Listing:
 
     Attributes:
         model: what is written.
-        language: in which.
+        notation: of the language, its own names apart.
         assigned: a line that gives a name (first) a value (second).
         remark: of a unit, at the end of such a line.
     """
 
     model: Program
-    language: Language
+    notation: Notation
     assigned: str
     remark: str
 
@@ -47,7 +47,7 @@ class Listing:
 
     def code(self, tree: Expression) -> str:
         """An expression."""
-        return written(tree, self.names, self.language)
+        return written(tree, replace(self.notation, symbol=self.names.__getitem__))
 
     def top(self, mark: str, indices: tuple[str, str, str], version: str) -> list[str]:
         """What the file is, as comments: brackets of an index, and the first one."""
@@ -57,19 +57,19 @@ class Listing:
     def parameters(self) -> list[str]:
         """Values of those that are used."""
         return [
-            self.assigned.format(self.names[one.symbol], repr(value))
-            + (self.remark.format(comment(one.unit)) if one.unit else "")
-            for one, value in self.model.parameters
-            if one.symbol in self.used
+            self.assigned.format(self.names[variable.symbol], repr(value))
+            + (self.remark.format(comment(variable.unit)) if variable.unit else "")
+            for variable, value in self.model.parameters
+            if variable.symbol in self.used
         ]
 
     def elements(self, element: Callable[[str, int], str]) -> list[str]:
         """States and inputs that are used, from their vectors."""
         return [
-            self.assigned.format(self.names[one.symbol], element(vector, k))
+            self.assigned.format(self.names[variable.symbol], element(vector, k))
             for vector, variables in (("states", self.model.states), ("inputs", self.model.inputs))
-            for k, one in enumerate(variables)
-            if one.symbol in self.used
+            for k, variable in enumerate(variables)
+            if variable.symbol in self.used
         ]
 
     def definitions(self) -> list[str]:

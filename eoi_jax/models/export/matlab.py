@@ -1,13 +1,15 @@
 """A model as a function file of MATLAB and of GNU Octave."""
 
-from eoi_jax.models.export.code import Language
+from eoi_jax.models.equations.printer import code_notation, power_operator
 from eoi_jax.models.export.listing import Listing
 from eoi_jax.models.export.program import Program
 
-_MATLAB = Language(
-    power="{0}^{1}",
-    power_is_call=False,
+_MATLAB = code_notation(
+    power=power_operator("^"),
+    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "~="},
+    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "~({0})"},
     functions={
+        "clip": "min(max({0}, {1}), {2})",
         "trunc": "fix({0})",
         "cbrt": "nthroot({0}, 3)",
         "round": "nearest_even({0})",
@@ -15,8 +17,6 @@ _MATLAB = Language(
         "plain_root": "sqrt({0})",
         "sqrt": "sqrt(max({0}, 0))",
     },
-    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "~="},
-    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "~({0})"},
 )
 _HELPERS = {
     "where": """

@@ -10,8 +10,8 @@ import unicodedata
 from collections.abc import Collection, Mapping, Sequence
 
 from eoi_jax.models.equations.expression import Symbol
-from eoi_jax.models.equations.grammar import RESERVED
-from eoi_jax.models.export.program import Program
+from eoi_jax.models.equations.parser import RESERVED
+from eoi_jax.models.export.program import Program, Variable
 
 _LONGEST = 48  # characters; C99 tells 63 apart, MATLAB as many
 _LONGEST_COMMENT = 100
@@ -40,7 +40,7 @@ def identifier(name: str, taken: Collection[str] = (), words: Collection[str] = 
         taken: names that are gone; a number is added to differ from them.
         words: of the language; an underscore is added to differ from them.
     """
-    plain = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_spelled(one) for one in name))
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_spelled(letter) for letter in name))
     plain = plain.strip("_")[:_LONGEST] or "name"
     plain = plain if plain[0].isalpha() else f"n{plain}"
     plain = f"{plain}_" if plain in words else plain
@@ -51,9 +51,9 @@ def identifier(name: str, taken: Collection[str] = (), words: Collection[str] = 
 
 
 def _spelled(letter: str) -> str:
-    found = re.fullmatch(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, ""))
-    if found:
-        return found[1].lower()
+    greek = re.fullmatch(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, ""))
+    if greek:
+        return greek[1].lower()
     return unicodedata.normalize("NFKD", letter)
 
 
@@ -82,8 +82,8 @@ def comment(text: str) -> str:
     Args:
         text: any.
     """
-    line = "".join(one if one.isprintable() else " " for one in text).replace("\\", "/")
-    line = re.sub(r"\*(?=/)|/(?=\*)", lambda found: found[0] + " ", line)
+    line = "".join(letter if letter.isprintable() else " " for letter in text).replace("\\", "/")
+    line = re.sub(r"\*(?=/)|/(?=\*)", lambda sign: sign[0] + " ", line)
     return line if len(line) <= _LONGEST_COMMENT else line[: _LONGEST_COMMENT - 1] + "…"
 
 
@@ -98,6 +98,11 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
         version: of this package.
     """
     before, after, first = index
+
+    def element(vector: str, k: int, variable: Variable, note: str) -> str:
+        name = f"{names[variable.symbol]}{_unit(variable.unit)}"
+        return f"  {vector}{before}{k}{after} {name}{': ' + note if note else ''}"
+
     # The first two lines are ours: an encoding named there would be believed.
     lines = [
         "Right-hand side of a model: d/dt of its states at time t under inputs.",
@@ -106,20 +111,17 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
         f"Model: {comment(model.name)}",
         "States:",
     ]
-    for k, one in enumerate(model.states):
-        note = comment("; ".join(filter(None, (one.note, _start(model, one.symbol)))))
-        lines.append(f"  states{before}{k + int(first)}{after} {names[one.symbol]}{_unit(one.unit)}"
-                     f"{': ' + note if note else ''}")  # fmt: skip
+    for k, variable in enumerate(model.states, int(first)):
+        note = comment("; ".join(filter(None, (variable.note, _start(model, variable.symbol)))))
+        lines.append(element("states", k, variable, note))
     lines.append("Inputs:" if model.inputs else "Inputs: none")
-    for k, one in enumerate(model.inputs):
-        late = " + ".join(model.delays.get(one.name, ()))
-        note = f": its value {comment(late)} seconds ago" if late else ""
-        lines.append(
-            f"  inputs{before}{k + int(first)}{after} {names[one.symbol]}{_unit(one.unit)}{note}"
-        )
-    for one, value in model.parameters:
-        if any(one.name in late for late in model.delays.values()):
-            lines.append(f"  {names[one.symbol]} = {value!r}{_unit(one.unit)}: a delay")
+    for k, variable in enumerate(model.inputs, int(first)):
+        late = " + ".join(model.delays.get(variable.name, ()))
+        note = f"its value {comment(late)} seconds ago" if late else ""
+        lines.append(element("inputs", k, variable, note))
+    for variable, value in model.parameters:
+        if any(variable.name in late for late in model.delays.values()):
+            lines.append(f"  {names[variable.symbol]} = {value!r}{_unit(variable.unit)}: a delay")
     for symbol in model.rough:
         lines.append(f"Dry friction: at {names[symbol]} = 0 the right-hand side is set-valued, and")
         lines.append(

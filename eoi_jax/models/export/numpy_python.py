@@ -1,30 +1,34 @@
 """A model as a Python function that needs NumPy alone."""
 
-from eoi_jax.models.export.code import Language
+from eoi_jax.models.equations.printer import code_notation, power_operator
 from eoi_jax.models.export.listing import Listing
 from eoi_jax.models.export.program import Program
 
-_OWN = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1", "log", "log1p", "cbrt", "abs")
-_NUMPY = Language(
-    power="{0}**{1}",
-    power_is_call=False,
+_SAME_NAME = (
+    *("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1", "log", "log1p", "cbrt"),
+    *("abs", "sign", "floor", "ceil", "trunc"),
+)
+_INVERSE = ("sin", "cos", "tan", "sinh", "cosh", "tanh")
+_NUMPY = code_notation(
+    power=power_operator("**"),
+    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+    logic={
+        "and": "np.logical_and({0}, {1})",
+        "or": "np.logical_or({0}, {1})",
+        "not": "np.logical_not({0})",
+    },
     functions={
-        **{name: f"np.{name}({{0}})" for name in (*_OWN, "sign", "floor", "ceil", "trunc")},
-        **{f"a{n}": f"np.arc{n}({{0}})" for n in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+        **{name: f"np.{name}({{0}})" for name in _SAME_NAME},
+        **{f"a{name}": f"np.arc{name}({{0}})" for name in _INVERSE},
         "atan2": "np.arctan2({0}, {1})",
         "max": "np.maximum({0}, {1})",
         "min": "np.minimum({0}, {1})",
+        "clip": "np.minimum(np.maximum({0}, {1}), {2})",
         "rem": "np.fmod({0}, {1})",
         "round": "np.rint({0})",
         "where": "np.where({0}, {1}, {2})",
         "plain_root": "np.sqrt({0})",
         "sqrt": "np.sqrt(np.maximum({0}, 0.0))",
-    },
-    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
-    logic={
-        "and": "np.logical_and({0}, {1})",
-        "or": "np.logical_or({0}, {1})",
-        "not": "np.logical_not({0})",
     },
 )
 

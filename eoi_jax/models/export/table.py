@@ -1,21 +1,22 @@
 """A model as text again: the table that `plant_from_text` and a config's [model] take."""
 
+from dataclasses import replace
+
 from eoi_jax._checks import check
 from eoi_jax.models.augmented import actuators
-from eoi_jax.models.equations.expression import Expression
-from eoi_jax.models.equations.model import ModelTable, plant_of
+from eoi_jax.models.equations.expression import symbols_of
+from eoi_jax.models.equations.printer import code_notation, power_operator, written
 from eoi_jax.models.equations.system import TextDynamics
-from eoi_jax.models.export.code import Language, symbols_of, written
+from eoi_jax.models.equations.text_model import ModelTable, plant_of
 from eoi_jax.models.export.names import identifiers
 from eoi_jax.models.export.program import Program, program
 from eoi_jax.models.plant import Plant
 
-_TEXT = Language(
-    power="{0}**{1}",
-    power_is_call=False,
-    functions={"plain_root": "({0})**0.5"},
-    signs={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+_TEXT = code_notation(
+    power=power_operator("**"),
+    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
     logic={"and": "({0} and {1})", "or": "({0} or {1})", "not": "(not {0})"},
+    functions={"plain_root": "({0})**0.5"},
 )
 
 
@@ -29,14 +30,16 @@ def table_of(plant: Plant) -> ModelTable:
         ValueError: a model that texts cannot say: an operation, a name, two lags of one input.
     """
     model = program(plant, lags_as_states=False)
-    own = plant.dynamics
-    table = _of_text(plant, own, model) if isinstance(own, TextDynamics) else _written(plant, model)
+    text = plant.dynamics
+    table = (
+        _of_text(plant, text, model) if isinstance(text, TextDynamics) else _written(plant, model)
+    )
     plant_of(table, plant.name)  # what cannot be read back is refused here, with the reason
     return table
 
 
-def _of_text(plant: Plant, own: TextDynamics, model: Program) -> ModelTable:
-    equations = own.equations
+def _of_text(plant: Plant, text: TextDynamics, model: Program) -> ModelTable:
+    equations = text.equations
     return ModelTable(
         outputs=plant.outputs,
         parameters=plant.parameters,
@@ -56,33 +59,36 @@ def _of_text(plant: Plant, own: TextDynamics, model: Program) -> ModelTable:
 def _written(plant: Plant, model: Program) -> ModelTable:
     names = identifiers(model, as_text=True)
 
-    def code(one: Expression) -> str:
-        return written(one, names, _TEXT)
-
+    notation = replace(_TEXT, symbol=names.__getitem__)
     used = set().union(*(symbols_of(tree) for tree in model.starts.values()))
     used |= set().union(*(symbols_of(tree) for tree in model.rates))
     used |= set().union(*(symbols_of(tree) for _, tree in model.definitions))
-    known = {one.name: names[one.symbol] for one in (*model.states, *model.inputs)}
-    known |= {one.name: names[one.symbol] for one, _ in model.parameters}
-    outside = {name for one in actuators(plant) for name in one.names}
-    for one, _ in model.parameters:
+    safe = {variable.name: names[variable.symbol] for variable in (*model.states, *model.inputs)}
+    safe |= {variable.name: names[variable.symbol] for variable, _ in model.parameters}
+    outside = {name for placed in actuators(plant) for name in placed.names}
+    for variable, _ in model.parameters:
         rule = "must be used by the model to be exported as text"
-        check(one.symbol in used or one.name in outside, f"parameters[{one.name}]", rule, "no use")
+        check(
+            variable.symbol in used or variable.name in outside,
+            f"parameters[{variable.name}]",
+            rule,
+            "no use",
+        )
     return ModelTable(
-        outputs=tuple(known[name] for name in plant.outputs),
-        parameters={known[name]: value for name, value in plant.parameters.items()},
+        outputs=tuple(safe[name] for name in plant.outputs),
+        parameters={safe[name]: value for name, value in plant.parameters.items()},
         derivatives={
-            names[one.symbol]: code(tree)
-            for one, tree in zip(model.states, model.rates, strict=True)
+            names[variable.symbol]: written(tree, notation)
+            for variable, tree in zip(model.states, model.rates, strict=True)
         },
-        inputs=tuple(known[name] for name in plant.inputs),
-        definitions={names[symbol]: code(tree) for symbol, tree in model.definitions},
-        initial={names[symbol]: code(tree) for symbol, tree in model.starts.items()},
-        bounds={known[name]: pair for name, pair in _bounds(plant).items()},
-        fixed=tuple(known[name] for name in plant.fixed),
-        units={known[name]: unit for name, unit in plant.units.items() if name in known},
-        input_delay={known[k]: known[p] for k, p in _single(model.delays, "delay").items()},
-        input_lag={known[k]: known[p] for k, p in _single(model.lags, "lag").items()},
+        inputs=tuple(safe[name] for name in plant.inputs),
+        definitions={names[symbol]: written(tree, notation) for symbol, tree in model.definitions},
+        initial={names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
+        bounds={safe[name]: pair for name, pair in _bounds(plant).items()},
+        fixed=tuple(safe[name] for name in plant.fixed),
+        units={safe[name]: unit for name, unit in plant.units.items() if name in safe},
+        input_delay={safe[k]: safe[p] for k, p in _single(model.delays, "delay").items()},
+        input_lag={safe[k]: safe[p] for k, p in _single(model.lags, "lag").items()},
         name=plant.name,
     )
 

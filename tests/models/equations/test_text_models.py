@@ -19,7 +19,7 @@ from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.equations.expression import FUNCTIONS
-from eoi_jax.models.equations.model import ModelTable, plant_of
+from eoi_jax.models.equations.text_model import ModelTable, plant_of
 
 PENDULUM = {
     "derivatives": {"angle": "rate", "rate": "-a*sin(angle) - b*rate - c*sign(rate) + d*voltage"},

@@ -105,7 +105,7 @@ def words(text: str) -> set[str]:
     Args:
         text: of an equation, right or wrong.
     """
-    return {found.group() for found in _TOKEN.finditer(text) if found.lastgroup == "name"}
+    return {token.group() for token in _TOKEN.finditer(text) if token.lastgroup == "name"}
 
 
 def good_name(name: str) -> bool:
@@ -136,8 +136,8 @@ class _Scanner:
         )
         self.check(not self.line.isspace() and size > 0, 0, "must hold an expression")
         count, opened = 0, []
-        for found in _TOKEN.finditer(self.line):
-            kind, part, column = str(found.lastgroup), found.group(), found.start()
+        for token in _TOKEN.finditer(self.line):
+            kind, part, column = str(token.lastgroup), token.group(), token.start()
             count += kind != "space"
             self.token(kind, part, column)
             if part == "(":
@@ -198,14 +198,18 @@ class _Reader:
 
     def number(self, node: ast.expr, depth: int) -> Expression:
         """A number; what is true or false counts as 1 or 0."""
-        found = self.read(node, depth)
-        return Call("where", (found, Number(1.0), Number(0.0))) if is_flag(found) else found
+        expression = self.read(node, depth)
+        return (
+            Call("where", (expression, Number(1.0), Number(0.0)))
+            if is_flag(expression)
+            else expression
+        )
 
     def flag(self, node: ast.expr, depth: int) -> Expression:
-        found = self.read(node, depth)
-        if not is_flag(found):
+        expression = self.read(node, depth)
+        if not is_flag(expression):
             raise self.wrong(node, "must have a condition here, such as x > 0")
-        return found
+        return expression
 
     def read(self, node: ast.expr, depth: int) -> Expression:
         self.check_depth(node, depth)
@@ -226,11 +230,11 @@ class _Reader:
                 return self.operation(node, _SIGNS[type(op)], *sides)
             case ast.BoolOp(op=op, values=values):
                 sign = "and" if isinstance(op, ast.And) else "or"
-                return self.joined(node, sign, [self.flag(one, inner) for one in values], depth)
+                return self.joined(node, sign, [self.flag(value, inner) for value in values], depth)
             case ast.Compare():
                 return self.comparison(node, inner)
-            case ast.IfExp(test=test, body=body, orelse=other):
-                return self.call(node, "where", [test, body, other], inner)
+            case ast.IfExp(test=test, body=body, orelse=otherwise):
+                return self.call(node, "where", [test, body, otherwise], inner)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self.call(node, name, arguments, inner)
             case ast.Tuple():
@@ -249,13 +253,13 @@ class _Reader:
             raise self.unknown(node, "declared names", name, tuple(self.names))
         return self.names[name]
 
-    def unknown(self, node: ast.expr, kind: str, name: str, known: Sequence[str]) -> ValueError:
-        close = difflib.get_close_matches(name, known, n=1)
+    def unknown(self, node: ast.expr, kind: str, name: str, names: Sequence[str]) -> ValueError:
+        close = difflib.get_close_matches(name, names, n=1)
         hint = f"Did you mean {close[0]}? " if close else ""
-        listed = ", ".join(known[:_LISTED]) + (", …" if len(known) > _LISTED else "")
-        shown = name if len(name) <= _SHOWN else name[:_SHOWN] + "…"
+        listed = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
+        shortened = name if len(name) <= _SHOWN else name[:_SHOWN] + "…"
         return self.wrong(
-            node, f"must use {kind}, got {shown}", f"{hint}Known: {listed or 'none'}."
+            node, f"must use {kind}, got {shortened}", f"{hint}Known: {listed or 'none'}."
         )
 
     def operation(
@@ -268,7 +272,7 @@ class _Reader:
 
     def comparison(self, node: ast.Compare, depth: int) -> Expression:
         """a < b < c as a < b and b < c."""
-        sides = [self.number(one, depth) for one in (node.left, *node.comparators)]
+        sides = [self.number(side, depth) for side in (node.left, *node.comparators)]
         links = []
         for op, left, right in zip(node.ops, sides[:-1], sides[1:], strict=True):
             if type(op) not in _COMPARED:
@@ -282,10 +286,10 @@ class _Reader:
         self, node: ast.expr, sign: str, flags: Sequence[Expression], depth: int
     ) -> Expression:
         self.check_depth(node, depth + len(flags))
-        found = flags[0]
-        for one in flags[1:]:
-            found = Operation(sign, found, one)
-        return found
+        joined = flags[0]
+        for flag in flags[1:]:
+            joined = Operation(sign, joined, flag)
+        return joined
 
     def call(
         self, node: ast.expr, name: str, arguments: Sequence[ast.expr], depth: int
@@ -299,13 +303,16 @@ class _Reader:
             counts = str(least) if least == most else f"{least} to {most}"
             raise self.wrong(node, f"must give {name} {counts} argument(s), got {len(arguments)}")
         first = self.flag if name == "where" else self.number
-        values = (first(arguments[0], depth), *(self.number(one, depth) for one in arguments[1:]))
+        values = (
+            first(arguments[0], depth),
+            *(self.number(argument, depth) for argument in arguments[1:]),
+        )
         return self.made(node, Call(name, values))
 
     def made(self, node: ast.expr, made: Operation | Call) -> Expression:
         """The node, or its value where all of it is constant."""
         parts = (made.left, made.right) if isinstance(made, Operation) else made.arguments
-        if not all(isinstance(one, Number) for one in parts):
+        if not all(isinstance(argument, Number) for argument in parts):
             return made
         try:
             with np.errstate(all="ignore"):

@@ -98,10 +98,10 @@ def plant_from_text(
     check(len(outputs) > 0, "model.outputs", "must name at least one output", "none")
     check(len(set(outputs)) == len(outputs), "model.outputs", "must have different names", outputs)
     placed = _placed(input_lag or {}, input_delay or {}, equations)
-    equations.check(elsewhere=[one.names[0] for one in placed])
-    known = (*parameters, *derivatives, *inputs)
+    equations.check(elsewhere=[actuator.names[0] for actuator in placed])
+    names = (*parameters, *derivatives, *inputs)
     for key in units or {}:
-        check_choice("model.units", key, known)
+        check_choice("model.units", key, names)
     moving = bool(equations.states)
     return Plant(
         TextDynamics(equations),
@@ -131,7 +131,7 @@ def _limits(pair: tuple[float | None, float | None]) -> tuple[float, float]:
 def _placed(
     lags: Mapping[str, str], delays: Mapping[str, str], equations: Equations
 ) -> tuple[Placed, ...]:
-    found = []
+    actuators = []
     for field, items, effect in (
         ("input_lag", lags, ActuatorLag()),
         ("input_delay", delays, InputDelay()),
@@ -139,8 +139,8 @@ def _placed(
         for key, parameter in items.items():
             check_choice(f"model.{field}", key, equations.inputs)
             check_choice(f"model.{field}.{key}", parameter, equations.parameters)
-            found.append(Placed(effect, equations.inputs.index(key), (parameter,)))
-    return tuple(found)
+            actuators.append(Placed(effect, equations.inputs.index(key), (parameter,)))
+    return tuple(actuators)
 
 
 # -- files ------------------------------------------------------------------------------------
@@ -156,9 +156,9 @@ def plant_of(table: ModelTable, name: str) -> Plant:
     Raises:
         ValueError: what `plant_from_text` objects to.
     """
-    given = msgspec.structs.asdict(table)
-    derivatives, parameters = given.pop("derivatives"), given.pop("parameters")
-    return plant_from_text(derivatives, parameters, **{**given, "name": table.name or name})
+    arguments = msgspec.structs.asdict(table)
+    derivatives, parameters = arguments.pop("derivatives"), arguments.pop("parameters")
+    return plant_from_text(derivatives, parameters, **{**arguments, "name": table.name or name})
 
 
 def model_json(table: ModelTable, version: str) -> str:

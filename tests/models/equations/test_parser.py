@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eoi_jax.models.equations.expression import FUNCTIONS, Symbol, value_of
-from eoi_jax.models.equations.grammar import (
+from eoi_jax.models.equations.parser import (
     DEEPEST,
     MOST_BRACKETS,
     MOST_CHARACTERS,

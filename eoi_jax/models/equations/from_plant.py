@@ -1,0 +1,321 @@
+"""A plant's functions as formulas, whatever they are written in.
+
+JAX traces a function to scalar operations on the plant's signals and parameters, in the order in
+which they were written; operations become trees, and what stands for one thing is one again: a
+power, a guarded root, a clip.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax._checks import check
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable, ordered
+from eoi_jax.compiler.trace import translated
+from eoi_jax.models.effects.effect import internal_names
+from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
+from eoi_jax.models.plant import Plant, State
+
+# Levels of a formula in a file; deeper ones are hard to read, and to parse.
+_DEEPEST = 25
+# Of a formula that is shown: levels, and parts.
+_DEEPEST_TO_READ, _LONGEST_TO_READ = 100, 400
+
+
+class SymbolicPlant:
+    """A plant whose signals and parameters are names.
+
+    Attributes:
+        plant: which.
+        graph: owner of all nodes.
+        y: nodes of the outputs and their derivatives, zero where an output does not have them.
+        theta, z, inputs: a node for each name.
+    """
+
+    def __init__(
+        self, plant: Plant, names: Sequence[str] | None = None, states: Sequence[str] | None = None
+    ):
+        """The symbols.
+
+        Args:
+            plant: any.
+            names: of the parameters; None: of the plant.
+            states: names of internal states; None: of the plant.
+        """
+        self.plant = plant
+        self.graph = Graph(as_written=True)
+        names = plant.names if names is None else names
+        self.theta = [self.graph.input(Symbol(name, parameter=True)) for name in names]
+        self.inputs = [self.graph.input(Symbol(name)) for name in plant.inputs]
+        self.y = np.empty((plant.relative_degree, len(plant.outputs)), object)
+        for i, j in np.ndindex(self.y.shape):
+            owned = i < plant.degrees[j]
+            symbol = Symbol(plant.outputs[j], i)
+            self.y[i, j] = self.graph.input(symbol) if owned else self.graph.constant(0.0)
+        states = internal_names(plant) if states is None else states
+        self.z = [self.graph.input(Symbol(name)) for name in states]
+
+    def nodes(
+        self, function: Callable[..., Any], inputs: Sequence[Node] | None = None
+    ) -> list[Node]:
+        """What a function computes, component by component.
+
+        Args:
+            function: of t, the state, inputs and all parameters as an array.
+            inputs: in place of the plant's.
+
+        Raises:
+            Untranslatable: an operation that is no arithmetic on components.
+        """
+
+        def of_arrays(t: Any, y: Any, z: Any, u: Any, theta: Any) -> list[Any]:
+            return [jnp.ravel(jnp.asarray(function(t, State(y, z), u, theta)))]
+
+        time = np.asarray(self.graph.input(Symbol("t")), object)
+        driven = self.inputs if inputs is None else inputs
+        arguments = [time, self.y, *map(_row, (self.z, driven, self.theta))]
+        dtype = jnp.result_type(float)
+        shapes = [jax.ShapeDtypeStruct(array.shape, dtype) for array in arguments]
+        (nodes,) = translated(self.graph, of_arrays, shapes, arguments)
+        return list(nodes)
+
+    def formulas(self, function: Callable[..., Any]) -> list[Expression] | None:
+        """What a function computes, to be read; None where there is no formula, or a long one.
+
+        Args:
+            function: as for `nodes`.
+        """
+        try:
+            nodes = self.nodes(function)
+        except Untranslatable:
+            return None
+        if not all(np.isfinite(node.value) for node in ordered(nodes) if node.op == "constant"):
+            return None
+        forms = _Forms(nodes)
+        trees = forms.trees()
+        return None if any(forms.is_long(node) for node in nodes) else trees
+
+
+def _row(nodes: Sequence[Node]) -> np.ndarray:
+    row = np.empty(len(nodes), object)
+    row[:] = nodes
+    return row
+
+
+def shared_formulas(
+    nodes: Sequence[Node], names: Iterator[str]
+) -> tuple[list[Expression], list[tuple[Symbol, Expression]]]:
+    """Formulas of nodes, where what several of them share, or what is deep, has a name.
+
+    Args:
+        nodes: what is wanted.
+        names: for what is shared.
+
+    Returns:
+        The formulas, and the named parts, each using earlier ones only.
+    """
+    forms = _Forms(nodes)
+    return forms.trees(names), forms.definitions
+
+
+def plain_formulas(nodes: Sequence[Node]) -> list[Expression]:
+    """Formulas of nodes, nothing shared.
+
+    Args:
+        nodes: what is wanted.
+    """
+    return _Forms(nodes).trees()
+
+
+# -- from nodes to trees ----------------------------------------------------------------------
+
+_SIGNS = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "pow": "^",
+    "and": "and",
+    "or": "or",
+    "lt": "<",
+    "le": "≤",
+    "eq": "=",
+    "ne": "≠",
+}
+_MIRRORED = {"<": ">", "≤": "≥"}
+_RENAMED = {"round_even": "round"}
+_SHORT = ("neg", "sign", "abs")  # of a name: as short as a name for it
+
+
+class _Forms:
+    """Trees of nodes.
+
+    Attributes:
+        roots: the nodes that are wanted.
+        varies: whether a node depends on more than parameters and constants.
+        size, depth: parts and levels of a node's tree.
+        definitions: of the names that were given.
+    """
+
+    def __init__(self, roots: Sequence[Node]):
+        self.roots = roots
+        self.varies: dict[int, bool] = {}
+        self.size: dict[int, int] = {}
+        self.depth: dict[int, int] = {}
+        self.definitions: list[tuple[Symbol, Expression]] = []
+        for node in ordered(roots):
+            is_signal = node.op == "input" and not node.value.parameter
+            self.varies[node.order] = is_signal or any(self.varies[arg.order] for arg in node.args)
+
+    def is_long(self, node: Node) -> bool:
+        """Whether a node's tree is too long to be read."""
+        size, depth = self.size[node.order], self.depth[node.order]
+        return size > _LONGEST_TO_READ or depth > _DEEPEST_TO_READ
+
+    def trees(self, names: Iterator[str] | None = None) -> list[Expression]:
+        """Trees of the roots; with names for what they share."""
+        uses = self._uses()
+        trees: dict[int, Expression] = {}
+        for node in ordered(self.roots):
+            if node.order not in uses:
+                continue
+            kind, args = self._form(node)
+            tree = self._tree(node, kind, args, [trees[arg.order] for arg in args])
+            depth = 1 + max((self.depth[arg.order] for arg in args), default=0)
+            simple = not args or (kind in _SHORT and not self._form(args[0])[1])
+            shared = uses[node.order] > 1 and not simple
+            if names is not None and (shared or depth > _DEEPEST) and not node.is_bool:
+                self.definitions.append((Symbol(next(names)), tree))
+                tree, depth = self.definitions[-1][0], 1
+            trees[node.order], self.depth[node.order] = tree, depth
+            self.size[node.order] = 1 + sum(self.size[arg.order] for arg in args)
+        return [trees[node.order] for node in self.roots]
+
+    def _uses(self) -> dict[int, int]:
+        uses: dict[int, int] = {}
+        open_nodes, seen = list(self.roots), set()
+        while open_nodes:
+            node = open_nodes.pop()
+            uses[node.order] = uses.get(node.order, 0) + 1
+            if node.order not in seen:
+                seen.add(node.order)
+                open_nodes.extend(self._form(node)[1])
+        return uses
+
+    def _form(self, node: Node) -> tuple[str, tuple[Node, ...]]:
+        """What an operation is to a reader, and its operands."""
+        if node.op == "mul":
+            base, power = _power(node)
+            if power > 1:
+                return f"power {power}", (base,)
+        if node.op == "min":
+            for inner, high in (node.args, node.args[::-1]):
+                if inner.op == "max" and not self.varies[high.order]:
+                    value, low = sorted(inner.args, key=lambda arg: not self.varies[arg.order])
+                    if self.varies[value.order] and not self.varies[low.order]:
+                        return "clip", (value, low, high)
+        if node.op == "select" and (base := _guarded(node)) is not None:
+            return "root", (base,)
+        return node.op, node.args
+
+    def _tree(
+        self, node: Node, kind: str, args: Sequence[Node], parts: list[Expression]
+    ) -> Expression:
+        match kind:
+            case "input":
+                return node.value
+            case "constant":
+                return _constant(node)
+            case "neg":
+                return _negative(parts[0])
+            case "root":
+                return Call("sqrt", (parts[0],))
+            case "sqrt":  # not a number below zero, unlike the root of a text model
+                return Call("plain_root", (parts[0],))
+            case "exp2":
+                return Operation("^", Number(2.0), parts[0])
+            case "xor":
+                a, b = parts
+                return Operation("or", Operation("and", a, _not(b)), Operation("and", _not(a), b))
+            case "select" if node.is_bool:
+                which, a, b = parts
+                return Operation("or", Operation("and", which, a), Operation("and", _not(which), b))
+            case "select":
+                return Call("where", tuple(parts))
+            case "eq" | "ne" if args[1].is_bool and args[1].op == "constant":
+                return parts[0] if args[1].value == (kind == "eq") else _not(parts[0])
+            case "lt" | "le":
+                return self._comparison(_SIGNS[kind], args, parts)
+        if kind.startswith("power "):
+            return Operation("^", parts[0], Number(float(kind.split()[1])))
+        if kind in _SIGNS:
+            return _arranged(_SIGNS[kind], *parts)
+        return Call(_RENAMED.get(kind, kind), tuple(_without_minus(part) for part in parts))
+
+    def _comparison(
+        self, sign: str, args: Sequence[Node], parts: Sequence[Expression]
+    ) -> Expression:
+        """What varies is compared with what does not: v > 0 for 0 < v."""
+        left, right = parts
+        first, second = (self.varies[arg.order] for arg in args)
+        if second and not first:
+            return Operation(_MIRRORED[sign], right, left)
+        return Operation(sign, left, right)
+
+
+def _power(node: Node) -> tuple[Node, int]:
+    """A product of equal factors as one of them and their number."""
+    if node.op != "mul":
+        return node, 1
+    (first, m), (second, n) = _power(node.args[0]), _power(node.args[1])
+    return (first, m + n) if first is second else (node, 1)
+
+
+def _guarded(node: Node) -> Node | None:
+    """Of which a root is taken where it is positive; None for another choice."""
+    wet, first, second = node.args
+    if first.op == "sqrt" and _is(second, 0.0) and wet.op == "lt" and _is(wet.args[0], 0.0):
+        inner, x = first.args[0], wet.args[1]
+        if inner is x or (inner.op == "select" and inner.args[:2] == (wet, x)):
+            return x
+    return None
+
+
+def _is(node: Node, value: float) -> bool:
+    return node.op == "constant" and not node.is_bool and node.value == value
+
+
+def _arranged(sign: str, left: Expression, right: Expression) -> Expression:
+    """As one writes it: 2·k for k·2, -(2·k) for k·(-2). Values stay the same."""
+    if sign == "*" and isinstance(right, Number):
+        left, right = right, left
+    if sign == "*" and isinstance(left, Number) and left.value < 0:
+        return _negative(Operation("*", Number(-left.value), right))
+    return Operation(sign, left, right)
+
+
+def _negative(expression: Expression) -> Expression:
+    return Operation("-", Number(0.0), expression)
+
+
+def _without_minus(expression: Expression) -> Expression:
+    """max(b - a, 0) for max(-(a - b), 0)."""
+    match expression:
+        case Operation("-", Number(0.0), Operation("-", left, right)) if left != Number(0.0):
+            return Operation("-", right, left)
+    return expression
+
+
+def _not(flag: Expression) -> Expression:
+    return Call("not", (flag,))
+
+
+def _constant(node: Node) -> Expression:
+    if node.is_bool:
+        return Operation("<", Number(0.0), Number(1.0 if node.value else -1.0))
+    rule = "must hold finite constants to be exported"
+    check(bool(np.isfinite(node.value)), "plant", rule, node.value)
+    return Number(node.value)
