@@ -25,7 +25,7 @@ from eoi_jax.models.storage import save
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import discovery_figures
 from eoi_jax.report.discovery import discovery_text
-from eoi_jax.report.drawn import save_drawn
+from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.sweep import sweep_figure
 from eoi_jax.simulation.validate import Validation
@@ -138,7 +138,7 @@ def write_identification(
         config: text of the config, with the command that was given above it.
     """
     _write_json(folder / "result.json", summary)
-    save_drawn(folder / "figure.png", lambda: identification_figure(result))
+    save_figure(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
     save({"diagnosis": diagnose(result), "validation": validation}, folder / BESIDE)
     _write(folder / "config.toml", config)
@@ -165,7 +165,7 @@ def write_refinement(
     """
     _write_json(folder / "result.json", summary)
     _write(folder / "report.txt", text + "\n")
-    save_drawn(folder / "figure.png", result.plot)
+    save_figure(folder / "figure.png", result.plot)
     result.save(folder / RESULT)
     save({**beside, "diagnosis": diagnose(beside["start"])}, folder / BESIDE)
     _write(folder / "config.toml", config)
@@ -187,7 +187,7 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
     _write(folder / "equation.tex", tex + "\n")
     for name, draw in discovery_figures.PARTS.items():
-        save_drawn(folder / f"{name}.png", partial(draw, result))
+        save_figure(folder / f"{name}.png", partial(draw, result))
     result.save(folder / RESULT)
     last = result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
     save({"diagnosis": last}, folder / BESIDE)
@@ -211,7 +211,7 @@ def write_sweep(
     def fill(draft: Path) -> None:
         _write_json(draft / SWEEP, summary)
         _write(draft / "report.txt", text + "\n")
-        save_drawn(draft / "figure.png", lambda: sweep_figure(result, best))
+        save_figure(draft / "figure.png", lambda: sweep_figure(result, best))
         _write(draft / "config.toml", config)
 
     write_files(folder, SWEEP, fill)
@@ -228,7 +228,7 @@ def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], t
     """
     _write_json(folder / "inspect.json", summary)
     _write(folder / "inspect.txt", text + "\n")
-    save_drawn(folder / "inspect.png", found.plot)
+    save_figure(folder / "inspect.png", found.plot)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:

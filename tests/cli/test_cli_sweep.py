@@ -122,7 +122,7 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
     assert "eoi sweep" in (tmp_path / "small" / "config.toml").read_text()
     third = run(config, "--output", tmp_path)
     assert third.exit_code == 0
-    assert "from the resamples" in third.stdout
+    assert "over the resamples" in third.stdout
     figure = sweep_figure(stored)
     assert [one.get_xlabel() for one in figure.axes[:3]] == ["c2", "c3", "cut-off [rad/s]"]
 

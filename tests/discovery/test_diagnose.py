@@ -187,7 +187,7 @@ def test_missing_dry_friction_shows_as_a_step_of_the_map_against_velocity(coulom
 def test_a_late_input_is_called_late_by_its_delay():
     diagnosis = found(record(late=5))
     assert diagnosis.cross[0].delay == pytest.approx(0.010, abs=5e-4)
-    assert said(diagnosis, "u seems to act on y late, by about 0.01")
+    assert said(diagnosis, "u seems to act on y with a delay of about 0.01")
     assert diagnosis.cross[0].p_value < 1e-4
 
 
@@ -277,7 +277,7 @@ def test_two_parameters_that_do_the_same_are_called_confounded():
     assert {pair.first, pair.second} == {"k", "k2"}
     assert pair.correlation < -0.999
     assert said(diagnosis, "k and k2 are confounded")
-    assert said(diagnosis, "The data say least about")
+    assert said(diagnosis, "The least certain combination of parameters is")
     assert {"k", "k2"} == {one.split("·")[1] for one in diagnosis.worst_combination.split()}
 
 
