@@ -74,13 +74,13 @@ def use(case: Case, path: Path) -> None:
 
         run_folder.job(config.load(path), path.parent, None)
     else:
+        from eoi_jax.cli.actions import export
         from eoi_jax.cli.html_report import write_report
-        from eoi_jax.cli.run_model import export_run
 
         try:
             write_report(path.parent)
         finally:
-            export_run(path.parent, path.parent / "model.json")
+            export(path.parent, None, path.parent / "model.json")
 
 
 def read(case: Case, path: Path) -> None:

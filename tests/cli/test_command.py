@@ -218,11 +218,11 @@ def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
 def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
     """`nohup` asks for that."""
     code = (
-        "import signal; from eoi_jax.cli.signals import handled, ENDING; "
+        "import signal; from eoi_jax.cli.signals import handle, ENDING; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "  # a shell's `&` ignores it
         "signal.signal(signal.SIGHUP, signal.SIG_IGN); "
         "heard = []; "
-        "manager = handled(lambda number, _: heard.append(number)); manager.__enter__(); "
+        "manager = handle(lambda number, _: heard.append(number)); manager.__enter__(); "
         "[signal.raise_signal(one) for one in ENDING]; "
         "assert heard == [signal.SIGINT, signal.SIGTERM], heard; "
         "manager.__exit__(None, None, None); "
