@@ -234,9 +234,9 @@ def test_brackets_without_end_and_names_that_are_none_are_refused(tmp_path: Path
     path.write_text(f"x = {'[' * 5000}{']' * 5000}")
     refused(path, 2, "`config` must be a TOML file", "it is nested too deeply")
     path.write_text("[" + ".".join("a" * 3000) + "]")
-    refused(path, 2, "`config` must have at most 20 tables and lists inside each other")
+    refused(path, 2, "`config` must have at most 20 levels of nested tables and lists")
     path.write_text(f"x = {'[' * 21}{']' * 21}")
-    refused(path, 2, "`config` must have at most 20 tables and lists inside each other")
+    refused(path, 2, "`config` must have at most 20 levels of nested tables and lists")
     path = prepared(tmp_path, ('name = "run"', r'name = "run\n"'))
     refused(path, 2, "`name`", r"'run\n'")
 

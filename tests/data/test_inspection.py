@@ -335,7 +335,7 @@ def test_the_draft_says_every_guess_and_the_alternatives(tmp_path, monkeypatch):
     text, _, _ = drafted(tmp_path / "run.csv", tmp_path / "run.toml")
     for part in (
         "# other columns: angle",
-        "# it might be, too: count",
+        "# other candidates: count",
         "u: input, it is called so",
     ):
         assert part in text
