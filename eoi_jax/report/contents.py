@@ -252,9 +252,11 @@ def _discovery_figures(result: Discovery) -> list[ReportFigure]:
         else "Dots are means over bins of equally many samples. A trend that exceeds the noise "
         "indicates what the model lacks."
     )
+    variable = "the variable of the effect" if result.added else "all variables"
+    against = f"Residual against {variable}"
     pair = [(declared, "before"), (final, "after")] if result.added else [(declared, "")]
     report_figures = [
-        ReportFigure("effect", "Residual against the variables it depends on", effect,
+        ReportFigure("effect", against, effect,
               partial(discovery_figures.effect_figure, result)),
         ReportFigure("residual", "Residual over time",
               "The equivalent injection less the part that other parameters could explain.",

@@ -56,7 +56,7 @@ def page(
         "notes": (*contents.notes, *failures),
         "added": contents.added,
         "equations": [Markup(formula) for formula in _equations(equation)],
-        "equation_title": "Model with the added effects" if contents.added else "Model",
+        "equation_title": "The augmented model" if contents.added else "The model",
         "figures": figures,
         "records": _records(summary),
         "versions": summary["versions"],
