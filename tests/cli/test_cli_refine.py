@@ -164,7 +164,7 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
     assert done.exit_code == 1
     error = json.loads(done.stdout)["error"]
     assert error.startswith("no estimate to refine (unidentifiable")
-    assert error.endswith("`starts = 200` under [refine] tries so many points around the nominal "
+    assert error.endswith("`starts = 200` under [refine] tries that many points around the nominal "
                           "values")  # fmt: skip
     config.write_text(TANKS + "\n[refine]\nstarts = 200\n")
     done = run(config, "--output", tmp_path / "runs", "--json")

@@ -124,7 +124,7 @@ SPOILT = [
      "must be a result that `save` wrote"),
     (lambda folder: (folder / "result.npz").write_bytes((folder / "report.npz").read_bytes()),
      "`RUN` must hold the result.npz of discover"),
-    (lambda folder: (folder / "sweep.json").write_text("{}"), "which is of sweep"),
+    (lambda folder: (folder / "sweep.json").write_text("{}"), "a run of sweep"),
 ]  # fmt: skip
 
 

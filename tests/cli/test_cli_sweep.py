@@ -107,7 +107,7 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
     monkeypatch.setattr(actions, "run_sweep", interrupted)
     first = run(config, "--output", tmp_path)
     assert first.exit_code == 130
-    assert "the same command goes on" in first.stderr
+    assert "the same command continues" in first.stderr
     monkeypatch.setattr(actions, "run_sweep", whole)
     second = run(config, "--output", tmp_path, "--json")
     assert second.exit_code == 0, second.stderr
