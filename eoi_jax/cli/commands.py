@@ -173,7 +173,7 @@ def sweep(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Try many gains, filters, starts and resamples; the same command resumes it."""
+    """Try many gains, filters, starting points and resamples; resumes an interrupted sweep."""
     with failures(as_json):
         with keyboard_interrupts():
             bar = not quiet and sys.stderr.isatty()

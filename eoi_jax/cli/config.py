@@ -177,7 +177,7 @@ class SweepTable(msgspec.Struct, frozen=True):
         observers: gain sets; default: that of [observer].
         cutoffs: of the filter [rad/s]: a list or a range; default: that of [lowpass].
         order: of these filters.
-        starts: θ_0 by name, one table each, beside the nominal values; default: these only.
+        starts: θ_0 by name, a table each, besides the nominal values; default: only these.
         resamples: block-bootstrap resamples of each record.
         seed: of the resamples.
         precision: of the computation.
