@@ -1,4 +1,4 @@
-"""The command line: commands and what they do, configs, folders of runs, summaries, the page.
+"""The command line: commands and their actions, configs, folders of runs, summaries, the page.
 
 Modules are imported at their first use (`lazy_loader`); the stub beside this file names them.
 """

@@ -5,7 +5,6 @@ from . import config as config
 from . import html_report as html_report
 from . import options as options
 from . import run_folder as run_folder
-from . import run_model as run_model
 from . import signals as signals
 from . import summary as summary
 from . import template as template

@@ -1,4 +1,4 @@
-"""From a config's tables to the plant, gains and records that `identify` takes."""
+"""The plant, gains, effects and records that the tables of a config describe."""
 
 import contextlib
 import functools
@@ -60,11 +60,11 @@ def plant(config: Config, folder: Path) -> Plant:
     """The model with its nominal parameters, bounds and fixed names.
 
     Args:
-        config: what was loaded.
-        folder: of the config; a plant's own file is relative to it.
+        config: the tables.
+        folder: of the config; the file of a plant is relative to it.
 
     Raises:
-        ValueError: an unknown plant or parameter, a value outside its bounds, a file that fails.
+        ValueError: unknown plant or parameter, value outside its bounds, or a file with an error.
     """
     base = _base(config, folder)
     table = config.parameters
@@ -75,7 +75,7 @@ def plant(config: Config, folder: Path) -> Plant:
 
 
 def _base(config: Config, folder: Path) -> Plant:
-    """The plant as it is declared: in the config, in a file beside it, or in the library."""
+    """The declared plant: of the config, of a file beside it, or of the library."""
     if config.model is not None:
         return plant_of(config.model, config.name)
     assert config.plant is not None
@@ -94,22 +94,22 @@ def _plant_from_file(reference: str, folder: Path) -> Plant:
     check(spec is not None, "plant", f"{rule} with a Python file", path)
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # stdout is for the answer
+        with contextlib.redirect_stdout(sys.stderr):  # stdout is for results
             spec.loader.exec_module(module)  # type: ignore[union-attr]
-            made = getattr(module, name, None)
-            made = made() if callable(made) and not isinstance(made, Plant) else made
-    # The user's code: whatever it raises is the user's to mend, an exit too.
+            plant = getattr(module, name, None)
+            plant = plant() if callable(plant) and not isinstance(plant, Plant) else plant
+    # Any error of the user's code, `SystemExit` included, is an error of the config.
     except (Exception, SystemExit) as error:
         raise ValueError(
             f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
         ) from error
     check(
-        isinstance(made, Plant),
+        isinstance(plant, Plant),
         "plant",
         f"{rule} where the object is a Plant or a function that returns one",
         reference,
     )
-    return made  # type: ignore[return-value]
+    return plant  # type: ignore[return-value]
 
 
 _OBSERVERS = {
@@ -121,7 +121,7 @@ _OBSERVERS = {
 
 
 def observer(config: Config) -> Any:
-    """The observer of the [observer] table, or None: chosen from the records."""
+    """The observer of the table [observer]; None: to be chosen from the records."""
     table = config.observer
     if table is None:
         return None
@@ -130,16 +130,16 @@ def observer(config: Config) -> Any:
 
 
 def sweep(config: Config, model: Plant) -> dict[str, Any]:
-    """The arguments of `eoi_jax.sweep` that the [sweep] table and those beside it stand for.
+    """Arguments of `eoi_jax.sweep` from [sweep], [observer], [lowpass] and [identify].
 
     Raises:
-        ValueError: gains that do not fit together, an unknown parameter.
+        ValueError: gains that do not match, or an unknown parameter.
     """
     table, passes = config.sweep, config.identify
     filters: Any = lowpass(config)
     if table.cutoffs is not None:
-        filters = [LowPass(one, order=table.order) for one in _values(table.cutoffs)]
-    starts = [model.parameters, *({**model.parameters, **one} for one in table.starts)]
+        filters = [LowPass(cutoff, order=table.order) for cutoff in _values(table.cutoffs)]
+    starts = [model.parameters, *({**model.parameters, **start} for start in table.starts)]
     return {
         "observers": _gain_sets(table, model) or observer(config),
         "lowpass": filters,
@@ -157,33 +157,33 @@ def sweep(config: Config, model: Plant) -> dict[str, Any]:
 
 def _gain_sets(table: SweepTable, model: Plant) -> list[observers.GainSets]:
     sets = []
-    for i, one in enumerate(table.observers):
-        kind, scheme = _OBSERVERS[one.kind], one.scheme
-        if one.kind == "high_order":
+    for i, row in enumerate(table.observers):
+        kind, scheme = _OBSERVERS[row.kind], row.scheme
+        if row.kind == "high_order":
             kind, scheme = functools.partial(kind, degree=model.relative_degree), None
-        values = {name: _values(value) for name, value in one.gains.items()}
+        values = {name: _values(value) for name, value in row.gains.items()}
         try:
-            sets.append(observers.gains(kind, values, scheme, one.grid))
+            sets.append(observers.gains(kind, values, scheme, row.grid))
         except ValueError as error:
             raise ValueError(f"`sweep.observers[{i}].gains`: {error}") from error
     return sets
 
 
-def _values(given: Any) -> Any:
-    """A number or a list as it is, a range as its values."""
-    if isinstance(given, RangeTable):
-        return np.geomspace(given.low, given.high, given.count)
-    return given
+def _values(values: Any) -> Any:
+    """The values of a range; a number or a list unchanged."""
+    if isinstance(values, RangeTable):
+        return np.geomspace(values.low, values.high, values.count)
+    return values
 
 
 def lowpass(config: Config) -> LowPass | None:
-    """The filter of the [lowpass] table, or None: chosen from the records."""
+    """The filter of the table [lowpass]; None: to be chosen from the records."""
     table = config.lowpass
     return None if table is None else LowPass(table.cutoff, order=table.order)
 
 
 def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
-    """The effects of the [discover] table, in every form they have; None: all that fit.
+    """The effects of the table [discover], in all their forms; None: all that fit the plant.
 
     Raises:
         ValueError: an unknown name.
@@ -191,20 +191,20 @@ def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
     names = config.discover.effects
     if names is None:
         return None
-    return tuple(one for name in names for one in _forms("discover.effects", name))
+    return tuple(effect for name in names for effect in _forms("discover.effects", name))
 
 
 def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
     """The records to identify from, simulated or read.
 
     Args:
-        config: what was loaded.
+        config: the tables.
         model: the plant with its nominal parameters.
         folder: of the config.
         data: folder of measured files; None: `folder`, else $EOI_DATA.
 
     Raises:
-        ValueError: what `simulate` or `read_record` object to, or a name the plant does not have.
+        ValueError: of `simulate` or `read_record`, or a name that the plant does not have.
     """
     if config.data is not None:
         return _read(config.data, "data", model, folder, data)
@@ -215,11 +215,11 @@ def records(config: Config, model: Plant, folder: Path, data: Path | None = None
 def validation_records(
     config: Config, model: Plant, folder: Path, data: Path | None = None
 ) -> list[Record]:
-    """The held-out records; none if the config names none. Arguments as in `records`."""
+    """The held-out records of the config, if any. Arguments as in `records`."""
     table = config.simulate
     if table is not None and table.held_out:
-        other = msgspec.structs.replace(table, seed=table.seed + 1)  # noise of its own
-        return [_simulated(f"{config.name}, held out", other, model, "held_out")]
+        held_out = msgspec.structs.replace(table, seed=table.seed + 1)  # independent noise
+        return [_simulated(f"{config.name}, held out", held_out, model, "held_out")]
     if config.validation is None:
         return []
     return _read(config.validation, "validation", model, folder, data)
@@ -228,17 +228,17 @@ def validation_records(
 def _read(
     table: DataTable, name: str, model: Plant, folder: Path, data: Path | None
 ) -> list[Record]:
-    for field, own in (("inputs", model.inputs), ("outputs", model.outputs)):
+    for field, channels in (("inputs", model.inputs), ("outputs", model.outputs)):
         columns = getattr(table, field)
         check(
-            len(columns) == len(own),
+            len(columns) == len(channels),
             f"{name}.{field}",
-            f"must name {len(own)} column(s), for the plant's {', '.join(own) or 'none'}",
+            f"must name {len(channels)} column(s), for the plant's {', '.join(channels) or 'none'}",
             ", ".join(columns) or "none",
         )
     return [
         read_record(
-            _found(file, name, folder, data),
+            _path_of(file, name, folder, data),
             time=table.time,
             inputs=list(table.inputs),
             outputs=list(table.outputs),
@@ -254,18 +254,18 @@ def _read(
     ]
 
 
-def _found(file: str, name: str, folder: Path, data: Path | None) -> Path:
-    """Where a file is: in the folder that was named, else beside the config, else in $EOI_DATA."""
+def _path_of(file: str, name: str, folder: Path, data: Path | None) -> Path:
+    """Path of a file: in the folder `data`, else beside the config, else in $EOI_DATA."""
     variable = os.environ.get(DATA_VARIABLE)
     roots = [data] if data else [folder, *([Path(variable)] if variable else [])]
     for root in roots:
-        with contextlib.suppress(OSError, ValueError):  # no name of a file
+        with contextlib.suppress(OSError, ValueError):  # not a valid file name
             if (root / file).is_file():
                 return root / file
-    sought = " nor ".join(str(root / file) for root in roots)
-    check(False, f"{name}.files", "must be files that exist", sought,
-          f"Name the folder they are in by --data or ${DATA_VARIABLE}.")  # fmt: skip
-    raise FileNotFoundError(sought)  # not reached
+    candidates = " nor ".join(str(root / file) for root in roots)
+    check(False, f"{name}.files", "must be files that exist", candidates,
+          f"Give their folder by --data or ${DATA_VARIABLE}.")  # fmt: skip
+    raise FileNotFoundError(candidates)  # not reached
 
 
 # -- simulated records ------------------------------------------------------------------------
@@ -281,7 +281,7 @@ _SIGNALS: dict[type, Callable[..., Any]] = {
 
 
 def _simulated(name: str, table: SimulateTable, model: Plant, field: str) -> Record:
-    """The record that the signals of one field of [simulate] make."""
+    """The record simulated with the signals of a field of [simulate]."""
     drive = getattr(table, field)
     count = table.duration / table.sample_period
     check(
@@ -300,7 +300,7 @@ def _simulated(name: str, table: SimulateTable, model: Plant, field: str) -> Rec
     )
     signals = [_signal(drive[key], time, f"{field}.{key}") for key in model.inputs]
     record = simulate(
-        _with_hidden(table, model.with_parameters(_truth(table, model))),
+        _with_effects(table, model.with_parameters(_truth(table, model))),
         time,
         np.stack(signals, axis=1),
         initial=_initial(table, model),
@@ -319,13 +319,13 @@ def _signal(table: Any, time: np.ndarray, name: str) -> np.ndarray:
 
 
 def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
-    # With effects the declared parameters may be right: something is hidden all the same.
-    neither = not table.effects and not table.truth and not table.increments
+    # With effects the true parameters may equal the declared ones.
+    missing = not table.effects and not table.truth and not table.increments
     check(
-        not neither and not (table.truth and table.increments),
+        not missing and not (table.truth and table.increments),
         "simulate",
         "must have one of the tables `truth` and `increments`",
-        "neither" if neither else "both",
+        "neither" if missing else "both",
     )
     for field in ("truth", "increments"):
         for key in getattr(table, field):
@@ -334,37 +334,37 @@ def _truth(table: SimulateTable, model: Plant) -> dict[str, float]:
     return table.truth or {key: nominal[key] + add for key, add in table.increments.items()}
 
 
-def _with_hidden(table: SimulateTable, model: Plant) -> Plant:
-    """The plant with what [simulate] `effects` adds to it."""
+def _with_effects(table: SimulateTable, model: Plant) -> Plant:
+    """The plant with the effects of [simulate]."""
     placed: list[Placed] = []
     values: dict[str, float] = {}
-    for name, given in table.effects.items():
+    for name, value in table.effects.items():
         forms = _forms("simulate.effects", name)
         fitting = placements(model, forms)
         field = f"simulate.effects.{name}"
         check(len(fitting) > 0, field, "must be an effect that fits the plant", model.name)
-        parts = given if isinstance(given, dict) else {"": given}
-        own = [parameter.name for parameter in fitting[0].effect.parameters]
-        rule = "must be a number" if own == [""] else f"must be a table of {', '.join(own)}"
-        check(set(parts) == set(own), field, rule, given)
+        parts = value if isinstance(value, dict) else {"": value}
+        names = [parameter.name for parameter in fitting[0].effect.parameters]
+        rule = "must be a number" if names == [""] else f"must be a table of {', '.join(names)}"
+        check(set(parts) == set(names), field, rule, value)
         placed.append(fitting[0])
-        values |= {key: parts[part] for key, part in zip(fitting[0].names, own, strict=True)}
+        values |= {key: parts[part] for key, part in zip(fitting[0].names, names, strict=True)}
     return augmented(model, placed, values)
 
 
 def _forms(field: str, name: str) -> list[AbstractEffect]:
-    """All effects of one canonical name."""
-    known = standard()
-    check_choice(field, name, dict.fromkeys(one.name for one in known))
-    return [one for one in known if one.name == name]
+    """All effects with a canonical name."""
+    library = standard()
+    check_choice(field, name, dict.fromkeys(effect.name for effect in library))
+    return [effect for effect in library if effect.name == name]
 
 
 def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
     """Outputs and their derivatives at the start, shape (r, ny)."""
     start = np.zeros((model.relative_degree, len(model.outputs)))
-    for name, given in table.initial.items():
+    for name, value in table.initial.items():
         check_choice("simulate.initial", name, model.outputs)
-        values = np.atleast_1d(given)
+        values = np.atleast_1d(value)
         j = model.outputs.index(name)
         check(
             len(values) <= model.degrees[j],
@@ -377,7 +377,7 @@ def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
 
 
 def _measured(record: Record, table: SimulateTable, model: Plant) -> Record:
-    """The record as a sensor gives it: white noise added, then rounded to the sensor's step."""
+    """The record as measured: with white noise, then rounded to the step of the sensor."""
     if not table.noise and not table.quantisation:
         return record
     for field in ("noise", "quantisation"):

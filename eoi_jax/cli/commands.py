@@ -1,14 +1,14 @@
-"""The commands of ``eoi``: their options, their help with examples, their completion.
+"""The commands of ``eoi``: options, help with examples, completion.
 
-What a command does is in `cli.actions`, which is imported when one of its functions is called: help
-and a shell that completes a word do not wait for JAX.
+Their actions are in `cli.actions`, which is imported when one of them is called: help and shell
+completion do not wait for JAX.
 """
 
 import sys
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -26,7 +26,16 @@ from eoi_jax.cli.options import (
     Source,
     complete_config,
 )
-from eoi_jax.cli.terminal import Commands, Shown, debug, failures, heard, progress, show
+from eoi_jax.cli.terminal import (
+    Commands,
+    Outcome,
+    ProgressCallback,
+    debug,
+    failures,
+    keyboard_interrupts,
+    progress,
+    show,
+)
 
 app = typer.Typer(
     cls=Commands,
@@ -37,32 +46,34 @@ app = typer.Typer(
 )
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"eoi_jax {cli.version.installed()}")
         raise typer.Exit
 
 
 def _examples(*lines: tuple[str, str]) -> str:
-    """Calls and what they do, below a command's help."""
+    """Example calls with their purpose, below the help of a command."""
     width = max(len(call) for call, _ in lines)
-    shown = [f"  [cyan]{call:{width}}[/cyan]  {what}" for call, what in lines]
-    return "\n".join(["[bold]Examples[/bold]", *shown])
+    examples = [f"  [cyan]{call:{width}}[/cyan]  {purpose}" for call, purpose in lines]
+    return "\n".join(["[bold]Examples[/bold]", *examples])
 
 
-def _answer(as_json: bool, quiet: bool, action: Callable[[Shown | None], Any]) -> None:
-    """Run an action, which is given the callback that shows progress, and show how it ended."""
+def _answer(
+    as_json: bool, quiet: bool, action: Callable[[ProgressCallback | None], Outcome]
+) -> None:
+    """Run an action with a callback that shows its progress, and print its outcome."""
     with failures(as_json):
-        with progress(not quiet) as shown:
-            ending = action(shown)
-        show(ending, as_json, quiet)
+        with progress(not quiet) as update:
+            outcome = action(update)
+        show(outcome, as_json, quiet)
 
 
 @app.callback(
     epilog=_examples(
-        ("eoi discover", "a built-in example: a hidden effect"),
-        ("eoi inspect run.csv", "what is in a file of yours"),
-        ("eoi init run.csv", "writes run.toml, which runs as it is"),
+        ("eoi discover", "built-in example: a hidden effect"),
+        ("eoi inspect run.csv", "the contents of a data file"),
+        ("eoi init run.csv", "writes run.toml, ready to run"),
         ("eoi discover run.toml", "what its model lacks"),
         ("eoi --install-completion", "the tab key completes commands and paths"),
     )
@@ -73,12 +84,12 @@ def options(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
     with_traceback: Annotated[
-        bool, typer.Option("--debug", help="Show where in the program an error comes from.")
+        bool, typer.Option("--debug", help="Show the traceback of an error.")
     ] = False,
 ) -> None:
     """Identify a plant, and find what its model lacks, from the equivalent output injection.
 
-    Exit status: 0 answer found, 1 no answer (says why), 2 wrong call, config or data, 130 stopped.
+    Exit status: 0 answer, 1 no answer (with the reason), 2 invalid call or data, 130 interrupted.
     """
     del version
     debug(with_traceback)
@@ -87,9 +98,9 @@ def options(
 @app.command(
     epilog=_examples(
         ("eoi identify", "the built-in pendulum"),
-        ("eoi identify rig.toml", "results go to runs/<its name>/"),
-        ("eoi identify rig.toml --data DIR", "its data files lie in DIR"),
-        ("eoi identify rig.toml --json > rig.json", "for a program"),
+        ("eoi identify rig.toml", "results are written to runs/<name>/"),
+        ("eoi identify rig.toml --data DIR", "data files are in DIR"),
+        ("eoi identify rig.toml --json > rig.json", "results as JSON"),
     )
 )
 def identify(
@@ -99,16 +110,21 @@ def identify(
     as_json: AsJson = False,
     quiet: Quiet = False,
     passes: Annotated[
-        int | None, typer.Option(min=1, help="Instead of the config's.", show_default=False)
+        int | None,
+        typer.Option(
+            min=1, help="Number of passes; default: that of the config.", show_default=False
+        ),
     ] = None,
 ) -> None:
     """Identify a plant's parameters from simulated or measured records."""
-    _answer(as_json, quiet, lambda shown: cli.actions.identify(config, data, output, passes, shown))
+    _answer(
+        as_json, quiet, lambda update: cli.actions.identify(config, data, output, passes, update)
+    )
 
 
 @app.command(
     epilog=_examples(
-        ("eoi discover", "the built-in example, which hides dry friction"),
+        ("eoi discover", "the built-in example, with hidden dry friction"),
         ("eoi discover rig.toml", "what the model of rig.toml lacks"),
     )
 )
@@ -119,14 +135,14 @@ def discover(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find what a plant's model lacks: name the effect, add it, compare before and after."""
-    _answer(as_json, quiet, lambda shown: cli.actions.discover(config, data, output, shown))
+    """Find what the model of a plant lacks: name the effect, add it, compare before and after."""
+    _answer(as_json, quiet, lambda update: cli.actions.discover(config, data, output, update))
 
 
 @app.command(
     epilog=_examples(
         ("eoi refine", "the built-in pendulum"),
-        ("eoi refine rig.toml", "passes first, then the free run itself"),
+        ("eoi refine rig.toml", "passes, then minimisation of the free-run error"),
     )
 )
 def refine(
@@ -136,15 +152,15 @@ def refine(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify, then fit the free run itself: output error, with what it is sure of."""
-    _answer(as_json, quiet, lambda shown: cli.actions.refine(config, data, output, shown))
+    """Identify, then minimise the free-run error (output error), with uncertainties."""
+    _answer(as_json, quiet, lambda update: cli.actions.refine(config, data, output, update))
 
 
 @app.command(
     epilog=_examples(
         ("eoi sweep", "the built-in example, 1200 lanes"),
-        ("eoi sweep rig.toml", "interrupted, the same command goes on"),
-        ("eoi sweep rig.toml --part 3/10", "one of ten jobs on one store"),
+        ("eoi sweep rig.toml", "if interrupted, the same command continues"),
+        ("eoi sweep rig.toml --part 3/10", "one of ten jobs that share a store"),
     )
 )
 def sweep(
@@ -152,23 +168,23 @@ def sweep(
     data: Data = None,
     output: Output = RUNS,
     part: Annotated[
-        str, typer.Option(help="i/n: every n-th chunk from the i-th (0 … n-1), for a job array.")
+        str, typer.Option(help="i/n: every n-th chunk from the i-th (0 … n-1), for job arrays.")
     ] = "0/1",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Try many gains, filters, starts and resamples; interrupted, the same command goes on."""
+    """Try many gains, filters, starting points and resamples; resumes an interrupted sweep."""
     with failures(as_json):
-        with heard():
+        with keyboard_interrupts():
             bar = not quiet and sys.stderr.isatty()
-            ending = cli.actions.sweep(config, data, output, part, bar)
-        show(ending, as_json, quiet)
+            outcome = cli.actions.sweep(config, data, output, part, bar)
+        show(outcome, as_json, quiet)
 
 
 @app.command(
     epilog=_examples(
-        ("eoi inspect run.csv", "what is in it: columns, clock, noise, guesses"),
-        ("eoi inspect run.csv --json", "for a program"),
+        ("eoi inspect run.csv", "columns, time axis, noise, guesses"),
+        ("eoi inspect run.csv --json", "the same as JSON"),
     )
 )
 def inspect(
@@ -178,8 +194,8 @@ def inspect(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look at a data file before anything is configured: a table, and a picture."""
-    _answer(as_json, quiet, lambda shown: cli.actions.inspect(file, output, shown, max_gigabytes))
+    """Inspect a data file: a table of its columns and a figure."""
+    _answer(as_json, quiet, lambda update: cli.actions.inspect(file, output, update, max_gigabytes))
 
 
 @app.command(
@@ -193,23 +209,23 @@ def init(
     output: Annotated[
         Path | None,
         typer.Option(
-            help="The config to write; left out: <file>.toml here.",
+            help="Config to write; default: <file>.toml in the working folder.",
             show_default=False,
             autocompletion=complete_config,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a config that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing config.")] = False,
     max_gigabytes: MaxGigabytes = MAX_GIGABYTES,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a commented config for a data file; it runs as it is, and says what is guessed."""
+    """Write a commented config for a data file: ready to run, with every guess marked."""
     _answer(as_json, quiet, lambda _: cli.actions.init(file, output, force, max_gigabytes))
 
 
 @app.command(
     epilog=_examples(
-        ("eoi report runs/hidden_friction --open", "made anew, and opened in the browser"),
+        ("eoi report runs/hidden_friction --open", "regenerated, and opened in the browser"),
     )
 )
 def report(
@@ -218,39 +234,39 @@ def report(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make the report of a run anew: one HTML page, from the run's folder alone."""
+    """Regenerate the report of a run, one HTML page, from the folder of the run."""
     with failures(as_json):
-        ending = cli.actions.report(run)
-        show(ending, as_json, quiet)
-        if opened and ending.place is not None:
-            webbrowser.open(ending.place.resolve().as_uri())
+        outcome = cli.actions.report(run)
+        show(outcome, as_json, quiet)
+        if opened and outcome.place is not None:
+            webbrowser.open(outcome.place.resolve().as_uri())
 
 
 @app.command(
     epilog=_examples(
-        ("eoi export runs/emps --language c", "model.c beside the run's files"),
-        ("eoi export runs/emps --output rig.m", "by the suffix: MATLAB and Octave"),
+        ("eoi export runs/emps --language c", "model.c in the folder of the run"),
+        ("eoi export runs/emps --output rig.m", "language by suffix: MATLAB and Octave"),
     )
 )
 def export(
     run: Run,
     language: Annotated[
         str | None,
-        typer.Option(help="python, c, matlab, latex or json; else by the file's suffix."),
+        typer.Option(help="python, c, matlab, latex or json; default: by suffix of the file."),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            help="File to write; else model.* beside the run's files.", show_default=False
+            help="File to write; default: model.* in the folder of the run.", show_default=False
         ),
     ] = None,
     trust: Annotated[
-        bool, typer.Option("--trust", help="Run the Python file that holds the run's model.")
+        bool, typer.Option("--trust", help="Execute the Python file that defines the model.")
     ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write the model of a run, with the effects that were found, for another tool."""
+    """Export the model of a run, with the effects that were added, to another tool."""
     with failures(as_json):
-        ending = cli.actions.export(run, language, output, trust)
-        show(ending, as_json, quiet)
+        outcome = cli.actions.export(run, language, output, trust)
+        show(outcome, as_json, quiet)

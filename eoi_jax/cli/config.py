@@ -1,7 +1,7 @@
-"""A run as a TOML file: what its tables may hold.
+"""The config of a run: the tables of its TOML file.
 
-`load` reads and checks a file; `build` makes the objects it stands for. A mistake in the file is
-a `ValueError` that names the field with its table, the rule and the value.
+`load` reads and checks a file; `build` makes the objects that it describes. A mistake in the file
+is a `ValueError` that names the field with its table, the rule and the value.
 """
 
 import math
@@ -20,15 +20,15 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Gain = Positive | tuple[Positive, ...]
-# The name becomes a folder under runs/: nothing that could leave it or hide in it.
+# The name becomes a folder in runs/: no path separators, no leading dot.
 FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
 
 
 class ParameterTable(msgspec.Struct, frozen=True):
-    """[parameters]: changes to the plant's own declaration.
+    """[parameters]: changes to the declaration of the plant.
 
     Attributes:
-        nominal: starting values θ_0 by name; the others keep the plant's.
+        nominal: starting values θ_0 by name; the others keep those of the plant.
         fixed: names that are not estimated.
         bounds: ``[lower, upper]`` by name.
     """
@@ -85,13 +85,13 @@ class IdentifyTable(msgspec.Struct, frozen=True):
     """[identify]: how the passes run.
 
     Attributes:
-        passes: the most passes to make.
-        transient: not scored at the start of each record [s]; absent: ten time constants of the
+        passes: largest number of passes.
+        transient: not scored at the start of each record [s]; default: ten time constants of the
             filter.
-        substeps: observer steps per sample; absent: chosen from the filter and the sampling.
+        substeps: observer steps per sample; default: chosen from the filter and the sampling.
         smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
-            absent: decided from the record's noise.
-        instruments: passes with instrumental variables at the end; absent: decided from the noise.
+            default: decided from the record's noise.
+        instruments: passes with instrumental variables at the end; default: decided from the noise.
     """
 
     passes: Count = 10
@@ -106,17 +106,17 @@ class IdentifyTable(msgspec.Struct, frozen=True):
 
 
 class DiscoverTable(msgspec.Struct, frozen=True):
-    """[discover]: what is tried, and when it is believed.
+    """[discover]: which effects are tested, and when they are accepted.
 
-    Of the other tables [lowpass] counts; [observer] and [identify] are chosen for every model that
-    is tried, and a note of the answer says so where they are set.
+    Of the other tables [lowpass] is used; [observer] and [identify] are chosen for every model that
+    is tested, and a note of the answer says so where they are set.
 
     Attributes:
-        effects: canonical names; absent: all that fit the plant.
-        alpha: level of false alarms, over all candidates together.
-        most: the most effects to add.
-        window: length of the re-initialised free runs [s]; absent: chosen from the records.
-        refine: whether the answer is refined by output error, with what only free runs show.
+        effects: canonical names; default: all that fit the plant.
+        alpha: probability of a false alarm, over all candidates together.
+        most: largest number of effects to add.
+        window: length of the re-initialised free runs [s]; default: chosen from the records.
+        refine: whether the answer is refined by output error, with effects only free runs show.
     """
 
     effects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] | None = None
@@ -130,13 +130,13 @@ class RefineTable(msgspec.Struct, frozen=True):
     """[refine]: how the free runs are fitted.
 
     Attributes:
-        window: length of each run [s]; absent: whole records.
-        substeps: steps of the simulation per sample; absent: as many as their error asks for.
+        window: length of each run [s]; default: whole records.
+        substeps: steps of the simulation per sample; default: as many as their error asks for.
         max_steps: of the solver.
-        starts: so many further points to start from, drawn around the estimate of the passes, or
-            around the nominal values where the passes have none; absent: none.
-        rounds: how often so many are drawn, from the second time on around the best so far, and
-            anew where that stands still.
+        starts: number of further starting points, drawn around the estimate of the passes, or
+            around the nominal values without such an estimate; default: none.
+        rounds: number of rounds of such draws; later ones are around the best point so far, and
+            start again where they no longer improve it.
     """
 
     window: Positive | None = None
@@ -160,7 +160,7 @@ class GainTable(msgspec.Struct, frozen=True):
     Attributes:
         kind: as of [observer].
         gains: by name: a number, a list, or a range.
-        grid: every combination of them; else the first of each, the second, ….
+        grid: every combination of them; false: the first of each, the second of each, ….
         scheme: implicit or explicit.
     """
 
@@ -171,17 +171,17 @@ class GainTable(msgspec.Struct, frozen=True):
 
 
 class SweepTable(msgspec.Struct, frozen=True):
-    """[sweep]: what is tried; absent parts are those of the other tables.
+    """[sweep]: the lanes; defaults are the values of the other tables.
 
     Attributes:
-        observers: gain sets; absent: that of [observer].
-        cutoffs: of the filter [rad/s]: a list or a range; absent: that of [lowpass].
-        order: of all these filters.
-        starts: θ_0 by name, one table each, beside the nominal values; absent: these only.
+        observers: gain sets; default: that of [observer].
+        cutoffs: of the filter [rad/s]: a list or a range; default: that of [lowpass].
+        order: of these filters.
+        starts: θ_0 by name, a table each, besides the nominal values; default: only these.
         resamples: block-bootstrap resamples of each record.
         seed: of the resamples.
-        precision: of the loop.
-        chunk: lanes at a time.
+        precision: of the computation.
+        chunk: number of lanes computed together.
     """
 
     observers: tuple[GainTable, ...] = ()
@@ -232,7 +232,7 @@ class MultisineTable(msgspec.Struct, frozen=True, tag_field="kind", tag="multisi
 
 
 class RandomStepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="random_steps"):
-    """Levels drawn from [low, high], each held for a while [s]."""
+    """Levels drawn from [low, high], each held for `holding_time` [s]."""
 
     low: float
     high: float
@@ -241,7 +241,7 @@ class RandomStepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="rando
 
 
 class StepsTable(msgspec.Struct, frozen=True, tag_field="kind", tag="steps"):
-    """Levels one after the other, each held for a while [s]."""
+    """Levels in sequence, each held for `holding_time` [s]."""
 
     levels: tuple[float, ...]
     holding_time: Positive
@@ -251,17 +251,17 @@ SignalTable = SquareTable | PrbsTable | ChirpTable | MultisineTable | StepsTable
 
 
 class SimulateTable(msgspec.Struct, frozen=True):
-    """[simulate]: a record made by the plant itself, with other parameters.
+    """[simulate]: a record simulated by the plant with other parameters.
 
     Attributes:
         sample_period, duration: [s].
         input: one signal for each input of the plant.
-        held_out: the same for a second record, which the fit does not see.
-        truth: parameter values that make the record; the others keep the nominal value.
-        increments: the same, as what is added to the nominal values (Δθ of the paper).
-        effects: what the record has and the model lacks, by canonical name: the value of its
-            parameter, or a table where it has several; at the first channel that it fits.
-        initial: for each output its value, or [value, rate, …], at the start; absent: zero.
+        held_out: the same for a second record, which the fit does not use.
+        truth: true parameter values; the others keep the nominal value.
+        increments: the same, as increments of the nominal values (Δθ of the paper).
+        effects: effects of the record that the model lacks, by canonical name: the value of the
+            parameter, or a table of several; at the first channel that it fits.
+        initial: for each output its value, or [value, rate, …], at the start; default: zero.
         noise: standard deviation of white noise for each output [its unit].
         quantisation: step of each output's sensor [its unit].
         seed: of the noise.
@@ -281,18 +281,18 @@ class SimulateTable(msgspec.Struct, frozen=True):
 
 
 class DataTable(msgspec.Struct, frozen=True):
-    """[data] and [validation]: measured files, all read the same way.
+    """[data] and [validation]: measured files and how they are read.
 
     Attributes:
-        files: one record each; relative to ``--data``; else to the config, else to $EOI_DATA.
+        files: a record each; relative to ``--data``, else to the config, else to $EOI_DATA.
         inputs, outputs: columns, in the order of the plant's inputs and outputs.
-        time: column of time [s]; absent where `sample_period` [s] is given.
+        time: column of time [s]; omitted with `sample_period` [s].
         scale: factor by column, to convert units.
         units: unit by column, after scaling.
         slice: first and last (excluded) sample used.
-        hold: what the input did between samples: zero, linear, smooth, or auto.
-        burn_in: not scored at the start [s].
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
+        hold: the input between samples: zero, linear, smooth, or auto.
+        burn_in: time at the start that is not scored [s].
+        max_gigabytes: largest unpacked size of a compressed file [1e9 bytes].
     """
 
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -309,17 +309,17 @@ class DataTable(msgspec.Struct, frozen=True):
 
 
 class Config(msgspec.Struct, frozen=True):
-    """A whole run.
+    """The config of a run.
 
     Attributes:
         name: of the run, and of its folder.
         plant: a plant of the library by name, or ``"file.py:object"`` beside the config, where
             the object is a `Plant` or a function that returns one.
-        model: instead of `plant`: the equations themselves, as text.
-        observer, lowpass: absent: chosen from the records.
-        identify, discover, refine, sweep: how the verbs of these names run.
-        simulate, data: where the records come from; exactly one of the two.
-        validation: held-out files; what the table leaves out is as in [data].
+        model: the equations as text, instead of `plant`.
+        observer, lowpass: default: chosen from the records.
+        identify, discover, refine, sweep: options of the commands with these names.
+        simulate, data: source of the records; exactly one of the two.
+        validation: held-out files; defaults are the values of [data].
     """
 
     name: FolderName
@@ -339,11 +339,11 @@ class Config(msgspec.Struct, frozen=True):
 
 # -- from text to tables ----------------------------------------------------------------------
 
-_DEEPEST = 20  # tables and lists inside each other; a config has five
+_MAX_DEPTH = 20  # nested tables and lists; a valid config has five
 
 
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
-    """TOML has infinity and nan: only a bound may be infinite, where there is none."""
+    """TOML has inf and nan: only a bound may be infinite, meaning no bound."""
     if isinstance(value, dict):
         for key, part in value.items():
             if key != "bounds":
@@ -359,19 +359,21 @@ def load(path: Path) -> Config:
     """Read and check a TOML file.
 
     Raises:
-        ValueError: the file is missing or no TOML, a key is unknown (the known ones are listed),
+        ValueError: the file is missing or not TOML, a key is unknown (the known keys are listed),
             a value is missing, of the wrong type or out of range.
     """
     check(path.is_file(), "config", "must be a file that exists", path)
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # editors on Windows mark it
+        tables = tomllib.loads(
+            path.read_text(encoding="utf-8-sig")
+        )  # with the byte-order mark of Windows editors
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         deep = isinstance(error, RecursionError)
-        said = "it is nested too deeply" if deep else printable(str(error))
-        check(False, "config", "must be a TOML file", path, f"The reader says: {said}.")
+        reason = "nested too deeply" if deep else printable(str(error))
+        check(False, "config", "must be a TOML file", path, f"Parser: {reason}.")
         raise
-    rule = f"must have at most {_DEEPEST} tables and lists inside each other"
-    check(is_shallow(tables, _DEEPEST), "config", rule, path)
+    rule = f"must have at most {_MAX_DEPTH} levels of nested tables and lists"
+    check(is_shallow(tables, _MAX_DEPTH), "config", rule, path)
     _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):

@@ -1,4 +1,4 @@
-"""The report of a run, made from the run's folder alone: neither data nor model are needed."""
+"""The report of a run from the files of its folder: neither data nor model are needed."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ import numpy as np
 
 from eoi_jax._atomic import sweep_up, write_file
 from eoi_jax._checks import check
-from eoi_jax.cli.run_folder import BESIDE, RESULT, SWEEP
+from eoi_jax.cli.run_folder import REPORT_DATA, RESULT, SWEEP
 from eoi_jax.cli.summary import SUMMARY_FORMAT
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
@@ -24,46 +24,46 @@ from eoi_jax.report.contents import (
 from eoi_jax.report.page import page
 
 REPORT = "report.html"
-_Maker = Callable[[Any, Mapping[str, Any]], Contents]
-_MAKERS: Mapping[str, tuple[type, _Maker]] = {
+_ContentsFunction = Callable[[Any, Mapping[str, Any]], Contents]
+_CONTENTS: Mapping[str, tuple[type, _ContentsFunction]] = {
     "discover": (Discovery, discovery_contents),
     "identify": (Identification, identification_contents),
     "refine": (Refinement, refinement_contents),
 }
-# Entries of the summary that the page shows, with their kinds.
-_SHOWN = {"name": str, "answer": str, "status": dict, "versions": dict, "records": list,
+# Entries of the summary that the page shows, with their types.
+_PAGE_FIELDS = {"name": str, "answer": str, "status": dict, "versions": dict, "records": list,
           "held_out_records": list, "equation": dict}  # fmt: skip
 _SUMMARIES = ("discovery.json", "result.json")
-_AGAIN = "Run the command at the top of its config.toml again."
+_RERUN = "Run the command at the top of its config.toml again."
 
 
 def write_report(folder: Path) -> Path:
-    """Write ``report.html`` into a run's folder, whole or not at all.
+    """Write ``report.html`` into the folder of a run, all or nothing.
 
     Args:
-        folder: that `eoi discover`, `identify` or `refine` wrote.
+        folder: written by `eoi discover`, `identify` or `refine`.
 
     Returns:
         Path of the page.
 
     Raises:
-        ValueError: no such folder, an interrupted run, a folder of something else, a run that an
-            older or a newer version wrote, or one that is damaged.
+        ValueError: no such folder, an interrupted run, not a run, a run that an older or a newer
+            version wrote, or a damaged one.
     """
     summary, config = _read(folder)
-    kind, maker = _MAKERS[summary["kind"]]
-    result, beside = load(folder / RESULT), load(folder / BESIDE)
-    good = isinstance(result, kind) and isinstance(beside, dict) and "diagnosis" in beside
-    other = f"{folder}, whose one is of something else"
-    check(good, "RUN", f"must hold the {RESULT} of {summary['kind']}", other, _AGAIN)
-    first, _, rest = config.partition("\n")
-    command = first.removeprefix("# ")
+    result_type, contents = _CONTENTS[summary["kind"]]
+    result, extra = load(folder / RESULT), load(folder / REPORT_DATA)
+    valid = isinstance(result, result_type) and isinstance(extra, dict) and "diagnosis" in extra
+    value = f"{folder}, where it belongs to another command"
+    check(valid, "RUN", f"must hold the {RESULT} of {summary['kind']}", value, _RERUN)
+    first_line, _, config_text = config.partition("\n")
+    command = first_line.removeprefix("# ")
     try:
-        with np.errstate(all="ignore"):  # of a damaged run
-            text = page(summary, maker(result, beside), command, rest, summary["kind"])
-    except Exception as error:  # parts that are each as declared, and of different results
-        cause = f"{folder}, whose parts do not fit together ({type(error).__name__}: {error})"
-        check(False, "RUN", f"must hold the {RESULT} that it was written with", cause, _AGAIN)
+        with np.errstate(all="ignore"):  # values of a damaged run
+            text = page(summary, contents(result, extra), command, config_text, summary["kind"])
+    except Exception as error:  # e.g. of valid files that belong to different runs
+        cause = f"{folder}, whose files do not match ({type(error).__name__}: {error})"
+        check(False, "RUN", f"must hold the {RESULT} of the same run", cause, _RERUN)
         raise
     path = folder / REPORT
     write_file(path, lambda draft: _write_text(draft, text))
@@ -75,45 +75,44 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], str]:
-    """The run's JSON object and the text of its config, after every check that they allow."""
+    """The JSON object of the run and the text of its config, checked."""
     if not folder.exists():
-        sweep_up(folder.parent)  # a run that was being replaced when its process was killed
+        sweep_up(folder.parent)  # restores a run whose replacement was interrupted
     check(folder.is_dir(), "RUN", "must be the folder of a run", folder,
-          "Runs lie in runs/<name>/.")  # fmt: skip
+          "Runs are in runs/<name>/.")  # fmt: skip
     check(
         not (folder / SWEEP).is_file(),
         "RUN",
-        "must be of discover, identify or refine",
-        f"{folder}, which is of sweep",
-        "Its figure.png and report.txt say what it found.",
+        "must be a run of discover, identify or refine",
+        f"{folder}, a run of sweep",
+        "Its results are in figure.png and report.txt.",
     )
-    found = [name for name in _SUMMARIES if (folder / name).is_file()]
+    names = [name for name in _SUMMARIES if (folder / name).is_file()]
     check(
-        bool(found),
+        bool(names),
         "RUN",
         f"must hold {' or '.join(_SUMMARIES)}",
         f"{folder}, which has neither",
-        "It is not the folder of a run, or the run was interrupted before its end: then run the "
-        "same command again.",
+        "It is not the folder of a run, or the run was interrupted: run the same command again.",
     )
     try:
-        summary = json.loads((folder / found[0]).read_text(encoding="utf-8"))
+        summary = json.loads((folder / names[0]).read_text(encoding="utf-8"))
     except ValueError:
         summary = None
-    damaged = f"{folder}, whose one is damaged"
-    check(isinstance(summary, dict), "RUN", f"must hold a whole {found[0]}", damaged, _AGAIN)
+    damaged = f"{folder}, where it is damaged"
+    check(isinstance(summary, dict), "RUN", f"must hold a complete {names[0]}", damaged, _RERUN)
     assert isinstance(summary, dict)
-    written = summary.get("format")
+    version = summary.get("format")
     check(
-        written == SUMMARY_FORMAT and summary.get("kind") in _MAKERS,
+        version == SUMMARY_FORMAT and summary.get("kind") in _CONTENTS,
         "RUN",
         f"must be of format {SUMMARY_FORMAT}, which this version of eoi_jax reads",
-        f"{folder}, of format {written or 'none (an older version)'}",
-        _AGAIN,
+        f"{folder}, of format {version or 'none (an older version)'}",
+        _RERUN,
     )
-    whole = all(isinstance(summary.get(name), kind) for name, kind in _SHOWN.items())
-    check(whole, "RUN", f"must hold a whole {found[0]}", damaged, _AGAIN)
-    for name in (RESULT, BESIDE, "config.toml"):
-        missing = f"{folder}, which has none"
-        check((folder / name).is_file(), "RUN", f"must hold {name}", missing, _AGAIN)
+    complete = all(isinstance(summary.get(name), kind) for name, kind in _PAGE_FIELDS.items())
+    check(complete, "RUN", f"must hold a complete {names[0]}", damaged, _RERUN)
+    for name in (RESULT, REPORT_DATA, "config.toml"):
+        missing = f"{folder}, where it is missing"
+        check((folder / name).is_file(), "RUN", f"must hold {name}", missing, _RERUN)
     return summary, (folder / "config.toml").read_text(encoding="utf-8", errors="replace")

@@ -1,6 +1,6 @@
-"""The entry point of the command ``eoi``.
+"""Entry point of the command ``eoi``.
 
-Its commands are imported once the signals that end a process are handled.
+The commands are imported after the handlers of the signals that end a process are set.
 """
 
 import contextlib
@@ -8,29 +8,29 @@ import os
 import sys
 
 from eoi_jax import cli
-from eoi_jax.cli.signals import handled, ignore, interrupt
+from eoi_jax.cli.signals import handle, ignore, interrupt
 
-_WRONG, _INTERRUPTED = 2, 130
+_ERROR, _INTERRUPTED = 2, 130
 
 
 def main() -> None:
-    """The entry point of the ``eoi`` command."""
+    """Run the command ``eoi``."""
     try:
         try:
-            with handled(interrupt):
+            with handle(interrupt):
                 cli.commands.app(prog_name="eoi")
         finally:
-            ignore()  # what is left is to end, with the status that is due
-    except KeyboardInterrupt:  # before a command has begun
-        _end(_INTERRUPTED, "interrupted; nothing half-written is left")
-    except Exception as error:  # before a command has begun, too: `terminal.failures` is within
+            ignore()  # the process ends now, with its exit status
+    except KeyboardInterrupt:  # before a command starts
+        _exit(_INTERRUPTED, "interrupted; no partly written files remain")
+    except Exception as error:  # outside `terminal.failures`, e.g. at an import
         if "--debug" in sys.argv:
             raise
-        _end(_WRONG, f"{type(error).__name__}: {error}; --debug shows where")
+        _exit(_ERROR, f"{type(error).__name__}: {error}; --debug shows the traceback")
 
 
-def _end(code: int, message: str) -> None:
-    with contextlib.suppress(OSError):  # nobody listens any more
+def _exit(code: int, message: str) -> None:
+    with contextlib.suppress(OSError):  # stderr may be closed
         sys.stderr.write(f"eoi: {message}\n")
         sys.stderr.flush()
     with contextlib.suppress(OSError):

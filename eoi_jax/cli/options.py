@@ -1,4 +1,4 @@
-"""Options that several commands have, and how a shell completes their values."""
+"""Options that several commands share, with shell completion of their values."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,28 +12,28 @@ DATA_FILES = (
 
 
 def _paths(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
-    """Folders, and files with one of the suffixes, that begin with what is typed."""
+    """Folders, and files with one of the suffixes, that begin with the typed text."""
     typed = Path(incomplete)
     folder = typed if incomplete.endswith(("/", "\\")) or not incomplete else typed.parent
-    found = []
+    paths = []
     try:
         for path in sorted(folder.iterdir()):
             if path.name.startswith("."):
                 continue
             if path.is_dir():
-                found.append(f"{path}/")
+                paths.append(f"{path}/")
             elif path.suffix.lower() in suffixes:
-                found.append(str(path))
+                paths.append(str(path))
     except OSError:
         return []
-    return [one for one in found if one.startswith(incomplete)]
+    return [text for text in paths if text.startswith(incomplete)]
 
 
 def complete_config(incomplete: str) -> list[str]:
     """Configs and folders.
 
     Args:
-        incomplete: what is typed already.
+        incomplete: the typed text.
     """
     return _paths(incomplete, (".toml",))
 
@@ -42,7 +42,7 @@ def complete_data(incomplete: str) -> list[str]:
     """Data files and folders.
 
     Args:
-        incomplete: what is typed already.
+        incomplete: the typed text.
     """
     return _paths(incomplete, DATA_FILES)
 
@@ -51,7 +51,7 @@ def complete_folder(incomplete: str) -> list[str]:
     """Folders, such as that of a run.
 
     Args:
-        incomplete: what is typed already.
+        incomplete: the typed text.
     """
     return _paths(incomplete, ())
 
@@ -59,7 +59,7 @@ def complete_folder(incomplete: str) -> list[str]:
 Source = Annotated[
     Path | None,
     typer.Argument(
-        help="TOML file; left out: a built-in example.",
+        help="TOML file; default: a built-in example.",
         autocompletion=complete_config,
         show_default=False,
     ),
@@ -75,20 +75,22 @@ Run = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of measured files; else the config's folder, else $EOI_DATA.",
+        help="Folder of measured files; default: that of the config, then $EOI_DATA.",
         autocompletion=complete_folder,
         show_default=False,
     ),
 ]
 Output = Annotated[
     Path,
-    typer.Option(help="Folder that the run's folder goes into.", autocompletion=complete_folder),
+    typer.Option(
+        help="Folder in which the folder of the run is written.", autocompletion=complete_folder
+    ),
 ]
 AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print only where the result was written.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print only the path of the result.")]
 MaxGigabytes = Annotated[
-    float, typer.Option(help="What a compressed file may unpack to; inf for no limit.")
+    float, typer.Option(help="Limit of the unpacked size of a compressed file [GB]; inf: no limit.")
 ]
 MAX_GIGABYTES = 4.0  # as in `eoi_jax.data.readers.limits`, which would import JAX

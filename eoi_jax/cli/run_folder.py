@@ -1,7 +1,8 @@
-"""A run of the command: what it takes from a config, what it says as JSON, what it writes."""
+"""The folder of a run: its records and model from a config, its files, its model from the files."""
 
 import errno
 import json
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,7 +14,8 @@ from typing import Any
 from eoi_jax._atomic import make_draft, sweep_up, tidied, write_files
 from eoi_jax._checks import RecordWarning, check
 from eoi_jax.cli import build
-from eoi_jax.cli import config as configs
+from eoi_jax.cli.config import Config
+from eoi_jax.cli.config import load as load_config
 from eoi_jax.data.inspection import Inspection
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnose import diagnose
@@ -21,32 +23,33 @@ from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.equations.display import equation_latex
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.storage import save
+from eoi_jax.models.storage import has_all_functions, load, save
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import discovery_figures
 from eoi_jax.report.discovery import discovery_text
-from eoi_jax.report.drawn import save_drawn
+from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.sweep import sweep_figure
 from eoi_jax.simulation.validate import Validation
 
-RESULT = "result.npz"  # the run's result, for `eoi_jax.load`
-BESIDE = "report.npz"  # what its report shows beside that
+RESULT = "result.npz"  # the result, for `eoi_jax.load`
+REPORT_DATA = "report.npz"  # further data of the report
 SWEEP = "sweep.json"
+_RUN_FIRST = "Run `eoi identify`, `eoi refine` or `eoi discover` first, and give its folder."
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a config stands for.
+    """The model and the records of a config.
 
     Attributes:
-        settings: its tables.
+        settings: the config.
         model: the plant with its nominal parameters.
-        records: to identify from.
-        held_out: not used by the fit; may be empty.
+        records: for the fit.
+        held_out: for validation; may be empty.
     """
 
-    settings: configs.Config
+    settings: Config
     model: Plant
     records: list[Record]
     held_out: list[Record]
@@ -54,22 +57,22 @@ class Job:
 
 @contextmanager
 def quiet_records() -> Iterator[None]:
-    """No warnings about records: what was done to one is in its notes, and those in the result."""
+    """Suppress warnings about records: they are in the notes of the result."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         yield
 
 
-def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
+def job(settings: Config, folder: Path, data: Path | None) -> Job:
     """The plant and the records of a config.
 
     Args:
-        settings: what was loaded.
+        settings: the config.
         folder: of the config.
         data: folder of measured files; None: `folder`, else $EOI_DATA.
 
     Raises:
-        ValueError: what the config names does not exist or does not fit.
+        ValueError: files or names of the config do not exist or do not match.
     """
     with quiet_records():
         model = build.plant(settings, folder)
@@ -81,40 +84,45 @@ def job(settings: configs.Config, folder: Path, data: Path | None) -> Job:
         )
 
 
-def check_place(folder: Path, named: str) -> None:
-    """A run's folder must be one that can be made: found out before the work, by making it.
+def check_place(folder: Path, field: str) -> None:
+    """Check that the folder of a run can be written, by creating and removing a draft.
 
-    What processes that were killed left beside it goes, or is put back.
+    Leftovers of processes that were killed are removed or restored.
 
     Args:
-        folder: the run's, in that of ``--output``; it is left as it is.
-        named: the field that its own name is from.
+        folder: of the run, in that of ``--output``; it is not changed.
+        field: the field that gives its name.
 
     Raises:
-        ValueError: it cannot be made, or not be written.
+        ValueError: it cannot be created or written.
     """
-    made: list[Path] = []
+    created: list[Path] = []
 
     def undo() -> None:
-        for one in reversed(made):
+        for path in reversed(created):
             with suppress(OSError):
-                one.rmdir()
+                path.rmdir()
 
     with tidied(undo):
-        for one in (*reversed(folder.parents), folder):
+        for path in (*reversed(folder.parents), folder):
             try:
-                if one is folder:
+                if path is folder:
                     sweep_up(folder.parent)
-                    made.append(make_draft(folder))
-                elif not one.is_dir():
-                    made.append(one)
-                    one.mkdir()
+                    created.append(make_draft(folder))
+                elif not path.is_dir():
+                    created.append(path)
+                    path.mkdir()
             except OSError as error:
-                long = one is folder and error.errno == errno.ENAMETOOLONG
-                check(not long, named, "must be short enough for a folder", folder.name)
-                there = isinstance(error, FileExistsError)
-                cause = f"{one} is a file" if there else error.strerror
-                rule = f"must be a folder that can be made and written ({cause})"
+                too_long = path is folder and error.errno == errno.ENAMETOOLONG
+                check(
+                    not too_long,
+                    field,
+                    "must be short enough for the name of a folder",
+                    folder.name,
+                )
+                is_file = isinstance(error, FileExistsError)
+                cause = f"{path} is a file" if is_file else error.strerror
+                rule = f"must be a folder that can be created and written ({cause})"
                 check(False, "--output", rule, folder.parent)
 
 
@@ -131,23 +139,23 @@ def write_identification(
     """`result.json`, `figure.png`, `result.npz`, `report.npz` and `config.toml`.
 
     Args:
-        folder: an empty one.
+        folder: an empty folder.
         result: of `identify`.
         validation: on the held-out records, if there are any.
         summary: of `identification_summary`.
-        config: text of the config, with the command that was given above it.
+        config: text of the config below the command of the run.
     """
     _write_json(folder / "result.json", summary)
-    save_drawn(folder / "figure.png", lambda: identification_figure(result))
+    save_figure(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
-    save({"diagnosis": diagnose(result), "validation": validation}, folder / BESIDE)
+    save({"diagnosis": diagnose(result), "validation": validation}, folder / REPORT_DATA)
     _write(folder / "config.toml", config)
 
 
 def write_refinement(
     folder: Path,
     result: Refinement,
-    beside: dict[str, Any],
+    extra: dict[str, Any],
     summary: dict[str, Any],
     text: str,
     config: str,
@@ -155,19 +163,19 @@ def write_refinement(
     """`result.json`, `report.txt`, `figure.png`, `result.npz`, `report.npz` and `config.toml`.
 
     Args:
-        folder: an empty one.
+        folder: an empty folder.
         result: of `refine`.
-        beside: ``start``, the identification it went on from; ``before`` and ``after``, free runs
-            on the held-out records, or None.
+        extra: ``start``, the identification that it started from; ``before`` and ``after``, free
+            runs on the held-out records, or None.
         summary: of `refinement_summary`.
         text: of `refinement_text`.
-        config: text of the config, with the command that was given above it.
+        config: text of the config below the command of the run.
     """
     _write_json(folder / "result.json", summary)
     _write(folder / "report.txt", text + "\n")
-    save_drawn(folder / "figure.png", result.plot)
+    save_figure(folder / "figure.png", result.plot)
     result.save(folder / RESULT)
-    save({**beside, "diagnosis": diagnose(beside["start"])}, folder / BESIDE)
+    save({**extra, "diagnosis": diagnose(extra["start"])}, folder / REPORT_DATA)
     _write(folder / "config.toml", config)
 
 
@@ -175,60 +183,64 @@ def write_discovery(folder: Path, result: Discovery, summary: dict[str, Any], co
     """`discovery.json`, `report.txt`, `equation.tex`, three figures, two `.npz`, `config.toml`.
 
     Args:
-        folder: an empty one.
+        folder: an empty folder.
         result: of `discover`.
         summary: of `discovery_summary`.
-        config: text of the config, with the command that was given above it.
+        config: text of the config below the command of the run.
     """
     _write_json(folder / "discovery.json", summary)
     _write(folder / "report.txt", discovery_text(result) + "\n")
     model = result.declared_part
-    forms = (equation_latex(model, result.added, numeric=one) for one in (False, True))
+    forms = (equation_latex(model, result.added, numeric=numeric) for numeric in (False, True))
     tex = "\n\n".join(f"\\[\n{form}\n\\]" for form in forms)
     _write(folder / "equation.tex", tex + "\n")
     for name, draw in discovery_figures.PARTS.items():
-        save_drawn(folder / f"{name}.png", partial(draw, result))
+        save_figure(folder / f"{name}.png", partial(draw, result))
     result.save(folder / RESULT)
-    last = result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
-    save({"diagnosis": last}, folder / BESIDE)
+    diagnosis = (
+        result.diagnosis if result.diagnosis and not result.added else diagnose(result.found)
+    )
+    save({"diagnosis": diagnosis}, folder / REPORT_DATA)
     _write(folder / "config.toml", config)
 
 
 def write_sweep(
     folder: Path, result: Any, best: Any, summary: dict[str, Any], text: str, config: str
 ) -> None:
-    """`sweep.json`, `report.txt`, `figure.png` and `config.toml`, beside the store of a sweep.
+    """`sweep.json`, `report.txt`, `figure.png` and `config.toml` in the folder of a sweep.
 
     Args:
-        folder: the run's, which holds the store already; each file is written whole or not at all.
+        folder: of the run, with the store; each file is written all or nothing.
         result: of `sweep`.
         best: its best lane, or None.
         summary: of `sweep_summary`.
         text: of `sweep_text`.
-        config: text of the config, with the command that was given above it.
+        config: text of the config below the command of the run.
     """
 
     def fill(draft: Path) -> None:
         _write_json(draft / SWEEP, summary)
         _write(draft / "report.txt", text + "\n")
-        save_drawn(draft / "figure.png", lambda: sweep_figure(result, best))
+        save_figure(draft / "figure.png", lambda: sweep_figure(result, best))
         _write(draft / "config.toml", config)
 
     write_files(folder, SWEEP, fill)
 
 
-def write_inspection(folder: Path, found: Inspection, summary: dict[str, Any], text: str) -> None:
+def write_inspection(
+    folder: Path, inspection: Inspection, summary: dict[str, Any], text: str
+) -> None:
     """`inspect.json`, `inspect.txt` and `inspect.png`.
 
     Args:
-        folder: an empty one.
-        found: of `inspect`.
-        summary: of its `summary`.
-        text: for a reader.
+        folder: an empty folder.
+        inspection: of `inspect`.
+        summary: of its method `summary`.
+        text: of `inspection_text`.
     """
     _write_json(folder / "inspect.json", summary)
     _write(folder / "inspect.txt", text + "\n")
-    save_drawn(folder / "inspect.png", found.plot)
+    save_figure(folder / "inspect.png", inspection.plot)
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:
@@ -237,5 +249,81 @@ def _write_json(path: Path, summary: dict[str, Any]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """In UTF-8; of a file's name that is none, its codes."""
+    """Write in UTF-8; invalid characters, as in a file name, as escapes."""
     path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+# -- from files -------------------------------------------------------------------------------
+
+
+def plant_of_run(run: Path, trust: bool = False) -> Plant:
+    """The estimated model of a run, with the effects that were added.
+
+    It is read from the stored result. Only a function in a Python file is not stored.
+
+    Args:
+        run: its folder, or a file: a saved result, or a model exported as JSON.
+        trust: whether such a Python file, named in the config of the run, may be executed.
+
+    Returns:
+        The plant with its estimate.
+
+    Raises:
+        ValueError: no such run, an interrupted run, files that were edited, or a model in a Python
+            file that is missing or not trusted.
+    """
+    if not run.exists():
+        sweep_up(run.parent)  # restores a run whose replacement was interrupted
+    check(run.exists(), "run", "must be a folder or a file that exists", run, _RUN_FIRST)
+    if run.is_file():
+        return _model_of(load(run), run)
+    config = run / "config.toml"
+    check(config.is_file(), "run", "must be the folder of a finished run", run, _RUN_FIRST)
+    stored = run / "result.npz"
+    if stored.is_file():
+        plant = _model_of(load(stored), stored)
+        if has_all_functions(plant):
+            return plant
+        return _model_of(load(stored, plant=_declared(config, trust)), stored)
+    result = run / "result.json"
+    rule = "must hold result.npz or result.json"
+    check(result.is_file(), "run", rule, run, "A sweep has no single model. " + _RUN_FIRST)
+    declared = _declared(config, trust)
+    try:
+        values = json.loads(result.read_text(encoding="utf-8"))["parameters"]
+        return declared.with_parameters({name: float(value) for name, value in values.items()})
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"`run` must hold a result.json that this library wrote: {error}"
+        ) from None
+
+
+def _model_of(result: Any, path: Path) -> Plant:
+    plant = result if isinstance(result, Plant) else getattr(result, "plant", None)
+    check(isinstance(plant, Plant), "run", "must contain a model", path)
+    return plant  # type: ignore[return-value]
+
+
+def _declared(copy: Path, trust: bool) -> Plant:
+    """The declared model; a Python file is relative to the original of the copied config."""
+    settings = load_config(copy)
+    check(
+        trust or ":" not in (settings.plant or ""),
+        "run",
+        "must hold its complete model",
+        f"{copy.parent}, whose model is a function in {settings.plant}",
+        "Check this file; --trust executes it.",
+    )
+    command = re.match(r"# eoi \w+ (.*\.toml)", copy.read_text(encoding="utf-8"))
+    return build.plant(
+        settings, _original_folder(Path(command[1]), copy) if command else copy.parent
+    )
+
+
+def _original_folder(config: Path, copy: Path) -> Path:
+    """The folder of a config that is named relative to the working folder of the command.
+
+    That is a parent of the folder of the run, as by default, or the current working folder.
+    """
+    bases = (*copy.resolve().parents, Path.cwd())
+    return next((base / config for base in bases if (base / config).is_file()), copy).parent

@@ -1,4 +1,4 @@
-"""Signals that end a process: Ctrl-C, a request to end, a terminal that is closed."""
+"""Signals that end a process: interrupt (Ctrl-C), termination, and hang-up of the terminal."""
 
 import signal
 import threading
@@ -7,46 +7,46 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-# Windows knows no SIGHUP.
+# Windows has no SIGHUP.
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 
 
 def interrupt(number: int = signal.SIGINT, frame: FrameType | None = None) -> None:
-    """Raise what Ctrl-C raises.
+    """Raise `KeyboardInterrupt`, as Ctrl-C does.
 
     Args:
         number: of the signal.
-        frame: that it came in.
+        frame: current stack frame.
     """
     del number, frame
     raise KeyboardInterrupt
 
 
 @contextmanager
-def handled(handler: Callable[..., Any]) -> Iterator[None]:
-    """Have every signal that ends a process call a handler instead.
+def handle(handler: Callable[..., Any]) -> Iterator[None]:
+    """Context in which signals that end a process call a handler instead.
 
-    A signal that is ignored stays so: `nohup` and a shell's `&` ask for that. Only the main thread
-    of a process may say any of this.
+    A signal that is ignored stays ignored, as with `nohup` or `&` in a shell. Only the main thread
+    of a process may set handlers.
 
     Args:
         handler: as of `signal.signal`.
     """
-    before = {}
+    previous = {}
     if threading.current_thread() is threading.main_thread():
-        heard = [one for one in ENDING if signal.getsignal(one) != signal.SIG_IGN]
-        before = {one: signal.signal(one, handler) for one in heard}
+        active = [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
+        previous = {number: signal.signal(number, handler) for number in active}
     try:
         yield
     finally:
-        for one, former in before.items():
-            signal.signal(one, former)
+        for number, former in previous.items():
+            signal.signal(number, former)
 
 
 def ignore() -> None:
-    """Let no further signal in: the process is about to end."""
+    """Ignore further signals: the process is about to end."""
     if threading.current_thread() is threading.main_thread():
-        for one in ENDING:
-            signal.signal(one, signal.SIG_IGN)
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)

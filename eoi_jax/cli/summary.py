@@ -1,4 +1,4 @@
-"""What a run answers, as one JSON object, with where it came from."""
+"""The results of a run as one JSON object, with the provenance of its data and versions."""
 
 import platform
 from collections.abc import Sequence
@@ -27,17 +27,17 @@ SUMMARY_FORMAT = 1
 
 
 def identification_summary(
-    given: Job, result: Identification, validation: Validation | None
+    job: Job, result: Identification, validation: Validation | None
 ) -> dict[str, Any]:
     """An identification as one JSON object.
 
     Args:
-        given: what was asked.
+        job: model and records of the config.
         result: of `identify`.
         validation: on the held-out records, if there are any.
     """
     summary = {
-        **_head(given, "identify", identification_answer(result, validation)),
+        **_head(job, "identify", identification_answer(result, validation)),
         "status": _status(result),
         **_fit(result),
         "nominal": result.nominal.parameters,
@@ -52,23 +52,23 @@ def identification_summary(
         "engine": _fields(result.engine),
         "validation": None if validation is None else _errors(validation),
     }
-    return _plain({**summary, **_provenance(given)})
+    return _plain({**summary, **_provenance(job)})
 
 
-def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
+def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
     """A discovery as one JSON object.
 
     Args:
-        given: what was asked.
+        job: model and records of the config.
         result: of `discover`.
     """
     declared, added, fitted = result.declared.nominal, result.added, result.declared_part
     summary = {
-        **_head(given, "discover", answer(result)),
+        **_head(job, "discover", answer(result)),
         "status": _status(result),
         "effects": result.effects,
         "added": _added(added),
-        "ranking": [_fields(one) for one in result.ranking],
+        "ranking": [_fields(evidence) for evidence in result.ranking],
         "ambiguous_with": result.ambiguous_with,
         "advice": result.advice,
         "explained": result.explained,
@@ -92,67 +92,67 @@ def discovery_summary(given: Job, result: Discovery) -> dict[str, Any]:
         "notes": result.notes,
         "engine": _fields(result.engine),
     }
-    return _plain({**summary, **_provenance(given)})
+    return _plain({**summary, **_provenance(job)})
 
 
 def refinement_summary(
-    given: Job,
+    job: Job,
     start: Identification,
-    before: Validation | None,
+    initial_run: Validation | None,
     result: Refinement,
-    after: Validation | None,
+    refined_run: Validation | None,
 ) -> dict[str, Any]:
     """A refinement as one JSON object.
 
     Args:
-        given: what was asked.
-        start: of `identify`, from which it went on.
-        before: of that one on the held-out records, if there are any.
+        job: model and records of the config.
+        start: of `identify`, from which it started.
+        initial_run: its free run on the held-out records, if there are any.
         result: of `refine`.
-        after: of that one on the held-out records.
+        refined_run: its free run on the held-out records, if there are any.
     """
     summary = {
-        **_head(given, "refine", refinement_answer(result, after)),
+        **_head(job, "refine", refinement_answer(result, refined_run)),
         "status": _status(result),
         "parameters": result.parameters,
         "standard_errors": result.standard_errors,
-        **(_sure(uncertainty(result)) if result.status.ok else {}),
-        "nominal": given.model.parameters,
+        **(_uncertainties(uncertainty(result)) if result.status.ok else {}),
+        "nominal": job.model.parameters,
         "units": result.plant.units,
         "outputs": result.plant.outputs,
         "equation": _equation(result.plant, ()),
         "rmse": dict(zip(result.plant.outputs, result.rmse, strict=True)),
         "rmse_before": dict(zip(result.plant.outputs, result.before, strict=True)),
-        "starts": [_fields(one) for one in result.starts],
+        "starts": [_fields(start_point) for start_point in result.starts],
         "steps": result.steps,
         "window": result.window,
         "notes": result.notes,
         "engine": _fields(result.engine),
         "identified": {"status": _status(start), **_fit(start)},
         "validation": {
-            name: None if one is None else _errors(one)
-            for name, one in (("before", before), ("refined", after))
+            name: None if validation is None else _errors(validation)
+            for name, validation in (("before", initial_run), ("refined", refined_run))
         },
     }
-    return _plain({**summary, **_provenance(given)})
+    return _plain({**summary, **_provenance(job)})
 
 
-def _sure(known: Uncertainty) -> dict[str, Any]:
+def _uncertainties(estimate: Uncertainty) -> dict[str, Any]:
     return {
-        "intervals": known.intervals(),
-        "correlation": known.correlation,
+        "intervals": estimate.intervals(),
+        "correlation": estimate.correlation,
         "degrees_of_freedom": dict(
-            zip(known.parameters, known.degrees_of_freedom.tolist(), strict=True)
+            zip(estimate.parameters, estimate.degrees_of_freedom.tolist(), strict=True)
         ),
-        "unclear": known.unclear,
+        "unclear": estimate.unclear,
     }
 
 
-def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
+def sweep_summary(job: Job, result: Any, best: Any) -> dict[str, Any]:
     """A sweep as one JSON object.
 
     Args:
-        given: what was asked.
+        job: model and records of the config.
         result: of `sweep`.
         best: its best lane, if any lane has an answer.
     """
@@ -177,7 +177,7 @@ def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
             "records": estimates,
         }
     summary = {
-        "name": given.settings.name,
+        "name": job.settings.name,
         "finished": bool(result.attrs["finished"]),
         "lanes": int(result["status"].size),
         "statuses": statuses(result),
@@ -187,21 +187,21 @@ def sweep_summary(given: Job, result: Any, best: Any) -> dict[str, Any]:
         },
         "best": lane,
     }
-    return _plain({**summary, **_provenance(given)})
+    return _plain({**summary, **_provenance(job)})
 
 
-def _head(given: Job, kind: str, sentence: str) -> dict[str, Any]:
+def _head(job: Job, kind: str, sentence: str) -> dict[str, Any]:
     return {
         "format": SUMMARY_FORMAT,
         "kind": kind,
-        "name": given.settings.name,
+        "name": job.settings.name,
         "answer": sentence,
     }
 
 
 def _equation(model: Plant, added: Sequence[Any]) -> dict[str, Any]:
-    """The equations in every form; their lines, with what was added apart, in LaTeX."""
-    names, values = (equation_lines(model, added, numeric=one) for one in (False, True))
+    """The equations in every form; their lines in LaTeX, with added terms as separate items."""
+    names, values = (equation_lines(model, added, numeric=numeric) for numeric in (False, True))
     return {
         "text": equation_text(model, added),
         "values": equation_text(model, added, numeric=True),
@@ -219,18 +219,18 @@ def _fields(row: Any) -> dict[str, Any]:
     return dict(vars(row))
 
 
-def _added(several: Sequence[Added]) -> list[dict[str, Any]]:
-    return [{**_fields(one), "effect": one.effect.name} for one in several]
+def _added(effects: Sequence[Added]) -> list[dict[str, Any]]:
+    return [{**_fields(added), "effect": added.effect.name} for added in effects]
 
 
-def _lead(one: Lead | None) -> dict[str, Any] | None:
-    if one is None:
+def _lead(lead: Lead | None) -> dict[str, Any] | None:
+    if lead is None:
         return None
-    runs = {"after": one.after, "windows_after": one.windows_after}
+    runs = {"after": lead.after, "windows_after": lead.windows_after}
     return {
-        "added": _added(one.added),
-        "explained": one.explained,
-        **_fit(one.found),
+        "added": _added(lead.added),
+        "explained": lead.explained,
+        **_fit(lead.found),
         **{name: None if run is None else _errors(run) for name, run in runs.items()},
     }
 
@@ -254,12 +254,12 @@ def _errors(validation: Validation) -> dict[str, Any]:
     return {**by_output, "scored": validation.scored, "notes": validation.notes}
 
 
-def _provenance(given: Job) -> dict[str, Any]:
-    """From which data, by which versions, asked how."""
+def _provenance(job: Job) -> dict[str, Any]:
+    """The data, the versions and the config of the results."""
     return {
-        "records": [_described(record) for record in given.records],
-        "held_out_records": [_described(record) for record in given.held_out],
-        "config": msgspec.to_builtins(given.settings),
+        "records": [_describe(record) for record in job.records],
+        "held_out_records": [_describe(record) for record in job.held_out],
+        "config": msgspec.to_builtins(job.settings),
         "versions": {
             "eoi_jax": version_of("eoi_jax"),
             "jax": jax.__version__,
@@ -269,7 +269,7 @@ def _provenance(given: Job) -> dict[str, Any]:
     }
 
 
-def _described(record: Record) -> dict[str, Any]:
+def _describe(record: Record) -> dict[str, Any]:
     return {
         "name": record.name,
         "samples": len(record.time),
@@ -280,7 +280,7 @@ def _described(record: Record) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON's own types; a number that JSON does not have (NaN, infinity) becomes null."""
+    """A value in the types of JSON; NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""A config for a file that nobody has configured yet: it runs as it is, every guess is said."""
+"""A draft of a config for a data file: ready to run, with every guess in a comment."""
 
 import json
 import os
@@ -17,49 +17,49 @@ from eoi_jax.data.inspection import Channel, Inspection
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 
-_LOOKED = 1_000_000  # samples that the first guess of the parameters is made from
+_FIT_SAMPLES = 1_000_000  # samples of the first guess of the parameters
 _HELD_OUT = 0.3  # of the samples, at the end
-_WIDE = 4.0  # bands of the output that the first guess of the parameters looks at
-_ONE = 0.95  # share of ẏ that a first-order model must explain to be the one that is drafted
+_BANDWIDTHS = 4.0  # bandwidths of the output within which the first guess is fitted
+_FIRST_ORDER_SHARE = 0.95  # share of ẏ that a first-order model must explain to be chosen
 
 
-def draft(found: Inspection, target: Path) -> str:
-    """A commented config for a file.
+def draft(inspection: Inspection, target: Path) -> str:
+    """A commented config for a data file.
 
     The model is linear, of first or second order, in one output; its nominal values are a rough
-    least-squares fit, for the passes to start from.
+    least-squares fit, from which the passes start.
 
     Args:
-        found: of `inspect`.
-        target: where the config will be, for the path of the file in it.
+        inspection: of `inspect`.
+        target: path of the config, to which the path of the file is relative.
 
     Returns:
         TOML that `config.load` reads.
 
     Raises:
-        ValueError: no column that can be an output, or a record that cannot be made of it.
+        ValueError: no column that can be an output, or no valid record.
     """
-    outputs = _outputs(found)
-    inputs = found.inputs
-    output = next(one for one in found.channels if one.name == outputs[0])
-    record = _record(found, inputs, output)
-    order, values = _rough(record, output)
-    name = _plain_name(found.path.name.split(".")[0]) or "run"
+    outputs = _outputs(inspection)
+    inputs = inspection.inputs
+    output = next(channel for channel in inspection.channels if channel.name == outputs[0])
+    record = _record(inspection, inputs, output)
+    order, values = _rough_fit(record, output)
+    name = _plain_name(inspection.path.name.split(".")[0]) or "run"
     blocks = [
-        _head(found, name),
-        _model_lines(found, inputs, output, order, values),
-        _data_lines(found, inputs, output, outputs[1:], target),
-        _rest_lines(),
+        _head(inspection, name),
+        _model_lines(inspection, inputs, output, order, values),
+        _data_lines(inspection, inputs, output, outputs[1:], target),
+        _option_lines(),
     ]
     return "\n".join(blocks)
 
 
 def checked(text: str, target: Path) -> str:
-    """The text, if the config that it is can be loaded.
+    """The text of a config, after a check that it can be loaded.
 
     Args:
         text: of `draft`.
-        target: a file that does not exist yet, beside which it is tried.
+        target: path of the config; the check writes a file beside it and removes it.
     """
     trial = target.with_name(f".{target.name}.trial")
     try:
@@ -71,79 +71,84 @@ def checked(text: str, target: Path) -> str:
     return text
 
 
-def _outputs(found: Inspection) -> list[str]:
-    outputs = list(found.outputs)
+def _outputs(inspection: Inspection) -> list[str]:
+    outputs = list(inspection.outputs)
+    roles = [f"{channel.name} ({channel.role})" for channel in inspection.channels[:10]]
     check(
         len(outputs) > 0,
         "path",
         "must have a column that can be an output: numbers that change",
-        found.path,
-        f"Its columns: {', '.join(f'{one.name} ({one.role})' for one in found.channels[:10])}.",
+        inspection.path,
+        f"Its columns: {', '.join(roles)}.",
     )
     return outputs
 
 
-def _record(found: Inspection, inputs: Sequence[str], output: Channel) -> Record:
-    """The first samples, as the config will read them."""
-    clock, signals, part = found.clock, found.signals, slice(0, _LOOKED)
-    count = min(found.samples, _LOOKED)
+def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> Record:
+    """The first samples, as read with the config."""
+    clock, signals, part = inspection.clock, inspection.signals, slice(0, _FIT_SAMPLES)
+    count = min(inspection.samples, _FIT_SAMPLES)
     period = clock.sample_period or 1.0
     u = np.stack([signals[key][part] for key in inputs], axis=1) if inputs else np.zeros((count, 0))
     stamps = (
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
-    return Record(stamps, u, signals[output.name][part], found.path.name)
+    return Record(stamps, u, signals[output.name][part], inspection.path.name)
 
 
 # -- a first guess of the parameters ------------------------------------------------------
 
 
-def _rough(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, " terms"]]:
+def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, " terms"]]:
     """Order and coefficients of y^(r) = -a_0 y - … + b u + c, by least squares on smooth signals.
 
     Derivatives are differences of the record after a zero-phase filter above the output's band.
     """
     h = record.sample_period
-    cutoff = min(_WIDE * (output.band or 0.05 / h) * 2.0 * h, 0.8)  # of the Nyquist frequency
+    cutoff = min(_BANDWIDTHS * (output.band or 0.05 / h) * 2.0 * h, 0.8)  # of the Nyquist frequency
     segments = [(a, b) for a, b in record.segments() if b - a >= 8]
-    rows, first, second = [], [], []
+    rows, rates, accelerations = [], [], []
     for start, stop in segments:
         y = low_pass(record.outputs[start:stop], cutoff)[:, 0]
         u = low_pass(record.inputs[start:stop], cutoff)
         rate = np.gradient(y, h)
         rows.append(np.column_stack([-y, -rate, u, np.ones(len(y))])[2:-2])
-        first.append(rate[2:-2])
-        second.append(np.gradient(rate, h)[2:-2])
-    table, rate, acceleration = np.concatenate(rows), np.concatenate(first), np.concatenate(second)
-    one, left = _least_squares(np.delete(table, 1, axis=1), rate)
-    if left < 1.0 - _ONE and one[0] > 0:
-        return 1, one
-    two, _ = _least_squares(table, acceleration)
-    return 2, two
+        rates.append(rate[2:-2])
+        accelerations.append(np.gradient(rate, h)[2:-2])
+    table, rate, acceleration = (np.concatenate(parts) for parts in (rows, rates, accelerations))
+    first_order, remainder = _least_squares(np.delete(table, 1, axis=1), rate)
+    if remainder < 1.0 - _FIRST_ORDER_SHARE and first_order[0] > 0:
+        return 1, first_order
+    second_order, _ = _least_squares(table, acceleration)
+    return 2, second_order
 
 
 def _least_squares(
     table: Float[np.ndarray, "rows terms"], target: Float[np.ndarray, " rows"]
 ) -> tuple[Float[np.ndarray, " terms"], float]:
-    """Coefficients, and the share of the target's power that they leave."""
+    """Coefficients, and the share of the power of the target that remains."""
     scale = np.sqrt(np.mean(table**2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    found = np.linalg.lstsq(table / scale, target, rcond=1e-10)[0]
-    left = float(np.mean((target - table / scale @ found) ** 2))
-    return found / scale, left / max(float(np.mean(target**2)), 1e-300)
+    coefficients = np.linalg.lstsq(table / scale, target, rcond=1e-10)[0]
+    remainder = float(np.mean((target - table / scale @ coefficients) ** 2))
+    return coefficients / scale, remainder / max(float(np.mean(target**2)), 1e-300)
 
 
 # -- the text -----------------------------------------------------------------------------
 
 
-def _head(found: Inspection, name: str) -> str:
-    guesses = [f"{one.name}: {one.role}, {one.why}" for one in found.channels if one.why][:20]
+def _head(inspection: Inspection, name: str) -> str:
+    guesses = [
+        f"{channel.name}: {channel.role}, {channel.why}"
+        for channel in inspection.channels
+        if channel.why
+    ][:20]
     lines = [
-        f"# Drafted by `eoi init` from {_one_line(found.path.name)}: it runs as it is,",
+        f"# Drafted by `eoi init` from {_one_line(inspection.path.name)}: ready to run:",
         f"#   eoi identify {name}.toml",
-        "# and everything in it is a guess, from what the columns look like:",
+        "# Everything in it is a guess from the values and names of the columns:",
         *(f"#   {_one_line(line)}" for line in guesses),
-        *(f"# {_one_line(line)}" for line in (*found.notes, *found.advice)),
+        *(f"# {_one_line(line)}" for line in (*inspection.notes, *inspection.advice)),
         f"name = {_text(name)}",
         "",
     ]
@@ -151,35 +156,37 @@ def _head(found: Inspection, name: str) -> str:
 
 
 def _model_lines(
-    found: Inspection,
+    inspection: Inspection,
     inputs: Sequence[str],
     output: Channel,
     order: int,
     values: Float[np.ndarray, " terms"],
 ) -> str:
     """[model]: the equation of the highest derivative as text, with nominal values."""
-    taken: set[str] = {"t", "pi"}
-    y = _symbol(output.name, "y", taken)
-    rate = _symbol(f"{y}_rate", "rate", taken)
-    drive = [_symbol(name, "u", taken) for name in inputs]
-    names = [_symbol(name, name, taken) for name in ("stiffness", "damping")]
-    gains = [_symbol("gain" if len(drive) == 1 else f"gain_{one}", "gain", taken) for one in drive]
-    offset = _symbol("offset", "offset", taken)
+    used: set[str] = {"t", "pi"}
+    y = _symbol(output.name, "y", used)
+    rate = _symbol(f"{y}_rate", "rate", used)
+    drive = [_symbol(name, "u", used) for name in inputs]
+    names = [_symbol(name, name, used) for name in ("stiffness", "damping")]
+    gains = [
+        _symbol("gain" if len(drive) == 1 else f"gain_{symbol}", "gain", used) for symbol in drive
+    ]
+    offset = _symbol("offset", "offset", used)
     if order == 1:
-        names = [_symbol("decay", "decay", taken)]
+        names = [_symbol("decay", "decay", used)]
     states = [y] if order == 1 else [y, rate]
     parts = [f"-{name}*{state}" for name, state in zip(names, states, strict=True)]
     equation = " ".join(
         [parts[0], *(f"- {part[1:]}" for part in parts[1:])]
-        + [f"+ {gain}*{one}" for gain, one in zip(gains, drive, strict=True)]
+        + [f"+ {gain}*{symbol}" for gain, symbol in zip(gains, drive, strict=True)]
         + [f"+ {offset}"]
     )
     parameters = zip([*names, *gains, offset], values, strict=True)
-    known = {one.name: one.unit for one in found.channels if one.unit}
-    own = zip([y, *drive], [output.name, *inputs], strict=True)
-    units = {symbol: known[name] for symbol, name in own if name in known}
+    column_units = {channel.name: channel.unit for channel in inspection.channels if channel.unit}
+    columns = zip([y, *drive], [output.name, *inputs], strict=True)
+    units = {symbol: column_units[name] for symbol, name in columns if name in column_units}
     lines = [
-        "[model]                         # your equations go here; discover says what they lack",
+        "[model]                         # put your equations here; discover finds what they lack",
         f"outputs = {_list([y])}",
         f"inputs = {_list(drive)}",
         *([f"units = {_table(units)}"] if units else []),
@@ -188,7 +195,7 @@ def _model_lines(
         *([f"{y} = {_text(rate)}"] if order == 2 else []),
         f"{states[-1]} = {_text(equation)}",
         "",
-        "[model.parameters]              # nominal values: a rough fit to start from",
+        "[model.parameters]              # nominal values: a rough fit",
         *(f"{key} = {_rounded(value)}" for key, value in parameters),
         "",
     ]
@@ -196,56 +203,56 @@ def _model_lines(
 
 
 def _data_lines(
-    found: Inspection,
+    inspection: Inspection,
     inputs: Sequence[str],
     output: Channel,
-    others: Sequence[str],
+    further_outputs: Sequence[str],
     target: Path,
 ) -> str:
-    """[data], and [validation]: the end of the record, which the fit does not see."""
-    cut = int((1.0 - _HELD_OUT) * found.samples)
-    units = {one.name: one.unit for one in found.channels if one.unit}
+    """[data], and [validation] with the end of the record, which the fit does not use."""
+    cut = int((1.0 - _HELD_OUT) * inspection.samples)
+    units = {channel.name: channel.unit for channel in inspection.channels if channel.unit}
     units = {key: unit for key, unit in units.items() if key in (*inputs, output.name)}
     lines = [
         "[data]",
-        f"files = {_list([_path_in(found.path, target)])}",
-        *_time_lines(found),
+        f"files = {_list([_path_in(inspection.path, target)])}",
+        *_time_lines(inspection),
         f"inputs = {_list(inputs)}",
         f"outputs = {_list([output.name])}",
     ]
-    free = [one.name for one in found.channels if one.role == "other"][:20]
-    if others or free:
-        listed = ", ".join(_one_line(one) for one in (*others, *free))
-        lines.append(f"# other columns: {listed}")
+    unused = [channel.name for channel in inspection.channels if channel.role == "other"][:20]
+    if further_outputs or unused:
+        names = ", ".join(_one_line(name) for name in (*further_outputs, *unused))
+        lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
     lines += [
         f"slice = [0, {cut}]",
-        '# hold = "zero"                # "zero": a converter held the inputs; "linear"; "smooth"',
-        "# burn_in = 0.0                 # not scored at the start [s]",
+        '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth"',
+        "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
-        "[validation]                    # the end of the record: the fit does not see it",
-        f"slice = [{cut}, {found.samples}]",
+        "[validation]                    # the end of the record, which the fit does not use",
+        f"slice = [{cut}, {inspection.samples}]",
         "",
     ]
     return "\n".join(lines)
 
 
-def _time_lines(found: Inspection) -> list[str]:
-    clock = found.clock
+def _time_lines(inspection: Inspection) -> list[str]:
+    clock = inspection.clock
     if clock.column is None and clock.sample_period is None:
-        return ["sample_period = 1.0             # [s]; NOT KNOWN: put the true one here"]
+        return ["sample_period = 1.0             # [s]; NOT KNOWN: insert the true value"]
     if clock.column is None:
         return [f"sample_period = {clock.sample_period!r}  # [s]; {_one_line(clock.why)}"]
     lines = [f"time = {_text(clock.column)}  # {_one_line(clock.why)}"]
     if clock.others:
-        lines.append(f"# it might be, too: {', '.join(_one_line(one) for one in clock.others)}")
+        lines.append(f"# other candidates: {', '.join(_one_line(name) for name in clock.others)}")
     if clock.factor != 1.0:
         lines.append(f"scale = {_table({clock.column: clock.factor})}  # to seconds")
     return lines
 
 
-def _rest_lines() -> str:
+def _option_lines() -> str:
     return "\n".join(
         [
             "# Gains and filter are chosen from the record; to set them:",
@@ -253,29 +260,29 @@ def _rest_lines() -> str:
             "# cutoff = 30.0                # [rad/s]",
             "#",
             "# [discover]",
-            '# effects = ["coulomb_friction", "cubic_stiffness"]   # left out: all that fit',
+            '# effects = ["coulomb_friction", "cubic_stiffness"]   # default: all that fit',
             "",
         ]
     )
 
 
 def _path_in(path: Path, target: Path) -> str:
-    """The file as the config names it: relative to a folder that is searched, if it is in one."""
-    whole = path.resolve()
+    """Path of the file in the config: relative to a folder that is searched, if it is in one."""
+    absolute = path.resolve()
     variable = os.environ.get(DATA_VARIABLE)
     for root in (target.parent.resolve(), *([Path(variable).resolve()] if variable else [])):
-        if whole.is_relative_to(root):
-            return whole.relative_to(root).as_posix()
-    return whole.as_posix()
+        if absolute.is_relative_to(root):
+            return absolute.relative_to(root).as_posix()
+    return absolute.as_posix()
 
 
-def _symbol(name: str, default: str, taken: set[str]) -> str:
-    """A column's name as a symbol of an equation, different from those that are taken."""
+def _symbol(name: str, default: str, used: set[str]) -> str:
+    """The name of a column as a symbol of an equation, different from those in use."""
     stem = re.sub(r"[\[(].*", "", name.rsplit(".", 1)[-1].rsplit("/", 1)[-1])
     plain = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_")
-    if not plain or not plain[0].isalpha() or plain in taken:
-        plain = default if default not in taken else f"{default}_{len(taken)}"
-    taken.add(plain)
+    if not plain or not plain[0].isalpha() or plain in used:
+        plain = default if default not in used else f"{default}_{len(used)}"
+    used.add(plain)
     return plain
 
 
@@ -284,14 +291,14 @@ def _plain_name(stem: str) -> str:
 
 
 def _rounded(value: Any) -> str:
-    """Three digits; a number in TOML has a point or an exponent."""
+    """A number with three digits; a float in TOML has a point or an exponent."""
     text = f"{float(value):.3g}" if np.isfinite(value) else "0.0"
     return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
 def _one_line(text: str) -> str:
-    """What may stand in a comment: no end of line, no control character."""
-    return "".join(one if one.isprintable() else " " for one in text)
+    """Text for a comment: without line ends and control characters."""
+    return "".join(character if character.isprintable() else " " for character in text)
 
 
 def _text(value: str) -> str:
@@ -303,8 +310,8 @@ def _list(values: Sequence[str]) -> str:
 
 
 def _table(items: dict[str, Any]) -> str:
-    shown = (
-        f"{_text(key)} = {_text(one) if isinstance(one, str) else repr(float(one))}"
-        for key, one in items.items()
+    entries = (
+        f"{_text(key)} = {_text(value) if isinstance(value, str) else repr(float(value))}"
+        for key, value in items.items()
     )
-    return "{ " + ", ".join(shown) + " }"
+    return "{ " + ", ".join(entries) + " }"

@@ -1,6 +1,6 @@
-"""What the user sees: an answer on stdout, progress and refusals on stderr, the exit status.
+"""Output of a command: the answer on stdout, progress and errors on stderr, the exit status.
 
-Exit status: 0 an answer, 1 no answer (says why), 2 a wrong call, config or data, 130 interrupted.
+Exit status: 0 answer, 1 no answer (with the reason), 2 invalid call or data, 130 interrupted.
 """
 
 import contextlib
@@ -12,119 +12,140 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from eoi_jax.cli.signals import handled, ignore
+from eoi_jax.cli.signals import handle, ignore
 
 NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
 
-_INTERRUPTED = "interrupted; nothing half-written is left"
-_AGAIN = 0.5  # seconds; cleaning up takes less
-_BARS: list[Any] = []  # that are on the terminal now
+_INTERRUPTED = "interrupted; no partly written files remain"
+_REPEAT_AFTER = 0.5  # [s] until the interrupt is raised again; cleaning up takes less
+_PROGRESS_BARS: list[Any] = []  # on the terminal now
 
-_DEBUGGED = [False]
+_DEBUG = [False]
 
-_WrongCall: Any = typer.BadParameter.__base__  # whichever click it is that typer is built on
-_ClickError: Any = _WrongCall.__base__
+_UsageError: Any = typer.BadParameter.__base__  # of the click that typer uses
+_ClickError: Any = _UsageError.__base__
 
-# A stage of the work, how much of it is done, how much there is (None: unknown), a remark.
-Shown = Callable[[str, int, int | None, str], None]
+# Called with a stage of the work, the steps done, their number (None: unknown) and a remark.
+ProgressCallback = Callable[[str, int, int | None, str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of a command.
+
+    Attributes:
+        summary: the results as a JSON object, for programs.
+        text: the results as text, for readers.
+        place: folder or file that was written; None: nothing was written, see `complaint`.
+        code: exit status.
+        complaint: what is wrong if the exit status is not 0.
+    """
+
+    summary: dict[str, Any]
+    text: str = ""
+    place: Path | None = None
+    code: int = 0
+    complaint: str = ""
 
 
 @contextmanager
 def failures(as_json: bool) -> Iterator[None]:
-    """A user's mistake ends in one sentence and status 2, an interrupt in 130: no traceback.
+    """Turn an error into one sentence and status 2, an interrupt into 130, without a traceback.
 
-    What nobody foresaw ends so, too, and asks to be reported; ``--debug`` lets it through.
-    Warnings are a line each.
+    An unexpected error is reported with a request to report it; ``--debug`` re-raises it.
+    Warnings are printed as a line each.
 
     Args:
-        as_json: print the sentence as an object on stdout, too.
+        as_json: print the sentence as a JSON object on stdout, too.
     """
     try:
-        with handled(lambda *_: _leave(as_json)), _warnings_said():
+        with handle(lambda *_: _exit_interrupted(as_json)), _print_warnings():
             yield
     except (typer.Exit, typer.Abort, _ClickError):
         raise
     except KeyboardInterrupt:
         stop(INTERRUPTED, _INTERRUPTED, as_json)
     except Exception as error:
-        if debugged():
+        if is_debug():
             raise
         stop(WRONG, _sentence(error), as_json)
 
 
 def _sentence(error: Exception) -> str:
-    """What an error says to a user: as it stands where it is foreseen."""
+    """The message of an error; an unexpected one asks for a report."""
     if isinstance(error, MemoryError):
-        return "out of memory; take fewer columns, or a `slice` of the samples"
-    equinox = sys.modules.get("equinox")  # loaded where it raised
-    of_data = equinox is not None and isinstance(error, equinox.EquinoxRuntimeError)
-    if isinstance(error, ValueError | OSError) or of_data:
+        return "out of memory; use fewer columns, or a `slice` of the samples"
+    equinox = sys.modules.get("equinox")  # imported if it raised the error
+    is_runtime_check = equinox is not None and isinstance(error, equinox.EquinoxRuntimeError)
+    if isinstance(error, ValueError | OSError) or is_runtime_check:
         return str(error)
     return (
-        f"an error that should not be ({type(error).__name__}: {error}). Please report it to the "
-        "developers of eoi_jax, with what the same command and --debug show"
+        f"internal error ({type(error).__name__}: {error}). Please report it to the developers of "
+        "eoi_jax with the output of the same command with --debug"
     )
 
 
 @contextmanager
-def _warnings_said() -> Iterator[None]:
-    """Warnings as a line each, at the end and once, without the place in the program.
+def _print_warnings() -> Iterator[None]:
+    """Print each distinct warning as a line at the end, without its place in the program.
 
-    ``--debug`` shows them as Python does.
+    With ``--debug`` they are printed as Python does.
     """
-    if debugged():
+    if is_debug():
         yield
         return
     with warnings.catch_warnings(record=True) as caught:
         try:
             yield
         finally:
-            for line in dict.fromkeys(_warning(one) for one in caught):
+            for line in dict.fromkeys(_warning(warning) for warning in caught):
                 say(f"note: {line}", err=True)
 
 
-def _warning(one: warnings.WarningMessage) -> str:
-    """What a warning says to a user; NumPy's name an operation, and not what came of it."""
-    if issubclass(one.category, RuntimeWarning) and " encountered in " in str(one.message):
+def _warning(warning: warnings.WarningMessage) -> str:
+    """The message of a warning; NumPy's name an operation but not its consequence."""
+    if issubclass(warning.category, RuntimeWarning) and " encountered in " in str(warning.message):
         return (
-            f"some numbers left the range of double precision ({one.message}): what depends on "
-            "them is shown as inf or nan"
+            f"some numbers left the range of double precision ({warning.message}): what depends on "
+            "them is printed as inf or nan"
         )
-    return str(one.message)
+    return str(warning.message)
 
 
-def debug(wanted: bool) -> None:
-    """Say whether errors are shown with their traceback.
+def debug(enabled: bool) -> None:
+    """Set whether errors are shown with their traceback.
 
     Args:
-        wanted: false where one sentence is enough.
+        enabled: false: as one sentence.
     """
-    _DEBUGGED[0] = wanted
+    _DEBUG[0] = enabled
 
 
-def debugged() -> bool:
+def is_debug() -> bool:
     """Whether errors are shown with their traceback."""
-    return _DEBUGGED[0]
+    return _DEBUG[0]
 
 
-def _leave(as_json: bool) -> None:
-    """End the process here: nothing that is half written stays.
+def _exit_interrupted(as_json: bool) -> None:
+    """End the process after removing partly written files.
 
     Not by an exception, which Python drops inside a callback of the garbage collector, of which JAX
-    has one, and which can meet JAX's library while that is being loaded.
+    has one, and which may be raised while the library of JAX is being loaded.
     """
     ignore()
     with contextlib.suppress(Exception):  # the terminal may be closed
-        for bar in _BARS:
+        for bar in _PROGRESS_BARS:
             bar.stop()
-    unfinished = sys.modules.get("eoi_jax._atomic")
-    if unfinished is not None and hasattr(unfinished, "tidy"):
-        unfinished.tidy()
+    atomic = sys.modules.get("eoi_jax._atomic")
+    if atomic is not None and hasattr(atomic, "tidy"):
+        atomic.tidy()
     with contextlib.suppress(typer.Exit):
         stop(INTERRUPTED, _INTERRUPTED, as_json)
     with contextlib.suppress(OSError):
@@ -133,59 +154,61 @@ def _leave(as_json: bool) -> None:
 
 
 @contextmanager
-def heard() -> Iterator[None]:
-    """Ctrl-C as an exception, for work that keeps what it has done; raised until it is heard."""
-    again: list[threading.Timer] = []
+def keyboard_interrupts() -> Iterator[None]:
+    """Raise Ctrl-C as an exception, repeatedly until it is handled: for work that is resumable."""
+    timers: list[threading.Timer] = []
 
-    def raised(*_: Any) -> None:
-        again.append(threading.Timer(_AGAIN, signal.raise_signal, [signal.SIGINT]))
-        again[-1].daemon = True
-        again[-1].start()
+    def raise_interrupt(*_: Any) -> None:
+        timers.append(threading.Timer(_REPEAT_AFTER, signal.raise_signal, [signal.SIGINT]))
+        timers[-1].daemon = True
+        timers[-1].start()
         raise KeyboardInterrupt
 
-    def unheard(what: Any) -> None:
-        if not isinstance(what.exc_value, KeyboardInterrupt):
-            sys.__unraisablehook__(what)
+    def report_unraisable(unraisable: Any) -> None:
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            sys.__unraisablehook__(unraisable)
 
-    hook, sys.unraisablehook = sys.unraisablehook, unheard
+    hook, sys.unraisablehook = sys.unraisablehook, report_unraisable
     try:
-        with handled(raised):
+        with handle(raise_interrupt):
             yield
     finally:
-        for one in again:
-            one.cancel()
+        for timer in timers:
+            timer.cancel()
         sys.unraisablehook = hook
 
 
 def say(text: object, err: bool = False) -> None:
-    """Write a line for a user, of what a terminal shows and nothing that it obeys.
+    """Write a line of printable characters: no control sequences reach the terminal.
 
-    Nobody may be listening, as behind ``| head``: the answer is what it is all the same.
+    A closed pipe, as behind ``| head``, is not an error.
 
     Args:
-        text: what is said; what is no character of the terminal's encoding appears as its code.
-        err: on stderr.
+        text: the line; characters that the encoding of the terminal lacks are written as codes.
+        err: write to stderr.
     """
     stream = sys.stderr if err else sys.stdout
-    shown = (one if one.isprintable() or one in "\n\t" else repr(one)[1:-1] for one in str(text))
-    line = "".join(shown)
+    line = "".join(
+        character if character.isprintable() or character in "\n\t" else repr(character)[1:-1]
+        for character in str(text)
+    )
     line = line.encode(stream.encoding or "utf-8", "backslashreplace").decode(
         stream.encoding or "utf-8", "replace"
     )
     try:
         typer.echo(line, err=err)
-    except OSError:  # what is left in its buffer would be tried again at the end
+    except OSError:  # discard its buffer, which would be written again at the end
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None) -> NoReturn:
-    """End with a sentence on stderr.
+    """Exit with a sentence on stderr.
 
     Args:
         code: exit status.
         message: the sentence.
-        as_json: print one object on stdout, too.
+        as_json: print a JSON object on stdout, too.
         summary: further keys of that object.
     """
     say(f"eoi: {message}", err=True)
@@ -195,76 +218,76 @@ def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None 
 
 
 class Commands(TyperGroup):
-    """The commands; of a wrong call, too, a program that asked for JSON gets its object."""
+    """The commands; with --json, errors of usage are JSON objects, too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read what stands before the command.
+        """Parse the arguments before the command.
 
         Args:
-            ctx: of the call.
-            args: its words.
+            ctx: context of the call.
+            args: its arguments.
         """
-        debugged = "--debug" in args  # before the command or behind it
-        args = ["--debug"] * debugged + [one for one in args if one != "--debug"]
-        with _told_as_json("--json" in args):
+        requested = "--debug" in args  # before or after the command
+        args = ["--debug"] * requested + [word for word in args if word != "--debug"]
+        with _usage_errors_as_json("--json" in args):
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Read what stands behind the command, and run it.
+        """Parse the arguments after the command, and run it.
 
         Args:
-            ctx: of the call.
+            ctx: context of the call.
         """
-        with _told_as_json("--json" in ctx.args):
+        with _usage_errors_as_json("--json" in ctx.args):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _told_as_json(wanted: bool) -> Iterator[None]:
-    """A wrong call as an object on stdout, beside what is said of it on stderr."""
+def _usage_errors_as_json(enabled: bool) -> Iterator[None]:
+    """Print an error of usage as a JSON object on stdout, besides the message on stderr."""
     try:
         yield
-    except _WrongCall as error:
-        if wanted:
+    except _UsageError as error:
+        if enabled:
             say(json.dumps({"error": error.format_message()}, allow_nan=False))
         raise
 
 
-def show(ending: Any, as_json: bool, quiet: bool) -> None:
-    """The answer on stdout, as a reader or as a program wants it; then the exit status.
+def show(outcome: Outcome, as_json: bool, quiet: bool) -> None:
+    """Print an outcome on stdout, and exit with its status.
 
     Args:
-        ending: an `eoi_jax.cli.Ending`.
-        as_json: its summary as one object, and nothing else.
-        quiet: only the folder or the file that was written.
+        outcome: of an action.
+        as_json: print only its summary, as one JSON object.
+        quiet: print only the folder or the file that was written.
     """
-    if ending.place is None:
-        stop(ending.code, ending.complaint, as_json, ending.summary)
+    if outcome.place is None:
+        stop(outcome.code, outcome.complaint, as_json, outcome.summary)
     if as_json:
-        say(json.dumps(ending.summary, allow_nan=False))
+        say(json.dumps(outcome.summary, allow_nan=False))
     elif quiet:
-        say(ending.place)
-    elif ending.place.is_dir():
-        files = ", ".join(sorted(path.name for path in ending.place.iterdir()))
-        say(f"{ending.text}\n\n{ending.place}/: {files}")
+        say(outcome.place)
+    elif outcome.place.is_dir():
+        files = ", ".join(sorted(path.name for path in outcome.place.iterdir()))
+        say(f"{outcome.text}\n\n{outcome.place}/: {files}")
     else:
-        say(ending.text)
-    if ending.code:
-        say(f"eoi: {ending.complaint}", err=True)
-        raise typer.Exit(ending.code)
+        say(outcome.text)
+    if outcome.code:
+        say(f"eoi: {outcome.complaint}", err=True)
+        raise typer.Exit(outcome.code)
 
 
 @contextmanager
-def progress(wanted: bool) -> Iterator[Shown | None]:
-    """A callback that shows the work on the terminal; None where there is no terminal.
+def progress(enabled: bool) -> Iterator[ProgressCallback | None]:
+    """A callback that shows the progress on the terminal; None without a terminal.
 
     Args:
-        wanted: false for none.
+        enabled: false: None in any case.
     """
-    if not (wanted and sys.stderr.isatty()):
+    if not (enabled and sys.stderr.isatty()):
         yield None
         return
-    from rich.console import Console  # only where there is a terminal to draw on
+    from rich.console import Console  # only needed with a terminal
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -289,16 +312,16 @@ def progress(wanted: bool) -> Iterator[Shown | None]:
         task = bar.add_task("starting", total=None, remark="")
         stage = "starting"
 
-        def shown(name: str, done: int, total: int | None, remark: str) -> None:
+        def update(name: str, completed: int, total: int | None, remark: str) -> None:
             nonlocal stage, task
-            if name != stage:  # the time left is that of a stage: stages differ in their speed
+            if name != stage:  # the remaining time is that of a stage: stages differ in speed
                 stage = name
                 bar.remove_task(task)
                 task = bar.add_task(name, total=total, remark=remark)
-            bar.update(task, completed=done, total=total, remark=remark)
+            bar.update(task, completed=completed, total=total, remark=remark)
 
-        _BARS.append(bar)
+        _PROGRESS_BARS.append(bar)
         try:
-            yield shown
+            yield update
         finally:
-            _BARS.remove(bar)
+            _PROGRESS_BARS.remove(bar)

@@ -1,4 +1,4 @@
-"""Which version is installed; a module of its own, since to look it up takes long."""
+"""The installed version; a separate module because `importlib.metadata` is slow to import."""
 
 from importlib.metadata import version
 

@@ -368,12 +368,14 @@ def _split_states(placed: tuple[Placed, ...], z: Any) -> list[tuple[Placed, Any]
 
 
 def split_parameters(placement: Placed, p: Any) -> tuple[list[Any], list[Any]]:
+    """Values of an effect's gains and of its shapes."""
     values = [getattr(p, name) for name in placement.names]
     count = len(placement.effect.gains)
     return values[:count], values[count:]
 
 
 def instant(placement: Placed, t: Any, x: State, u: Any, z: Any) -> At:
+    """What an effect depends on at its place: time, state, inputs of the plant, its own states."""
     y = placement.coordinate(x.y)
     rate = y[placement.row] if placement.row < x.y.shape[0] else jnp.zeros_like(y[0])
     # A plant may have no input at all.

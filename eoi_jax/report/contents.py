@@ -1,4 +1,4 @@
-"""What the report of a run says and shows, from what its folder holds: no numerical work."""
+"""Contents of the report of a run, from the files of its folder: no numerical work."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,12 +18,12 @@ from eoi_jax.report.tables import parameter_rows, quantity, refined_rows, valida
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
-_MOST = 3  # outputs whose maps and tiles are shown one by one
+_MAX_OUTPUTS = 3  # outputs with maps and tiles of their own
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One number that matters, with what it is and what to compare it with."""
+    """A key number with its label and a note, e.g. the value to compare it with."""
 
     label: str
     value: str
@@ -32,7 +32,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Table:
-    """Cells below a header; `numeric` are the columns that stand right."""
+    """Cells below a header; `numeric` are the right-aligned columns."""
 
     title: str
     head: tuple[str, ...]
@@ -42,8 +42,8 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A figure with its title and how to read it; `figure` draws it."""
+class ReportFigure:
+    """A figure with its title and a caption; `figure` draws it."""
 
     name: str
     title: str
@@ -56,26 +56,27 @@ class Contents:
     """The parts of a report that differ between kinds of runs.
 
     Attributes:
-        tiles, tables, shown, checks: in the order of the page; `beneath` are tables at its end.
+        tiles, tables, figures, checks: in the order of the page.
+        final_tables: tables at the end of the page.
         notes: sentences.
-        added: whether the equation holds terms that were added.
+        added: whether the equation contains terms that were added.
     """
 
     tiles: tuple[Tile, ...]
     tables: tuple[Table, ...]
-    shown: tuple[Shown, ...]
-    beneath: tuple[Table, ...] = ()
+    figures: tuple[ReportFigure, ...]
+    final_tables: tuple[Table, ...] = ()
     checks: tuple[Check, ...] = ()
     notes: tuple[str, ...] = ()
     added: bool = field(default=False)
 
 
-def discovery_contents(result: Discovery, beside: Mapping[str, Any]) -> Contents:
+def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
     """The report of `discover`.
 
     Args:
-        result: of the run; its model need not be there.
-        beside: ``diagnosis`` of the fit that the run ends with.
+        result: of the run, with or without its model.
+        extra: the ``diagnosis`` of the final fit.
 
     Returns:
         Tiles, tables, figures, health checks and notes.
@@ -89,100 +90,103 @@ def discovery_contents(result: Discovery, beside: Mapping[str, Any]) -> Contents
     rows = discovery.error_rows(result)
     title = "Errors before and after" if result.added else "Errors"
     tables.append(_table(title, rows, (1, 2, 3) if result.added else (1,)))
-    others = discovery.candidate_rows(result)
-    beneath: tuple[Table, ...] = ()
-    if others:
+    rows = discovery.candidate_rows(result)
+    final_tables: tuple[Table, ...] = ()
+    if rows:
         text = "" if not result.ambiguous_with else (
-            f"These records do not tell the answer from {', '.join(result.ambiguous_with)}. "
+            "These records support equally well: "
+            f"{', '.join(result.ambiguous_with)}. "
             f"{result.advice}"
         )  # fmt: skip
-        beneath = (_table("What else was tried", others, (2, 3), text),)
-    diagnosis: Diagnosis = beside["diagnosis"]
+        final_tables = (_table("Other candidates", rows, (2, 3), text),)
+    diagnosis: Diagnosis = extra["diagnosis"]
     return Contents(
         _discovery_tiles(result),
         tuple(tables),
-        (*_discovery_shown(result), *_maps(diagnosis)),
-        beneath,
+        (*_discovery_figures(result), *_maps(diagnosis)),
+        final_tables,
         health(diagnosis, searched=True),
         tuple(filter(None, [discovery.lead(result), *result.notes])),
         added=bool(result.added),
     )
 
 
-def identification_contents(result: Identification, beside: Mapping[str, Any]) -> Contents:
+def identification_contents(result: Identification, extra: Mapping[str, Any]) -> Contents:
     """The report of `identify`.
 
     Args:
         result: of the run.
-        beside: its ``diagnosis``, and ``validation`` on held-out records or None.
+        extra: its ``diagnosis``, and its ``validation`` on held-out records or None.
 
     Returns:
         Tiles, tables, figures, health checks and notes.
     """
-    validation: Validation | None = beside["validation"]
+    validation: Validation | None = extra["validation"]
     tables = [_table("Parameters", parameter_rows(result), (1, 2, 3, 4))]
     if validation is not None:
         tables.append(
             _table("Free run on held-out records", validation_rows(validation), (1, 2, 3))
         )
     tiles = [
-        Tile(f"Left of {name}", f"{100 * left:.2g} %", "of what the observer had to explain")
-        for name, left in zip(result.plant.outputs, result.unexplained, strict=True)
+        Tile(f"Unexplained in {name}", f"{100 * share:.2g} %", "injection over highest derivative")
+        for name, share in zip(result.plant.outputs, result.unexplained, strict=True)
     ]
-    tiles = [*_fits(validation), *tiles][: 2 * _MOST]
-    shown = [_data(result.records), _injection(result), _index([(result, "")])]
+    tiles = [*_fits(validation), *tiles][: 2 * _MAX_OUTPUTS]
+    report_figures = [_data(result.records), _injection(result), _index([(result, "")])]
     if validation is not None:
-        shown.append(_free_run(partial(figures.validation_figure, validation), "the estimate"))
-    shown += _estimates(uncertainty(result), result.nominal.parameters)
-    shown += _maps(beside["diagnosis"])
+        report_figures.append(
+            _free_run(partial(figures.validation_figure, validation), "the estimate")
+        )
+    report_figures += _estimates(uncertainty(result), result.nominal.parameters)
+    report_figures += _maps(extra["diagnosis"])
     notes = (*result.reasons, *result.notes)
-    checks = health(beside["diagnosis"])
-    return Contents(tuple(tiles), tuple(tables), tuple(shown), (), checks, notes)
+    checks = health(extra["diagnosis"])
+    return Contents(tuple(tiles), tuple(tables), tuple(report_figures), (), checks, notes)
 
 
-def refinement_contents(result: Refinement, beside: Mapping[str, Any]) -> Contents:
+def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Contents:
     """The report of `refine`.
 
     Args:
         result: of the run.
-        beside: ``start`` (the identification it went on from) with its ``diagnosis``; ``before``
-            and ``after``, free runs on held-out records or None.
+        extra: ``start`` (the identification that it started from) with its ``diagnosis``;
+            ``before`` and ``after``, free runs on held-out records or None.
 
     Returns:
         Tiles, tables, figures, health checks and notes.
     """
-    start: Identification = beside["start"]
+    start: Identification = extra["start"]
     units = result.plant.units
     tiles = [
         Tile(
             f"Free-run error of {name}",
-            quantity(after, units.get(name, "")),
-            f"before {quantity(before, units.get(name, ''))}",
+            quantity(rmse, units.get(name, "")),
+            f"before {quantity(initial_rmse, units.get(name, ''))}",
         )
-        for name, before, after in zip(
+        for name, initial_rmse, rmse in zip(
             result.plant.outputs, result.before, result.rmse, strict=True
         )
     ]
     tables = [_table("Parameters before and after", refined_rows(result), (1, 2, 3))]
-    for called, one in (("before", beside["before"]), ("refined", beside["after"])):
-        if one is not None:
-            title = f"Free run on held-out records, {called}"
-            tables.append(_table(title, validation_rows(one), (1, 2, 3)))
-    shown = [_data(start.records)]
+    for label, validation in (("before", extra["before"]), ("refined", extra["after"])):
+        if validation is not None:
+            title = f"Free run on held-out records, {label}"
+            tables.append(_table(title, validation_rows(validation), (1, 2, 3)))
+    report_figures = [_data(start.records)]
     if result.records:
         runs = partial(estimate_figures.refined_runs_figure, result)
-        shown.append(_free_run(runs, "both estimates"))
-    if beside["after"] is not None:
-        held_out = partial(figures.validation_figure, beside["after"])
-        shown.append(_free_run(held_out, "the refined estimate", "held_out"))
-    shown += _estimates(uncertainty(result), result.nominal.parameters)
-    shown += [_index([(start, "")]), _injection(start)]
+        report_figures.append(_free_run(runs, "both estimates"))
+    if extra["after"] is not None:
+        held_out = partial(figures.validation_figure, extra["after"])
+        report_figures.append(_free_run(held_out, "the refined estimate", "held_out"))
+    report_figures += _estimates(uncertainty(result), result.nominal.parameters)
+    report_figures += [_index([(start, "")]), _injection(start)]
     return Contents(
         tuple(tiles),
         tuple(tables),
-        tuple(shown),
+        tuple(report_figures),
         (),
-        health(beside["diagnosis"]),
+        health(extra["diagnosis"]),
         tuple(result.notes),
     )
 
@@ -193,7 +197,7 @@ def refinement_contents(result: Refinement, beside: Mapping[str, Any]) -> Conten
 def _table(
     title: str, rows: Sequence[Sequence[str]], numeric: tuple[int, ...], text: str = ""
 ) -> Table:
-    """Rows with the header first; a last column that is empty throughout is left out."""
+    """Rows with the header first; an empty last column is dropped."""
     cells = [tuple(row) for row in rows]
     if not any(row[-1] for row in cells[1:]):
         cells = [row[:-1] for row in cells]
@@ -207,21 +211,21 @@ def _table(
 
 def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
     tiles = []
-    before, after, short = discovery.told_runs(result)
-    if before is not None and after is not None:
-        where = ("same data" if result.in_sample else "held-out data") + ", windows" * short
-        for j, name in enumerate(before.outputs[:_MOST]):
-            old, new = (
-                quantity(one.rmse[j], one.units[j]) if np.isfinite(one.rmse[j]) else "diverges"
-                for one in (before, after)
+    declared, augmented, windowed = discovery.compared_runs(result)
+    if declared is not None and augmented is not None:
+        data = ("same data" if result.in_sample else "held-out data") + ", windows" * windowed
+        for j, name in enumerate(declared.outputs[:_MAX_OUTPUTS]):
+            declared_error, augmented_error = (
+                quantity(run.rmse[j], run.units[j]) if np.isfinite(run.rmse[j]) else "diverges"
+                for run in (declared, augmented)
             )
-            note = f"before {old}" if result.added else ""
-            tiles.append(Tile(f"Free-run error of {name}, {where}", new, note))
+            note = f"before {declared_error}" if result.added else ""
+            tiles.append(Tile(f"Free-run error of {name}, {data}", augmented_error, note))
     if result.explained > 0.0:
         share = f"{100 * result.explained:.3g} %"
         tiles.append(Tile("Explained", share, "of the residual's power above the noise"))
-    found = ", ".join(one.sentence.partition(":")[0] for one in result.added)
-    tiles.append(Tile("Added", found or "nothing"))
+    effects = ", ".join(effect.sentence.partition(":")[0] for effect in result.added)
+    tiles.append(Tile("Added", effects or "nothing"))
     return tuple(tiles)
 
 
@@ -239,89 +243,101 @@ def _fits(validation: Validation | None) -> list[Tile]:
 # -- figures ----------------------------------------------------------------------------------
 
 
-def _discovery_shown(result: Discovery) -> list[Shown]:
-    declared, found = result.declared, result.found
+def _discovery_figures(result: Discovery) -> list[ReportFigure]:
+    declared, final = result.declared, result.found
     effect = (
-        "Dots are means of equally many samples. The line is what the added terms took away: where "
-        "it goes through the dots, they explain the residual."
+        "Dots are means over bins of equally many samples. The line is the part that the added "
+        "terms explain: where it passes through the dots, they explain the residual."
         if result.added
-        else "Dots are means of equally many samples. A shape above the noise is a lead."
+        else "Dots are means over bins of equally many samples. A trend that exceeds the noise "
+        "indicates what the model lacks."
     )
-    pair = [(declared, "before"), (found, "after")] if result.added else [(declared, "")]
-    shown = [
-        Shown("effect", "The residual against what it depends on", effect,
+    variable = "the variable of the effect" if result.added else "all variables"
+    against = f"Residual against {variable}"
+    pair = [(declared, "before"), (final, "after")] if result.added else [(declared, "")]
+    report_figures = [
+        ReportFigure("effect", against, effect,
               partial(discovery_figures.effect_figure, result)),
-        Shown("residual", "What the model lacks over time",
-              "The injection that the observer needs, less what other parameters could do.",
+        ReportFigure("residual", "Residual over time",
+              "The equivalent injection less the part that other parameters could explain.",
               partial(discovery_figures.residual_figure, result)),
     ]  # fmt: skip
     if result.before is not None:
-        which = "the declared and the augmented model" if result.added else "the declared model"
-        shown.append(_free_run(partial(discovery_figures.free_run_figure, result), which))
-    shown += [_injection(declared), _index(pair)]
-    shown += _estimates(uncertainty(found), declared.parameters if result.added else {})
-    shown.append(_data(declared.records))
+        models = "the declared and the augmented model" if result.added else "the declared model"
+        report_figures.append(_free_run(partial(discovery_figures.free_run_figure, result), models))
+    report_figures += [_injection(declared), _index(pair)]
+    report_figures += _estimates(uncertainty(final), declared.parameters if result.added else {})
+    report_figures.append(_data(declared.records))
     if result.held_out and not result.in_sample:
-        shown.append(_data(result.held_out, "held_out_data", "held out"))
-    return shown
+        report_figures.append(_data(result.held_out, "held_out_data", "held out"))
+    return report_figures
 
 
-def _data(records: Sequence[Any], name: str = "data", what: str = "fitted") -> Shown:
-    more = f" The first of {len(records)} records." if len(records) > 1 else ""
-    whose = "As the fit used it" if what == "fitted" else "What judges the fit"
-    caption = f"{whose}.{more}"
-    return Shown(name, f"Data, {what}", caption, partial(figures.record_figure, records[0]))
+def _data(records: Sequence[Any], name: str = "data", use: str = "fitted") -> ReportFigure:
+    count = f" The first of {len(records)} records." if len(records) > 1 else ""
+    purpose = "As used by the fit" if use == "fitted" else "For validation of the fit"
+    caption = f"{purpose}.{count}"
+    return ReportFigure(name, f"Data, {use}", caption, partial(figures.record_figure, records[0]))
 
 
-def _injection(result: Identification) -> Shown:
-    caption = "What the model lacked at the nominal parameters, and what is left in the best pass."
-    return Shown("injection", "Injection of the first and best pass", caption,
+def _injection(result: Identification) -> ReportFigure:
+    caption = "The model error at the nominal parameters, and the remaining error in the best pass."
+    return ReportFigure("injection", "Injection of the first and best pass", caption,
                  partial(figures.injection_figure, result))  # fmt: skip
 
 
-def _index(results: Sequence[tuple[Identification, str]]) -> Shown:
-    caption = "Power of the injection, eq. (14): the pass with the smallest one is the answer."
-    return Shown("index", "Index of each pass", caption, partial(figures.index_figure, results))
+def _index(results: Sequence[tuple[Identification, str]]) -> ReportFigure:
+    caption = (
+        "Power of the injection, eq. (14); the pass with the smallest index gives the estimate."
+    )
+    return ReportFigure(
+        "index", "Index of each pass", caption, partial(figures.index_figure, results)
+    )
 
 
-def _free_run(figure: Callable[[], Any], whose: str, name: str = "free_run") -> Shown:
-    caption = f"Simulation of {whose} without feedback from the measurement, and its error."
-    return Shown(name, "Free run against measurement", caption, figure)
+def _free_run(figure: Callable[[], Any], subject: str, name: str = "free_run") -> ReportFigure:
+    caption = f"Simulation of {subject} without feedback from the measurement, and its error."
+    return ReportFigure(name, "Free run against measurement", caption, figure)
 
 
-def _estimates(known: Uncertainty, before: Mapping[str, float]) -> list[Shown]:
-    if not np.any(np.isfinite(np.diagonal(known.covariance))):
+def _estimates(estimate: Uncertainty, initial: Mapping[str, float]) -> list[ReportFigure]:
+    if not np.any(np.isfinite(np.diagonal(estimate.covariance))):
         return []
-    intervals = partial(estimate_figures.interval_figure, known, before)
-    shown = [
-        Shown("intervals", "Parameters with 95 % intervals",
-              "Each panel has a scale of its own.", intervals)
+    intervals = partial(estimate_figures.interval_figure, estimate, initial)
+    report_figures = [
+        ReportFigure("intervals", "Parameters with 95 % intervals",
+              "Each panel has its own scale.", intervals)
     ]  # fmt: skip
-    free = sum(error != 0 for error in known.standard_errors.values())
+    free = sum(error != 0 for error in estimate.standard_errors.values())
     if free > 1:
-        caption = "Near ±1 the records say only how two parameters go together, not what each is."
-        figure = partial(estimate_figures.correlation_figure, known)
-        shown.append(Shown("correlation", "Correlation of the estimates", caption, figure))
-    return shown
+        caption = (
+            "Near ±1 only a combination of the two parameters is determined, not each of them."
+        )
+        figure = partial(estimate_figures.correlation_figure, estimate)
+        report_figures.append(
+            ReportFigure("correlation", "Correlation of the estimates", caption, figure)
+        )
+    return report_figures
 
 
-def _is_a_lead(diagnosis: Diagnosis) -> bool:
-    """Whether what is left depends on something, and is more than noise."""
+def _has_significant_map(diagnosis: Diagnosis) -> bool:
+    """Whether a residual exceeds the noise and depends on a measured variable."""
     pairs = zip(diagnosis.strongest, diagnosis.more_than_noise, strict=True)
-    return any(bool(more) and strongest is not None for strongest, more in pairs)
+    return any(bool(exceeds) and strongest is not None for strongest, exceeds in pairs)
 
 
-def _maps(diagnosis: Diagnosis) -> list[Shown]:
-    """Where they are leads: maps of noise would only be looked at for nothing."""
-    if not _is_a_lead(diagnosis):
+def _maps(diagnosis: Diagnosis) -> list[ReportFigure]:
+    """Maps of the residual, if one is significant: maps of noise say nothing."""
+    if not _has_significant_map(diagnosis):
         return []
-    named = [one for one in diagnosis.outputs if any(m.output == one for m in diagnosis.maps)]
+    mapped = {residual_map.output for residual_map in diagnosis.maps}
+    names = [name for name in diagnosis.outputs if name in mapped]
     return [
-        Shown(
+        ReportFigure(
             f"map{j}",
-            f"Residual of {name} against everything measured",
-            "Means of bins with their 95 % band: a shape says what the model lacks depends on.",
+            f"Residual of {name} against all measured variables",
+            "Means over bins with their 95 % band: a trend shows what the residual depends on.",
             partial(diagnoses.map_figure, diagnosis, name),
         )
-        for j, name in enumerate(named[:_MOST])
+        for j, name in enumerate(names[:_MAX_OUTPUTS])
     ]

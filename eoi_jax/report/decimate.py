@@ -1,4 +1,4 @@
-"""Long signals with fewer points, and all of their peaks."""
+"""Long signals reduced to the points that a plot can show, with their peaks."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,15 +10,15 @@ _COLUMNS = 1000
 def decimate(
     time: Float[np.ndarray, " time"], values: Float[np.ndarray, " time"], columns: int = _COLUMNS
 ) -> tuple[Float[np.ndarray, " drawn"], Float[np.ndarray, " drawn"]]:
-    """The smallest and the largest value of each of `columns` stretches, so that peaks stay.
+    """The smallest and the largest value of each of `columns` intervals, so that peaks remain.
 
     Args:
         time: stamps [s].
-        values: the signal; NaN is left out of a stretch, and stays where it is all there is.
-        columns: stretches.
+        values: the signal; NaN is ignored in an interval that has other values.
+        columns: number of intervals.
 
     Returns:
-        Time and values of at most ``2 * columns`` points, in order of time.
+        Time and values of at most ``2 * columns`` points, in time order.
     """
     size = -(-len(values) // columns)
     if size <= 2:
@@ -26,7 +26,7 @@ def decimate(
     blocks = np.pad(values, (0, -len(values) % size), mode="edge").reshape(-1, size)
     low = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
     high = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
-    starts = np.arange(len(blocks)) * size
-    picked = np.sort(np.stack([starts + low, starts + high], axis=1), axis=1).ravel()
-    picked = np.minimum(picked, len(values) - 1)
-    return time[picked], values[picked]
+    offsets = np.arange(len(blocks)) * size
+    index = np.sort(np.stack([offsets + low, offsets + high], axis=1), axis=1).ravel()
+    index = np.minimum(index, len(values) - 1)
+    return time[index], values[index]

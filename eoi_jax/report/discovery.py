@@ -1,4 +1,4 @@
-"""What a discovery found, as text: the answer in one sentence, then the numbers behind it."""
+"""A discovery as text: the answer in one sentence, then the numbers behind it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,25 +17,24 @@ from eoi_jax.models.plant import Plant, State
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 
-_DRIFT = " (whole records drift away in free run)"
-# So many of the candidates that were not added are shown.
-_NEXT = 5
+_DRIFT = " (over whole records the free run drifts)"
+_NEXT = 5  # candidates in the table of those that were not added
 
 
 def discovery_text(discovery: Discovery) -> str:
-    """The whole answer.
+    """A discovery as text.
 
     Args:
         discovery: of `discover`.
 
     Returns:
-        A sentence, then tables: parameters and errors before and after, what explains how much,
-        what it might be instead, the equation, the next-best candidates, notes.
+        The answer in a sentence, then parameters and errors before and after, the explained share,
+        equally supported alternatives, the equation, the next-best candidates, and notes.
     """
-    first = answer(discovery)
+    sentence = answer(discovery)
     blocks = [
-        first,
-        "" if str(discovery.status) in first else str(discovery.status),
+        sentence,
+        "" if str(discovery.status) in sentence else str(discovery.status),
         lead(discovery),
         change_table(discovery) if discovery.added else parameter_table(discovery.declared),
         error_table(discovery),
@@ -49,23 +48,23 @@ def discovery_text(discovery: Discovery) -> str:
 
 
 def _findings(discovery: Discovery) -> str:
-    """What the residual shows where no effect explains it."""
+    """Findings about the residual where no effect explains it."""
     if discovery.diagnosis is None:
         return ""
-    found = [f"- {finding}" for finding in discovery.diagnosis.findings]
-    return "\n".join(["The residual of the declared model:", *found])
+    findings = [f"- {finding}" for finding in discovery.diagnosis.findings]
+    return "\n".join(["The residual of the declared model:", *findings])
 
 
 def answer(discovery: Discovery) -> str:
     """What the model lacks, and the free-run error before and after, in one sentence."""
-    lacking = _listed(_added_phrases(discovery))
+    lacking = _joined(_added_phrases(discovery))
     code = discovery.status.code
     if code == "nothing_missing":
         start = "The model lacks nothing that the records show"
     elif code == "unexplained" and lacking:
-        start = f"The model lacks {lacking}, and something that no effect tried explains"
+        start = f"The model lacks {lacking}, and something that none of the tested effects explains"
     elif code == "unexplained":
-        start = "The model lacks something that no effect tried explains"
+        start = "The model lacks something that none of the tested effects explains"
         start += " on all records" if DENIED in discovery.status.message else ""
     elif lacking:
         start = f"The model lacks {lacking}"
@@ -75,19 +74,19 @@ def answer(discovery: Discovery) -> str:
 
 
 def lead(discovery: Discovery) -> str:
-    """What free runs say of the set that comes nearest to an answer, in one sentence; or ""."""
+    """The free-run errors with the best set of effects that is no answer, in a sentence; or ""."""
     if discovery.lead is None:
         return ""
-    what = _listed(_lead_phrases(discovery))
-    errors = _free_run_errors(_as_if_found(discovery, discovery.lead))
-    return f"A lead, not an answer: with {what}, {errors}."
+    effects = _joined(_lead_phrases(discovery))
+    errors = _free_run_errors(_with_lead(discovery, discovery.lead))
+    return f"Best partial explanation, not an answer: with {effects}, {errors}."
 
 
 def texts(discovery: Discovery) -> Texts:
-    """What takes the model to be said, for a file that cannot hold it.
+    """Texts that need the model, for a file that cannot hold it.
 
     Args:
-        discovery: with its model, or one that was loaded with such texts.
+        discovery: with its model, or loaded with these texts.
     """
     names, values = _equations(discovery)
     return Texts(
@@ -102,47 +101,53 @@ def texts(discovery: Discovery) -> Texts:
 def _added_phrases(discovery: Discovery) -> tuple[str, ...]:
     if discovery.texts is not None:
         return discovery.texts.added
-    return tuple(phrase(discovery, one) for one in discovery.added)
+    return tuple(phrase(discovery, added) for added in discovery.added)
 
 
 def _lead_phrases(discovery: Discovery) -> tuple[str, ...]:
     if discovery.texts is not None or discovery.lead is None:
         return discovery.texts.lead if discovery.texts else ()
-    as_if = _as_if_found(discovery, discovery.lead)
-    return tuple(phrase(as_if, one) for one in as_if.added)
+    alternative = _with_lead(discovery, discovery.lead)
+    return tuple(phrase(alternative, added) for added in alternative.added)
 
 
-def _as_if_found(discovery: Discovery, one: Lead) -> Discovery:
-    """The lead in place of the answer."""
+def _with_lead(discovery: Discovery, partial: Lead) -> Discovery:
+    """The discovery with its lead in place of the answer."""
     return replace(
-        discovery, added=one.added, found=one.found, plant=one.found.plant,
-        after=one.after, windows_after=one.windows_after,
+        discovery, added=partial.added, found=partial.found, plant=partial.found.plant,
+        after=partial.after, windows_after=partial.windows_after,
     )  # fmt: skip
 
 
 def phrase(discovery: Discovery, added: Added) -> str:
     """One effect with its parameters: ``Coulomb (dry) friction of 20.42 ± 0.08 N``."""
-    what, _, _ = added.effect.sentence.partition(":")
-    inner = isinstance(added.effect, AbstractInternalEffect)
-    channels = discovery.plant.inputs if _on_input(added) else discovery.plant.outputs
-    where = f" at {_place(added)}" if len(channels) > 1 or inner else ""
-    shown = []
-    for (name, value), own in zip(added.parameters.items(), added.effect.parameters, strict=True):
+    description, _, _ = added.effect.sentence.partition(":")
+    internal = isinstance(added.effect, AbstractInternalEffect)
+    channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
+    position = f" at {_position(added)}" if len(channels) > 1 or internal else ""
+    values = []
+    for (name, value), parameter in zip(
+        added.parameters.items(), added.effect.parameters, strict=True
+    ):
         error = added.standard_errors.get(name, np.nan)
         unit = discovery.plant.units.get(name, "")
-        if own.unit == "{f}" and not (_on_input(added) or added.through):
+        if parameter.unit == "{f}" and not (_acts_on_input(added) or added.through):
             value, error, unit = _as_input(discovery, added.output, value, error, unit)
-        shown.append(
-            (own.name, f"{with_error(value, error)} {'' if unit == '1' else unit}".strip())
+        values.append(
+            (parameter.name, f"{with_error(value, error)} {'' if unit == '1' else unit}".strip())
         )
-    if len(shown) == 1:
-        return f"{what}{where} of {shown[0][1]}"
-    return f"{what}{where} ({', '.join(f'{name} {text}' for name, text in shown)})"
+    if len(values) == 1:
+        return f"{description}{position} of {values[0][1]}"
+    return f"{description}{position} ({', '.join(f'{name} {text}' for name, text in values)})"
 
 
-def _place(one: Added | Evidence) -> str:
-    beside = f" beside {one.through}" if one.through else ""
-    return f"{one.output} towards {one.against}" if one.against else f"{one.output}{beside}"
+def _position(candidate: Added | Evidence) -> str:
+    input_name = f" beside {candidate.through}" if candidate.through else ""
+    return (
+        f"{candidate.output} towards {candidate.against}"
+        if candidate.against
+        else f"{candidate.output}{input_name}"
+    )
 
 
 def change_table(discovery: Discovery) -> str:
@@ -152,19 +157,19 @@ def change_table(discovery: Discovery) -> str:
 
 def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of `change_table`, the header first."""
-    before, after = discovery.declared, discovery.found
+    declared_fit, final_fit = discovery.declared, discovery.found
     rows = [("parameter", "nominal", "before", "± std. error", "after", "± std. error", "unit")]
-    nominal, units = before.nominal.parameters, discovery.plant.units
-    for name, value in after.parameters.items():
-        old = before.parameters.get(name)
+    nominal, units = declared_fit.nominal.parameters, discovery.plant.units
+    for name, value in final_fit.parameters.items():
+        declared = declared_fit.parameters.get(name)
         rows.append(
             (
                 name,
                 f"{nominal[name]:.6g}" if name in nominal else "-",
-                "-" if old is None else f"{old:.6g}",
-                "-" if old is None else _error(before, name),
+                "-" if declared is None else f"{declared:.6g}",
+                "-" if declared is None else _error(declared_fit, name),
                 f"{value:.6g}",
-                _error(after, name),
+                _error(final_fit, name),
                 units.get(name, ""),
             )
         )
@@ -185,19 +190,19 @@ def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
         ("", discovery.before, discovery.after),
         (" in windows", discovery.windows_before, discovery.windows_after),
     )
-    for how, before, after in runs:
-        if before is None or after is None:
+    for suffix, declared, augmented in runs:
+        if declared is None or augmented is None:
             continue
-        for j, output in enumerate(before.outputs):
-            key, unit = f"{output}{how}", before.units[j]
-            rows.append(_row(f"{data} RMSE of {key}", before.rmse[j], after.rmse[j], unit))
-            fits = (f"{value:.2f}" for value in (before.fit[j], after.fit[j]))
+        for j, output in enumerate(declared.outputs):
+            key, unit = f"{output}{suffix}", declared.units[j]
+            rows.append(_row(f"{data} RMSE of {key}", declared.rmse[j], augmented.rmse[j], unit))
+            fits = (f"{value:.2f}" for value in (declared.fit[j], augmented.fit[j]))
             rows.append((f"{data} fit of {key}", *fits, "", "%"))
-    one, other = discovery.declared, discovery.found
-    for j, output in enumerate(one.plant.outputs):
-        before, after = one.index[one.best_pass, j], other.index[other.best_pass, j]
-        rows.append(_row(f"index P of {output}", before, after, ""))
-    if not discovery.added:  # both are the declared model's
+    results = (discovery.declared, discovery.found)
+    for j, output in enumerate(discovery.declared.plant.outputs):
+        initial, final = (fit.index[fit.best_pass, j] for fit in results)
+        rows.append(_row(f"index P of {output}", initial, final, ""))
+    if not discovery.added:  # both columns are those of the declared model
         rows = [(name, value, unit) for name, value, _, _, unit in rows]
         return [("", "declared", "unit"), *rows[1:]]
     return rows
@@ -211,29 +216,35 @@ def candidate_table(discovery: Discovery) -> str:
 
 def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of a table of all candidates that were not added, the header first; or none."""
-    added = {(one.effect.name, _place(one)) for one in discovery.added}
-    others = [one for one in discovery.ranking if (one.effect, _place(one)) not in added]
-    rows = [("other candidate", "at", "explains alone", "score", "")] if others else []
-    for one in others:
-        share = f"{100 * one.explained:.3g} %"
-        score = f"{one.score:.4g}" if np.isfinite(one.score) else "-"
-        rows.append((one.effect, _place(one), share, score, one.remark))
+    added = {
+        (added_effect.effect.name, _position(added_effect)) for added_effect in discovery.added
+    }
+    candidates = [
+        candidate
+        for candidate in discovery.ranking
+        if (candidate.effect, _position(candidate)) not in added
+    ]
+    rows = [("other candidate", "at", "explains alone", "score", "")] if candidates else []
+    for candidate in candidates:
+        share = f"{100 * candidate.explained:.3g} %"
+        score = f"{candidate.score:.4g}" if np.isfinite(candidate.score) else "-"
+        rows.append((candidate.effect, _position(candidate), share, score, candidate.remark))
     return rows
 
 
 def _explained(discovery: Discovery) -> str:
     lines = []
-    if discovery.explained > 0.0:  # zero where only free runs show what was added
+    if discovery.explained > 0.0:  # zero where only free runs justify the effects
         share = f"{100 * discovery.explained:.3g} %"
-        lines.append(f"Of the residual's power above the noise the effects explain {share}.")
+        lines.append(f"The effects explain {share} of the residual's power above the noise.")
     if discovery.ambiguous_with:
-        others = _listed([name.replace("_", " ") for name in discovery.ambiguous_with])
-        lines.append(f"These records do not tell it from {others}.")
+        alternatives = _joined([name.replace("_", " ") for name in discovery.ambiguous_with])
+        lines.append(f"These records do not distinguish it from {alternatives}.")
     return "\n".join(filter(None, [*lines, discovery.advice]))
 
 
 def _equations(discovery: Discovery) -> tuple[str, str]:
-    """With names, and with values."""
+    """The equation with names, and with values."""
     if discovery.texts is not None:
         return discovery.texts.equation, discovery.texts.values
     declared, added = discovery.declared_part, discovery.added
@@ -243,11 +254,11 @@ def _equations(discovery: Discovery) -> tuple[str, str]:
 # -- pieces -----------------------------------------------------------------------------------
 
 
-def _on_input(added: Added) -> bool:
+def _acts_on_input(added: Added) -> bool:
     return isinstance(added.effect, INPUT_EFFECTS)
 
 
-def _listed(parts: Sequence[str]) -> str:
+def _joined(parts: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
 
@@ -258,57 +269,63 @@ def _error(result: Any, name: str) -> str:
     return f"{result.standard_errors.get(name, np.nan):.2g}"
 
 
-def _row(name: str, before: float, after: float, unit: str) -> tuple[str, ...]:
-    good = np.isfinite(before) and np.isfinite(after) and before > 0
-    ratio = f"{after / before:.3g}" if good else ""
-    shown = (f"{value:.4g}" if np.isfinite(value) else "diverges" for value in (before, after))
-    return (name, *shown, ratio, unit)
+def _row(name: str, declared: float, augmented: float, unit: str) -> tuple[str, ...]:
+    comparable = np.isfinite(declared) and np.isfinite(augmented) and declared > 0
+    ratio = f"{augmented / declared:.3g}" if comparable else ""
+    values = (
+        f"{value:.4g}" if np.isfinite(value) else "diverges" for value in (declared, augmented)
+    )
+    return (name, *values, ratio, unit)
 
 
-def told_runs(discovery: Discovery) -> tuple[Validation | None, Validation | None, bool]:
-    """Free runs of which the answer speaks, before and after, and whether they are short ones."""
-    whole = discovery.before, discovery.after
-    short = discovery.windows_before, discovery.windows_after
-    if whole[0] is None or whole[1] is None:
+def compared_runs(discovery: Discovery) -> tuple[Validation | None, Validation | None, bool]:
+    """Free runs that the answer compares, before and after, and whether they are over windows."""
+    full = discovery.before, discovery.after
+    windowed = discovery.windows_before, discovery.windows_after
+    if full[0] is None or full[1] is None:
         return None, None, False
-    if only_short((whole[0], short[0]), (whole[1], short[1])):
-        return *short, True
-    return *whole, False
+    if only_short((full[0], windowed[0]), (full[1], windowed[1])):
+        return *windowed, True
+    return *full, False
 
 
 def _free_run_errors(discovery: Discovery) -> str:
     """``free-run error on held-out data 95.9 mm before, 6.4 mm after``."""
-    before, after, short = told_runs(discovery)
-    if before is None or after is None:
+    declared, augmented, windowed = compared_runs(discovery)
+    if declared is None or augmented is None:
         return "no free run was possible"
-    data = "the same data (none was held out)" if discovery.in_sample else "held-out data"
-    parts = []
-    for j, output in enumerate(before.outputs):
-        whose = f" of {output}" if len(before.outputs) > 1 else ""
-        old, new = (
-            quantity(one.rmse[j], one.units[j]) if np.isfinite(one.rmse[j]) else "without bound"
-            for one in (before, after)
+    data = "the same data (no data held out)" if discovery.in_sample else "held-out data"
+    errors = []
+    for j, output in enumerate(declared.outputs):
+        suffix = f" of {output}" if len(declared.outputs) > 1 else ""
+        declared_error, augmented_error = (
+            quantity(run.rmse[j], run.units[j]) if np.isfinite(run.rmse[j]) else "unbounded"
+            for run in (declared, augmented)
         )
-        parts.append(f"{old}{whose} before, {new} after" if discovery.added else f"{old}{whose}")
-    where, rest = (" in windows", _DRIFT) if short else ("", "")
-    return f"free-run error on {data}{where} {'; '.join(parts)}{rest}"
+        errors.append(
+            f"{declared_error}{suffix} before, {augmented_error} after"
+            if discovery.added
+            else f"{declared_error}{suffix}"
+        )
+    extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
+    return f"free-run error on {data}{extent} {'; '.join(errors)}{remark}"
 
 
 def _as_input(
     discovery: Discovery, output: str, value: float, error: float, unit: str
 ) -> tuple[float, float, str]:
-    """An acceleration as the force that makes it, where the model says how: f = … + u/m."""
+    """An acceleration as the force that causes it, where the model is f = … + u/m."""
     plant: Plant = discovery.declared.nominal
     gain = _input_gain(plant, discovery.found.parameters, plant.outputs.index(output))
     drive = plant.units.get(plant.inputs[0], "") if plant.inputs else ""
-    # A gain in units of its own (rad/s² per volt) says nothing about forces.
+    # A gain in other units (rad/s² per volt) does not convert to a force.
     if gain is None or drive not in ("N", "N m", "Nm", "N·m"):
         return value, error, unit
     return value / gain, error / abs(gain), drive
 
 
 def _input_gain(plant: Plant, parameters: dict[str, float], output: int) -> float | None:
-    """∂f/∂u of a single input, where it is one number everywhere; None where it is not."""
+    """∂f/∂u of a single input where it is constant; else None."""
     if len(plant.inputs) != 1 or plant.internal is not None:
         return None
     theta = jnp.asarray([parameters[name] for name in plant.names])
@@ -325,5 +342,5 @@ def _input_gain(plant: Plant, parameters: dict[str, float], output: int) -> floa
         )
         for _ in range(3)
     ]
-    same = np.ptp(gains) <= 1e-9 * abs(gains[0]) and gains[0] != 0.0
-    return gains[0] if same else None
+    constant = np.ptp(gains) <= 1e-9 * abs(gains[0]) and gains[0] != 0.0
+    return gains[0] if constant else None

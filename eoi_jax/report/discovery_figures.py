@@ -9,27 +9,27 @@ from eoi_jax.models.plant import derivative_unit, velocity_rows
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.figures import draw_free_runs, free_run_height
 from eoi_jax.report.style import (
-    AFTER,
-    BEFORE,
+    ACCENT,
+    BASE,
     WIDE,
     WIDTH,
-    finished,
-    injected,
-    ink,
+    fix_theme,
+    injection_label,
     legend_above,
-    new,
+    new_figure,
     series,
-    styled,
+    text_colour,
+    themed,
     with_unit,
 )
 
 _BINS = 40
-_BESIDE = 2  # maps in a row
+_COLUMNS = 2  # maps side by side
 
 
-@styled()
+@themed()
 def discovery_figure(discovery: Discovery) -> Any:
-    """Residual over time, residual against what it depends on, free run: one figure.
+    """Residual over time, residual against the variables of the effects, free run: one figure.
 
     Args:
         discovery: of `discover`.
@@ -37,20 +37,20 @@ def discovery_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    outputs, rows = len(discovery.plant.outputs), -(-len(_maps(discovery)) // _BESIDE)
+    outputs, rows = len(discovery.plant.outputs), -(-len(_maps(discovery)) // _COLUMNS)
     heights = [1.0 + 1.4 * outputs, 0.5 + 2.5 * rows, free_run_height(outputs)]
-    figure = new(WIDE, sum(heights))
+    figure = new_figure(WIDE, sum(heights))
     grid = figure.add_gridspec(3, 1, height_ratios=heights)
     _draw_residuals(figure.add_subfigure(grid[0]), discovery)
     _draw_maps(figure.add_subfigure(grid[1]), discovery)
     _draw_free_run(figure.add_subfigure(grid[2]), discovery)
-    figure.suptitle(f"{discovery.plant.name}: {_found(discovery)}")
-    return finished(figure)
+    figure.suptitle(f"{discovery.plant.name}: {_title(discovery)}")
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def residual_figure(discovery: Discovery) -> Any:
-    """The residual before and after over time, a panel for each output.
+    """Residual before and after over time, a panel for each output.
 
     Args:
         discovery: of `discover`.
@@ -58,16 +58,16 @@ def residual_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new(WIDTH, 1.1 + 1.6 * len(discovery.plant.outputs))
+    figure = new_figure(WIDTH, 1.1 + 1.6 * len(discovery.plant.outputs))
     _draw_residuals(figure, discovery)
-    return finished(figure)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def effect_figure(discovery: Discovery) -> Any:
-    """The residual before against the variable that each effect depends on, the effect in it.
+    """Residual before against the variable that each effect depends on, with the effect.
 
-    Where nothing was found: against every variable.
+    Without effects: against every variable.
 
     Args:
         discovery: of `discover`.
@@ -76,13 +76,13 @@ def effect_figure(discovery: Discovery) -> Any:
         A `matplotlib.figure.Figure`.
     """
     maps = _maps(discovery)
-    rows = -(-len(maps) // _BESIDE)
-    figure = new(WIDTH, 0.7 + (2.1 if len(maps) > 1 else 2.6) * rows)
+    rows = -(-len(maps) // _COLUMNS)
+    figure = new_figure(WIDTH, 0.7 + (2.1 if len(maps) > 1 else 2.6) * rows)
     _draw_maps(figure, discovery)
-    return finished(figure)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def free_run_figure(discovery: Discovery) -> Any:
     """Free runs before and after on a held-out record against its measurement.
 
@@ -92,21 +92,21 @@ def free_run_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new(WIDTH, free_run_height(len(discovery.plant.outputs)))
+    figure = new_figure(WIDTH, free_run_height(len(discovery.plant.outputs)))
     _draw_free_run(figure, discovery)
-    return finished(figure)
+    return fix_theme(figure)
 
 
 def discovery_figures(discovery: Discovery) -> dict[str, Any]:
-    """The three parts of `discovery_figure`, a figure each; arguments as there.
+    """The three parts of `discovery_figure`, each as a figure.
 
     Args:
         discovery: of `discover`.
 
     Returns:
         Figures by name: ``residual`` before and after over time; ``effect``, the residual before
-        against the variable that each effect depends on (against every variable where nothing was
-        found); ``free_run``, against the measurement, with its error.
+        against the variable that each effect depends on (against every variable without effects);
+        ``free_run``, against the measurement, with its error.
     """
     return {name: draw(discovery) for name, draw in PARTS.items()}
 
@@ -114,29 +114,29 @@ def discovery_figures(discovery: Discovery) -> dict[str, Any]:
 PARTS = {"residual": residual_figure, "effect": effect_figure, "free_run": free_run_figure}
 
 
-def _found(discovery: Discovery) -> str:
+def _title(discovery: Discovery) -> str:
     names = [name.replace("_", " ") for name in discovery.effects]
     return " + ".join(names) or discovery.status.code.replace("_", " ")
 
 
-def _pair(discovery: Discovery, before: Any, after: Any) -> list[tuple[Any, str, str]]:
-    """What is drawn with its colour and label; one curve where nothing was added."""
+def _pair(discovery: Discovery, declared: Any, augmented: Any) -> list[tuple[Any, str, str]]:
+    """Curves with their colours and labels; a single one where nothing was added."""
     if not discovery.added:
-        return [(before, series(BEFORE), "declared model")]
-    return [(before, series(BEFORE), "before"), (after, series(AFTER), "after")]
+        return [(declared, series(BASE), "declared model")]
+    return [(declared, series(BASE), "before"), (augmented, series(ACCENT), "after")]
 
 
 def _draw_residuals(figure: Any, discovery: Discovery, record: int = 0) -> None:
-    before = discovery.declared
-    curves = _pair(discovery, before, discovery.found)
-    panels = figure.subplots(len(before.plant.outputs), 1, sharex=True, squeeze=False)[:, 0]
+    declared = discovery.declared
+    curves = _pair(discovery, declared, discovery.found)
+    panels = figure.subplots(len(declared.plant.outputs), 1, sharex=True, squeeze=False)[:, 0]
     for j, axes in enumerate(panels):
         for result, colour, label in curves:
             time = np.asarray(result.records[record].time)
             values = np.asarray(result.residual[record])[:, j]
-            shown = decimate(time[: len(values)], values)
-            axes.plot(*shown, color=colour, linewidth=0.8, label=label)
-        axes.set_ylabel(injected("residual", before.plant, j))
+            points = decimate(time[: len(values)], values)
+            axes.plot(*points, color=colour, linewidth=0.8, label=label)
+        axes.set_ylabel(injection_label("residual", declared.plant, j))
     legend_above(panels[0])
     panels[-1].set_xlabel("time [s]")
 
@@ -145,31 +145,31 @@ def _draw_residuals(figure: Any, discovery: Discovery, record: int = 0) -> None:
 
 
 def _maps(discovery: Discovery) -> list[tuple[str, str, str]]:
-    """Output, variable, and what it is counted from, of each panel.
+    """Output, variable, and reference output ("" for none) of each panel.
 
-    What an effect depends on, or all there is.
+    The variables that the effects depend on; without effects all variables.
     """
     outputs = discovery.plant.outputs
     maps = [
         (
-            one.output if one.output in outputs else outputs[0],
-            _variable(discovery, one),
-            one.against,
+            added.output if added.output in outputs else outputs[0],
+            _variable(discovery, added),
+            added.against,
         )
-        for one in discovery.added
+        for added in discovery.added
     ]
     if not maps:
-        known = ("y", "v", "t") if discovery.plant.degrees[0] > 1 else ("y", "t")
-        maps = [(outputs[0], name, "") for name in (*known, *discovery.plant.inputs)]
+        variables = ("y", "v", "t") if discovery.plant.degrees[0] > 1 else ("y", "t")
+        maps = [(outputs[0], name, "") for name in (*variables, *discovery.plant.inputs)]
     return list(dict.fromkeys(maps))
 
 
 def _draw_maps(figure: Any, discovery: Discovery) -> None:
-    """The residual before against variables; what the added effects took away through it."""
+    """The residual before against variables, and the part of it that the added effects explain."""
     maps = _maps(discovery)
-    beside = min(len(maps), _BESIDE)
-    rows = -(-len(maps) // beside)
-    panels = figure.subplots(rows, beside, squeeze=False)
+    columns = min(len(maps), _COLUMNS)
+    rows = -(-len(maps) // columns)
+    panels = figure.subplots(rows, columns, squeeze=False)
     for axes, (output, name, against) in zip(panels.ravel(), maps, strict=False):
         _draw_map(axes, discovery, discovery.plant.outputs.index(output), name, against)
     for axes in panels.ravel()[len(maps) :]:
@@ -179,7 +179,7 @@ def _draw_maps(figure: Any, discovery: Discovery) -> None:
 
 
 def _variable(discovery: Discovery, added: Added) -> str:
-    """What an effect is drawn against: y, v, t, or the name of an input."""
+    """The variable of an effect: y, v, t, or the name of an input."""
     if added.effect.depends_on != "u":
         return added.effect.depends_on
     inputs = discovery.plant.inputs
@@ -187,39 +187,41 @@ def _variable(discovery: Discovery, added: Added) -> str:
 
 
 def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) -> None:
-    before = discovery.declared
-    variable = _values(before, j, name)
+    declared = discovery.declared
+    variable = _values(declared, j, name)
     if against:
-        variable = variable - _values(before, before.plant.outputs.index(against), name)
-    residual = np.concatenate([part[:, j] for part in before.residual])
-    taken = residual - np.concatenate([part[:, j] for part in discovery.found.residual])
-    # Where the plant sticks only the model without friction is scored: what both score is shown.
-    good = np.isfinite(variable) & np.isfinite(taken)
-    order = np.argsort(variable[good])
-    bins = np.array_split(np.flatnonzero(good)[order], int(np.clip(np.sum(good), 1, _BINS)))
-    if not np.any(good):
-        axes.text(0.5, 0.5, "no sample to show", transform=axes.transAxes, ha="center")
+        variable = variable - _values(declared, declared.plant.outputs.index(against), name)
+    residual = np.concatenate([part[:, j] for part in declared.residual])
+    explained = residual - np.concatenate([part[:, j] for part in discovery.found.residual])
+    # Where the plant sticks only the model without friction is scored: use samples that both score.
+    scored = np.isfinite(variable) & np.isfinite(explained)
+    order = np.argsort(variable[scored])
+    bins = np.array_split(np.flatnonzero(scored)[order], int(np.clip(np.sum(scored), 1, _BINS)))
+    if not np.any(scored):
+        axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center")
         bins = []
-    centre = np.array([np.mean(variable[one]) for one in bins])
-    # Every sample is too many points, and hides where most of them are.
-    low, high = np.reshape([np.quantile(residual[one], (0.1, 0.9)) for one in bins], (-1, 2)).T
-    means = [np.mean(residual[one]) for one in bins]
-    axes.fill_between(centre, low, high, color=series(BEFORE), alpha=0.18, linewidth=0)
-    label = "residual before: mean, band of 80 %"
-    axes.plot(centre, means, "o", color=series(BEFORE), markersize=4, label=label)
+    centre = np.array([np.mean(variable[indices]) for indices in bins])
+    # Drawing every sample would hide where most of them are.
+    low, high = np.reshape(
+        [np.quantile(residual[indices], (0.1, 0.9)) for indices in bins], (-1, 2)
+    ).T
+    means = [np.mean(residual[indices]) for indices in bins]
+    axes.fill_between(centre, low, high, color=series(BASE), alpha=0.18, linewidth=0)
+    label = "residual before: mean and 80 % band"
+    axes.plot(centre, means, "o", color=series(BASE), markersize=4, label=label)
     if discovery.added:
-        fitted = [np.mean(taken[one]) for one in bins]
-        axes.plot(centre, fitted, color=series(AFTER), lw=1.6, label="taken away by the effects")
-    axes.axhline(0.0, color=ink(), linewidth=0.5)
-    axes.locator_params(axis="x", nbins=5)  # panels beside each other are narrow
-    axes.set_xlabel(_variable_label(before, j, name, against))
+        fitted = [np.mean(explained[indices]) for indices in bins]
+        axes.plot(centre, fitted, color=series(ACCENT), lw=1.6, label="explained by the effects")
+    axes.axhline(0.0, color=text_colour(), linewidth=0.5)
+    axes.locator_params(axis="x", nbins=5)  # panels side by side are narrow
+    axes.set_xlabel(_variable_label(declared, j, name, against))
     if axes.get_subplotspec().is_first_col():
-        axes.set_ylabel(injected("residual", before.plant, j))
+        axes.set_ylabel(injection_label("residual", declared.plant, j))
 
 
 def _values(result: Any, j: int, name: str) -> np.ndarray:
-    """A variable along all records, as late as the filter makes the residual."""
-    late = 1.0 / (result.lowpass.cutoff * np.sin(0.5 * np.pi / result.lowpass.order))
+    """A variable over all records, delayed as the filter delays the residual."""
+    delay = 1.0 / (result.lowpass.cutoff * np.sin(0.5 * np.pi / result.lowpass.order))
     parts = []
     for record in result.records:
         if name == "t":
@@ -231,23 +233,23 @@ def _values(result: Any, j: int, name: str) -> np.ndarray:
             values = record.outputs[:, j]
         if _derived(result, j, name):
             values = np.gradient(values, record.sample_period)
-        parts.append(np.interp(record.time - late, record.time, values))
+        parts.append(np.interp(record.time - delay, record.time, values))
     return np.concatenate(parts)
 
 
 def _variable_label(result: Any, j: int, name: str, against: str) -> str:
     if name == "t":
         return "time [s]"
-    own = name if name in result.plant.inputs else result.plant.outputs[j]
-    unit = result.plant.units.get(own, "")
+    channel = name if name in result.plant.inputs else result.plant.outputs[j]
+    unit = result.plant.units.get(channel, "")
     derived = _derived(result, j, name)
-    what = f"{own} - {against}" if against else own
-    label = f"rate of {what}" if derived else what
+    variable = f"{channel} - {against}" if against else channel
+    label = f"rate of {variable}" if derived else variable
     return with_unit(label, derivative_unit(unit, 1) if derived else unit)
 
 
 def _derived(result: Any, j: int, name: str) -> bool:
-    """Whether a velocity is a derivative of the output, which is none itself."""
+    """Whether the velocity is the derivative of the output, which is not a velocity itself."""
     return name == "v" and velocity_rows(result.plant.degrees)[j] == 1
 
 
@@ -258,13 +260,13 @@ def _draw_free_run(figure: Any, discovery: Discovery, record: int = 0) -> None:
     """Free runs before and after on a record against its measurement, and their errors."""
     plant = discovery.plant
     if discovery.before is None:
-        figure.subplots().set_title("no free run to show")
+        figure.subplots().set_title("no free run")
         return
     runs = [
-        (one.predictions[record].outputs, colour, label)
-        for one, colour, label in _pair(discovery, discovery.before, discovery.after)
+        (run.predictions[record].outputs, colour, label)
+        for run, colour, label in _pair(discovery, discovery.before, discovery.after)
     ]
     measured = discovery.held_out[record]
-    what = "in-sample" if discovery.in_sample else "held-out"
-    which = f"{what} record {measured.name}"
-    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, which)
+    data = "in-sample" if discovery.in_sample else "held-out"
+    title = f"{data} record {measured.name}"
+    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, title)

@@ -1,4 +1,4 @@
-"""What results look like: the tables and figures of each class, for `str(result)` and `.plot()`."""
+"""Tables and figures of each class of results, for `str(result)` and `.plot()`."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -66,8 +66,8 @@ findings.register(Diagnosis, diagnosis.findings)
 
 @stored_form.register
 def _with_texts(result: Discovery) -> Discovery:
-    """With its equation in words, for a file that cannot hold the model."""
+    """With its equation as text, for a file that cannot hold the model."""
     try:
         return replace(result, texts=texts(result))
-    except ValueError:  # loaded without its model, from a file without texts
+    except ValueError:  # loaded without its model from a file without texts
         return result

@@ -8,33 +8,33 @@ import numpy as np
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.figures import draw_free_runs, free_run_height
 from eoi_jax.report.style import (
-    AFTER,
-    BEFORE,
+    ACCENT,
+    BASE,
     WIDE,
     WIDTH,
-    finished,
-    ink,
+    fix_theme,
     legend_above,
-    new,
+    new_figure,
     series,
-    styled,
+    text_colour,
+    themed,
     with_unit,
 )
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
-_PER_ROW = 6  # parameters, in a figure that stands alone
-_NEAR = 4.0  # half widths of the interval within which the starting value is drawn to scale
-_NAMED = 12  # parameters whose correlations are written into the figure
-_DEEPEST = 0.65  # opacity of a correlation of one: its number stays readable
+_PER_ROW = 6  # parameters, in a figure of full width
+_MAX_DISTANCE = 4.0  # half widths of the interval up to which the starting value is drawn
+_MAX_NUMBERED = 12  # parameters up to which correlations are written as numbers
+_MAX_OPACITY = 0.65  # opacity of a correlation of ±1, at which its number is readable
 
 
-@styled()
+@themed()
 def refinement_figure(result: Refinement, record: int = 0) -> Any:
-    """Measured against free run before and after, what is left, and parameters with intervals.
+    """Measurement and free runs before and after, their errors, and parameters with intervals.
 
     Args:
-        result: of `refine`; one that did not keep its records shows its parameters only.
+        result: of `refine`; without its records only the parameters are drawn.
         record: which of the records is drawn.
 
     Returns:
@@ -44,7 +44,7 @@ def refinement_figure(result: Refinement, record: int = 0) -> Any:
     free = _free(result)
     rows = -(-len(free) // _PER_ROW)
     heights = [free_run_height(len(outputs)) if outputs else 1e-3, 0.4 + 1.9 * rows]
-    figure = new(WIDE, 0.4 + sum(heights))
+    figure = new_figure(WIDE, 0.4 + sum(heights))
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     if outputs:
         _draw_refined_runs(figure.add_subfigure(grid[0]), result, record)
@@ -52,12 +52,12 @@ def refinement_figure(result: Refinement, record: int = 0) -> Any:
     _draw_intervals(lower, uncertainty(result), free, result.nominal.parameters, _PER_ROW)
     lower.suptitle("parameters with 95 % intervals", x=0.01, ha="left", fontsize="medium")
     figure.suptitle(f"{result.plant.name}: {result.status.code}")
-    return finished(figure)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def refined_runs_figure(result: Refinement, record: int = 0) -> Any:
-    """Measured against free run before and after.
+    """Measurement and free runs before and after.
 
     Args:
         result: of `refine`, with its records.
@@ -66,9 +66,9 @@ def refined_runs_figure(result: Refinement, record: int = 0) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new(WIDTH, free_run_height(len(result.plant.outputs)))
+    figure = new_figure(WIDTH, free_run_height(len(result.plant.outputs)))
     _draw_refined_runs(figure, result, record)
-    return finished(figure)
+    return fix_theme(figure)
 
 
 def _free(result: Any) -> list[str]:
@@ -77,106 +77,106 @@ def _free(result: Any) -> list[str]:
 
 def _draw_refined_runs(figure: Any, result: Refinement, record: int) -> None:
     measured, plant = result.records[record], result.plant
-    residuals = [(result.residual[record], series(AFTER), "refined")]
+    residuals = [(result.residual[record], series(ACCENT), "refined")]
     if result.residual_before:
-        residuals.insert(0, (result.residual_before[record], series(BEFORE), "before"))
-    runs = [(measured.outputs - one, colour, label) for one, colour, label in residuals]
-    which = f"record {measured.name}"
-    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, which)
+        residuals.insert(0, (result.residual_before[record], series(BASE), "before"))
+    runs = [(measured.outputs - error, colour, label) for error, colour, label in residuals]
+    title = f"record {measured.name}"
+    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, title)
 
 
 # -- intervals and correlation -----------------------------------------------------------------
 
 
-@styled()
-def uncertainty_figure(known: Uncertainty, before: Mapping[str, float] | None = None) -> Any:
+@themed()
+def uncertainty_figure(estimate: Uncertainty, initial: Mapping[str, float] | None = None) -> Any:
     """A panel for each free parameter with its 95 % interval, and the correlation of all.
 
     Args:
-        known: of `uncertainty` or `bootstrap`.
-        before: values to compare with.
+        estimate: of `uncertainty` or `bootstrap`.
+        initial: values to compare with.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    names = _estimated(known)
+    names = _estimated(estimate)
     rows = -(-len(names) // _PER_ROW)
     heights = [0.4 + 1.9 * rows, 1.2 + 0.34 * len(names)]
-    figure = new(WIDE, sum(heights))
+    figure = new_figure(WIDE, sum(heights))
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     upper = figure.add_subfigure(grid[0])
-    _draw_intervals(upper, known, names, before or {}, _PER_ROW)
+    _draw_intervals(upper, estimate, names, initial or {}, _PER_ROW)
     upper.suptitle("parameters with 95 % intervals", x=0.01, ha="left", fontsize="medium")
-    _draw_correlation(figure.add_subfigure(grid[1]), known, names)
-    return finished(figure)
+    _draw_correlation(figure.add_subfigure(grid[1]), estimate, names)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def interval_figure(
-    known: Uncertainty, before: Mapping[str, float] | None = None, per_row: int = 3
+    estimate: Uncertainty, initial: Mapping[str, float] | None = None, per_row: int = 3
 ) -> Any:
     """A small panel for each free parameter with its 95 % interval.
 
     Args:
-        known: of `uncertainty` or `bootstrap`.
-        before: values to compare with.
-        per_row: panels beside each other.
+        estimate: of `uncertainty` or `bootstrap`.
+        initial: values to compare with.
+        per_row: panels side by side.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    names = _estimated(known)
-    figure = new(WIDTH, 0.2 + 1.7 * -(-len(names) // per_row))
-    _draw_intervals(figure, known, names, before or {}, per_row)
-    return finished(figure)
+    names = _estimated(estimate)
+    figure = new_figure(WIDTH, 0.2 + 1.7 * -(-len(names) // per_row))
+    _draw_intervals(figure, estimate, names, initial or {}, per_row)
+    return fix_theme(figure)
 
 
-@styled()
-def correlation_figure(known: Uncertainty) -> Any:
-    """Correlation of the estimates, as colours and, of up to a dozen, as numbers.
+@themed()
+def correlation_figure(estimate: Uncertainty) -> Any:
+    """Correlation of the estimates as colours and, for up to a dozen parameters, as numbers.
 
     Args:
-        known: of `uncertainty` or `bootstrap`.
+        estimate: of `uncertainty` or `bootstrap`.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    names = _estimated(known)
-    figure = new(WIDTH, min(1.4 + 0.42 * len(names), 5.0))
-    _draw_correlation(figure, known, names)
-    return finished(figure)
+    names = _estimated(estimate)
+    figure = new_figure(WIDTH, min(1.4 + 0.42 * len(names), 5.0))
+    _draw_correlation(figure, estimate, names)
+    return fix_theme(figure)
 
 
-def _estimated(known: Uncertainty) -> list[str]:
-    errors = known.standard_errors
-    return [name for name in known.parameters if errors[name] != 0] or list(known.parameters)
+def _estimated(estimate: Uncertainty) -> list[str]:
+    errors = estimate.standard_errors
+    return [name for name in estimate.parameters if errors[name] != 0] or list(estimate.parameters)
 
 
 def _draw_intervals(
     figure: Any,
-    known: Uncertainty,
+    estimate: Uncertainty,
     names: Sequence[str],
-    before: Mapping[str, float],
+    initial: Mapping[str, float],
     per_row: int,
 ) -> None:
-    """A small panel each, scaled to its interval: parameters differ in size by many decades."""
-    intervals = known.intervals()
+    """A small panel for each parameter, scaled to its interval: parameters differ by decades."""
+    intervals = estimate.intervals()
     rows = -(-len(names) // per_row)
     panels = figure.subplots(rows, per_row, squeeze=False).ravel()
     for axes, name in zip(panels, names, strict=False):
         low, high = intervals[name]
-        value = known.parameters[name]
-        half = 0.5 * (high - low)
-        bar = [[value - low], [high - value]] if np.isfinite(half) else None
-        axes.errorbar(0.0, value, bar, fmt="o", capsize=5, color=series(AFTER), lw=1.6)
-        if not np.isfinite(half):
+        value = estimate.parameters[name]
+        half_width = 0.5 * (high - low)
+        bar = [[value - low], [high - value]] if np.isfinite(half_width) else None
+        axes.errorbar(0.0, value, bar, fmt="o", capsize=5, color=series(ACCENT), lw=1.6)
+        if not np.isfinite(half_width):
             axes.text(0.5, 0.9, "no finite interval", transform=axes.transAxes, ha="center")
-        if name in before:
-            if not half * _NEAR < abs(before[name] - value):
-                axes.plot(0.0, before[name], "x", color=series(BEFORE))
-            axes.text(0.97, 0.03, f"before {before[name]:.5g}", color=series(BEFORE), ha="right",
+        if name in initial:
+            if not half_width * _MAX_DISTANCE < abs(initial[name] - value):
+                axes.plot(0.0, initial[name], "x", color=series(BASE))
+            axes.text(0.97, 0.03, f"before {initial[name]:.5g}", color=series(BASE), ha="right",
                       fontsize="small", transform=axes.transAxes)  # fmt: skip
-        unit = known.units.get(name)
+        unit = estimate.units.get(name)
         axes.set_title(f"{name}\n[{unit}]" if unit else name, fontsize="small")
         axes.set_xlim(-1.0, 1.0)
         axes.set_xticks([])
@@ -186,19 +186,19 @@ def _draw_intervals(
         axes.set_visible(False)
 
 
-def _draw_correlation(figure: Any, known: Uncertainty, names: Sequence[str]) -> None:
-    """A square each, the stronger the colour the stronger the correlation."""
+def _draw_correlation(figure: Any, estimate: Uncertainty, names: Sequence[str]) -> None:
+    """A square for each pair, its opacity proportional to the correlation."""
     from matplotlib.patches import Rectangle
 
-    places = [list(known.parameters).index(name) for name in names]
-    matrix = known.correlation[np.ix_(places, places)]
+    rows = [list(estimate.parameters).index(name) for name in names]
+    matrix = estimate.correlation[np.ix_(rows, rows)]
     axes = figure.subplots()
     for i, j in np.argwhere(np.isfinite(matrix)):
-        # Not a colour map: one colour and how much of it, which any page can show on its own.
-        colour = series(AFTER if matrix[i, j] > 0 else BEFORE)
-        alpha = _DEEPEST * abs(matrix[i, j])
+        # Opacity rather than a colour map, so that the page can replace the colours by its theme.
+        colour = series(ACCENT if matrix[i, j] > 0 else BASE)
+        alpha = _MAX_OPACITY * abs(matrix[i, j])
         axes.add_patch(Rectangle((j, i), 1.0, 1.0, facecolor=colour, alpha=alpha, linewidth=0))
-        if len(names) <= _NAMED:
+        if len(names) <= _MAX_NUMBERED:
             size = "x-small" if len(names) > 7 else "small"
             axes.text(j + 0.5, i + 0.5, f"{matrix[i, j]:.2f}", ha="center", va="center",
                       fontsize=size)  # fmt: skip
@@ -210,18 +210,18 @@ def _draw_correlation(figure: Any, known: Uncertainty, names: Sequence[str]) -> 
     axes.set_yticks(ticks, names)
     axes.set_aspect("equal")
     axes.tick_params(length=0)
-    for place, (words, number) in enumerate((("positive", AFTER), ("negative", BEFORE))):
-        axes.add_patch(Rectangle((0, 0), 0, 0, facecolor=series(number), alpha=_DEEPEST,
-                                 label=words, zorder=place))  # fmt: skip
+    for order, (label, number) in enumerate((("positive", ACCENT), ("negative", BASE))):
+        axes.add_patch(Rectangle((0, 0), 0, 0, facecolor=series(number), alpha=_MAX_OPACITY,
+                                 label=label, zorder=order))  # fmt: skip
     legend_above(axes)
 
 
 # -- one parameter ----------------------------------------------------------------------------
 
 
-@styled()
+@themed()
 def profile_figure(result: Profile) -> Any:
-    """The profile of a parameter, with the parabola that its standard error stands for.
+    """The profile of a parameter, with the parabola given by its standard error.
 
     Args:
         result: of `profile`.
@@ -229,19 +229,19 @@ def profile_figure(result: Profile) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    figure = new(WIDTH, 3.2)
+    figure = new_figure(WIDTH, 3.2)
     axes = figure.add_subplot()
     fine = np.linspace(result.values[0], result.values[-1], 200)
     parabola = ((fine - result.estimate) / result.standard_error) ** 2
-    axes.plot(fine, parabola, color=series(BEFORE), lw=0.9, label="by the standard error")
-    axes.plot(result.values, result.statistic, "o-", color=series(AFTER), label="profile")
-    axes.axhline(result.threshold, color=ink(), linestyle="--", linewidth=0.8,
+    axes.plot(fine, parabola, color=series(BASE), lw=0.9, label="from the standard error")
+    axes.plot(result.values, result.statistic, "o-", color=series(ACCENT), label="profile")
+    axes.axhline(result.threshold, color=text_colour(), linestyle="--", linewidth=0.8,
                  label=f"{100 * result.level:.4g} %")  # fmt: skip
     for end in result.interval:
         if np.isfinite(end):
-            axes.axvline(end, color=series(AFTER), linewidth=0.8, alpha=0.6)
+            axes.axvline(end, color=series(ACCENT), linewidth=0.8, alpha=0.6)
     axes.set_ylim(0.0, 3.0 * result.threshold)
     axes.set_xlabel(with_unit(result.name, result.unit))
     axes.set_ylabel("2 Δ log-likelihood")
     legend_above(axes)
-    return finished(figure)
+    return fix_theme(figure)

@@ -9,28 +9,28 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.style import (
-    AFTER,
-    BEFORE,
+    ACCENT,
+    BASE,
     WIDE,
     WIDTH,
-    finished,
-    injected,
+    fix_theme,
+    injection_label,
     injection_unit,
-    ink,
     legend_above,
     limit,
     logarithmic,
-    new,
+    new_figure,
     series,
-    styled,
+    text_colour,
+    themed,
     with_unit,
 )
 from eoi_jax.simulation.validate import Validation
 
-_REACH = 3.0  # half ranges of the measurement that are shown of a free run
+_MAX_RANGE = 3.0  # half ranges of the measurement to which a free run is clipped
 
 
-@styled()
+@themed()
 def identification_figure(result: Identification, record: int = 0) -> Any:
     """Index per pass, and the injection of the first and the best pass over time.
 
@@ -44,35 +44,35 @@ def identification_figure(result: Identification, record: int = 0) -> Any:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
     outputs = result.plant.outputs
-    figure = new(WIDE, 3.0 + 1.9 * len(outputs))
+    figure = new_figure(WIDE, 3.0 + 1.9 * len(outputs))
     grid = figure.add_gridspec(1 + len(outputs), 1, height_ratios=[1.3] + [1] * len(outputs))
     _draw_index(figure.add_subplot(grid[0]), [(result, "")])
-    first = None
+    first_panel = None
     panels = []
     for j in range(len(outputs)):
-        panels.append(figure.add_subplot(grid[1 + j], sharex=first))
-        first = panels[0]
+        panels.append(figure.add_subplot(grid[1 + j], sharex=first_panel))
+        first_panel = panels[0]
     _draw_injections(panels, result, record)
     figure.suptitle(f"{result.plant.name}: {result.status.code}")
-    return finished(figure)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def index_figure(results: Sequence[tuple[Identification, str]]) -> Any:
     """The index of each pass, the best pass marked.
 
     Args:
-        results: of `identify`, each with what it is called, "" for one alone.
+        results: of `identify`, each with its label; "" for a single result.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new(WIDTH, 2.7)
+    figure = new_figure(WIDTH, 2.7)
     _draw_index(figure.add_subplot(), results)
-    return finished(figure)
+    return fix_theme(figure)
 
 
-@styled()
+@themed()
 def injection_figure(result: Identification, record: int = 0) -> Any:
     """The injection of the first and of the best pass over time, a panel for each output.
 
@@ -84,33 +84,33 @@ def injection_figure(result: Identification, record: int = 0) -> Any:
         A `matplotlib.figure.Figure`.
     """
     count = len(result.plant.outputs)
-    figure = new(WIDTH, 1.1 + 1.6 * count)
+    figure = new_figure(WIDTH, 1.1 + 1.6 * count)
     panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     _draw_injections(list(panels), result, record)
-    return finished(figure)
+    return fix_theme(figure)
 
 
 def _draw_index(axes: Any, results: Sequence[tuple[Identification, str]]) -> None:
     first = results[0][0]
     names, units = first.plant.outputs, first.plant.units
-    alone = len(names) == 1
+    single = len(names) == 1
     marked = []
-    for k, (result, called) in enumerate(results):
+    for k, (result, caption) in enumerate(results):
         passes = np.arange(1, len(result.index) + 1)
         for j, name in enumerate(names):
             unit = injection_unit(units.get(name), result.plant.degrees[j])
-            label = called or with_unit(name, f"({unit})²" if unit else "")
-            colour = series(k if called and alone else j)
-            style = "--" if k and not alone else "-"
-            axes.plot(passes, result.index[:, j], "o", ls=style, color=colour, label=label)
+            label = caption or with_unit(name, f"({unit})²" if unit else "")
+            colour = series(k if caption and single else j)
+            line_style = "--" if k and not single else "-"
+            axes.plot(passes, result.index[:, j], "o", ls=line_style, color=colour, label=label)
             marked.append((result.best_pass + 1, result.index[result.best_pass, j], colour))
     for best, value, colour in marked:
         axes.plot(best, value, "o", ms=10, mfc="none", mec=colour)
     logarithmic(axes.yaxis)
-    axes.plot([], [], "o", ms=10, mfc="none", mec=ink(), label="best")
-    most = max(len(result.index) for result, _ in results)
-    axes.set_xticks(range(1, most + 1, max(most // 10, 1)))
-    axes.set_xlim(0.7, most + 0.3)
+    axes.plot([], [], "o", ms=10, mfc="none", mec=text_colour(), label="best")
+    count = max(len(result.index) for result, _ in results)
+    axes.set_xticks(range(1, count + 1, max(count // 10, 1)))
+    axes.set_xlim(0.7, count + 0.3)
     axes.set_xlabel("pass")
     unit = injection_unit(units.get(names[0]), first.plant.degrees[0])
     axes.set_ylabel(with_unit("index P", f"({unit})²" if unit and results[0][1] else ""))
@@ -120,17 +120,17 @@ def _draw_index(axes: Any, results: Sequence[tuple[Identification, str]]) -> Non
 def _draw_injections(panels: Sequence[Any], result: Identification, record: int) -> None:
     time = np.asarray(result.records[record].time)
     curves = (
-        (result.first_injection, ink(), "pass 1"),
-        (result.injection, series(AFTER), f"pass {result.best_pass + 1} (best)"),
+        (result.first_injection, text_colour(), "pass 1"),
+        (result.injection, series(ACCENT), f"pass {result.best_pass + 1} (best)"),
     )
     for j, axes in enumerate(panels):
         for injection, colour, label in curves:
             values = np.asarray(injection[record])[:, j]
-            shown = decimate(time[: len(values)], values)
-            axes.plot(*shown, color=colour, linewidth=0.9, label=label)
-        axes.set_ylabel(injected("injection", result.plant, j))
+            points = decimate(time[: len(values)], values)
+            axes.plot(*points, color=colour, linewidth=0.9, label=label)
+        axes.set_ylabel(injection_label("injection", result.plant, j))
         scored = np.flatnonzero(np.isfinite(np.asarray(result.injection[record])[:, j]))
-        if np.any(np.diff(scored) > 1):  # the transient at the start is no gap
+        if np.any(np.diff(scored) > 1):  # the transient at the start is not a gap
             axes.set_title("gaps: not scored")
         axes.tick_params(labelbottom=j == len(panels) - 1)
     legend_above(panels[0])
@@ -140,45 +140,45 @@ def _draw_injections(panels: Sequence[Any], result: Identification, record: int)
 # -- records ----------------------------------------------------------------------------------
 
 
-@styled()
+@themed()
 def record_figure(record: Record) -> Any:
-    """Outputs and inputs over time, a panel each; masked samples are left out.
+    """Outputs and inputs over time, a panel each; masked samples are not drawn.
 
     Args:
-        record: any.
+        record: the record to draw.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
     outputs = list(zip(record.output_names, record.outputs.T, strict=True))
     inputs = list(zip(record.input_names, record.inputs.T, strict=True))
-    figure = new(WIDTH, 0.8 + 1.25 * (len(outputs) + len(inputs)))
+    figure = new_figure(WIDTH, 0.8 + 1.25 * (len(outputs) + len(inputs)))
     panels = figure.subplots(len(outputs) + len(inputs), 1, sharex=True, squeeze=False)[:, 0]
     for i, (axes, (name, channel)) in enumerate(zip(panels, [*outputs, *inputs], strict=True)):
-        driven = i >= len(outputs)
-        shown = decimate(record.time, np.where(record.valid, channel, np.nan))
-        held = driven and record.hold == "zero"
+        is_input = i >= len(outputs)
+        points = decimate(record.time, np.where(record.valid, channel, np.nan))
+        stepped = is_input and record.hold == "zero"
         axes.plot(
-            *shown,
-            color=series(AFTER) if driven else ink(),
+            *points,
+            color=series(ACCENT) if is_input else text_colour(),
             linewidth=0.9,
-            drawstyle="steps-post" if held else "default",
+            drawstyle="steps-post" if stepped else "default",
         )
         axes.set_ylabel(with_unit(name, record.units.get(name)))
     panels[0].set_title(f"{record.name}: outputs and inputs" if inputs else record.name)
     panels[-1].set_xlabel("time [s]")
-    return finished(figure)
+    return fix_theme(figure)
 
 
 # -- free runs --------------------------------------------------------------------------------
 
 
-@styled()
+@themed()
 def validation_figure(result: Validation, record: int = 0) -> Any:
     """Free run against the measurement, and its error, two panels for each output.
 
     Args:
-        result: of `validate`; one that did not keep its records shows the free run alone.
+        result: of `validate`; without its records only the free run is drawn.
         record: which of the records is drawn.
 
     Returns:
@@ -187,15 +187,22 @@ def validation_figure(result: Validation, record: int = 0) -> Any:
     prediction = result.predictions[record]
     measured = result.records[record] if result.records else None
     units = dict(zip(result.outputs, result.units, strict=True))
-    runs = [(prediction.outputs, series(BEFORE), "free run")]
-    figure = new(WIDTH, free_run_height(len(result.outputs)))
-    known = measured is not None
-    draw_free_runs(figure, result.outputs, units, measured or prediction, runs, known=known)
-    return finished(figure)
+    runs = [(prediction.outputs, series(BASE), "free run")]
+    figure = new_figure(WIDTH, free_run_height(len(result.outputs)))
+    has_measurement = measured is not None
+    draw_free_runs(
+        figure,
+        result.outputs,
+        units,
+        measured or prediction,
+        runs,
+        measured_outputs=has_measurement,
+    )
+    return fix_theme(figure)
 
 
 def free_run_height(outputs: int) -> float:
-    """Of a figure of free runs [inch]."""
+    """Height of a figure of free runs [inch]."""
     return 1.0 + 2.5 * outputs
 
 
@@ -205,19 +212,19 @@ def draw_free_runs(
     units: dict[str, str],
     measured: Record,
     runs: Sequence[tuple[np.ndarray, str, str]],
-    which: str = "",
-    known: bool = True,
+    title: str = "",
+    measured_outputs: bool = True,
 ) -> None:
-    """Free runs and their errors over time, two panels below each other for each output.
+    """Free runs and their errors over time, two panels for each output.
 
     Args:
-        figure: or a part of one.
+        figure: a figure or a subfigure.
         outputs: names.
         units: by name.
-        measured: the record; its time alone where its outputs are not known.
+        measured: the record; only its time is used without `measured_outputs`.
         runs: outputs (N, ny), colour and label of each free run.
-        which: what the record is called, in place of its name.
-        known: whether the measurement is.
+        title: label of the record; "" for its name.
+        measured_outputs: whether the outputs of the record are measurements.
     """
     ratios = [1.6, 1.0] * len(outputs)
     panels = figure.subplots(2 * len(outputs), 1, sharex=True, height_ratios=ratios)
@@ -226,17 +233,17 @@ def draw_free_runs(
         upper.set_ylabel(with_unit(name, units.get(name)))
         lower.set_ylabel(with_unit("error", units.get(name)))
         time = np.asarray(measured.time)
-        y = np.where(measured.valid & known, measured.outputs[:, j], np.nan)
-        if known:
-            upper.plot(*decimate(time, y), color=ink(), linewidth=2.0, label="measured")
+        y = np.where(measured.valid & measured_outputs, measured.outputs[:, j], np.nan)
+        if measured_outputs:
+            upper.plot(*decimate(time, y), color=text_colour(), linewidth=2.0, label="measured")
         for prediction, colour, label in runs:
             y_hat = prediction[:, j]
             upper.plot(*decimate(time, y_hat), color=colour, linewidth=1.0, label=label)
             lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
-        if known:  # a run that diverges would hide the rest
-            middle, reach = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
-            limit(upper, middle - _REACH * reach, middle + _REACH * reach)
-            limit(lower, -_REACH * reach, _REACH * reach)
+        if measured_outputs:  # a run that diverges must not flatten the other curves
+            mean, half_range = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
+            limit(upper, mean - _MAX_RANGE * half_range, mean + _MAX_RANGE * half_range)
+            limit(lower, -_MAX_RANGE * half_range, _MAX_RANGE * half_range)
     legend_above(panels[0])
-    # Not as a title, where the legend stands.
-    panels[-1].set_xlabel(f"time [s], {which or measured.name}")
+    # Not as a title, which the legend would overlap.
+    panels[-1].set_xlabel(f"time [s], {title or measured.name}")

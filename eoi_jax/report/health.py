@@ -1,4 +1,4 @@
-"""Health checks of an estimate in plain words, each with what to do next: no numerical work."""
+"""Health checks of an estimate, each with its finding and advice: no numerical work."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from eoi_jax.discovery.diagnosis import Diagnosis
-from eoi_jax.report import diagnosis as said
+from eoi_jax.report import diagnosis as sentences
 from eoi_jax.report.tables import quantity
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """One health check.
 
     Attributes:
-        name: what.
+        name: its subject.
         good: whether nothing needs attention.
         finding: sentences.
-        advice: what to do next, "" where there is nothing to do.
+        advice: what to do next; "" if nothing.
     """
 
     name: str
@@ -28,55 +28,55 @@ class Check:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What is looked at, who says what is wrong with it, and what to do then."""
+class _CheckRule:
+    """The subject of a check, the functions that find problems, and the advice for them."""
 
     name: str
-    parts: tuple[Callable[[Diagnosis], Iterable[str]], ...]
+    finders: tuple[Callable[[Diagnosis], Iterable[str]], ...]
     advice: str
 
 
-_EXCITATION = _Look(
+_EXCITATION = _CheckRule(
     "Excitation",
-    (said.confounding, said.windows),
+    (sentences.confounding, sentences.windows),
     "Record a motion with more frequencies and amplitudes, or fix a parameter that is known.",
 )
-_SLIDING = _Look(
+_SLIDING = _CheckRule(
     "Sliding",
-    (said.sliding,),
-    "Give the observer larger gains in [observer], or leave that table out: gains are then chosen "
+    (sentences.sliding,),
+    "Give the observer larger gains in [observer], or omit that table: the gains are then chosen "
     "from the records.",
 )
-_RESIDUAL = _Look(
+_RESIDUAL = _CheckRule(
     "Residual",
-    (said.residual, said.colour),
-    "Run `eoi discover` on these records: it names what the model lacks.",
+    (sentences.residual, sentences.colour),
+    "Run `eoi discover` on these records: it identifies what the model lacks.",
 )
-_NOISE = _Look(
+_NOISE = _CheckRule(
     "Noise",
-    (said.lines, said.quantisation),
+    (sentences.lines, sentences.quantisation),
     "Use a finer sensor, shield it from hum, or record a slower and larger motion; a cut-off of "
-    "the low-pass filter below a line keeps it out.",
+    "the low-pass filter below a spectral line removes it.",
 )
-_SATURATION = _Look(
+_SATURATION = _CheckRule(
     "Saturation",
-    (said.saturation,),
+    (sentences.saturation,),
     "Mask the samples at the limit, or put the limit into the model (effect `input_saturation` "
     "for an input).",
 )
-_TIMING = _Look(
+_TIMING = _CheckRule(
     "Delay and feedback",
-    (said.delays, said.feedback),
-    "Check the time stamps and how the input is held between samples (`hold`); else let "
+    (sentences.delays, sentences.feedback),
+    "Check the time stamps and how the input is held between samples (`hold`), or let "
     "`eoi discover` try `input_delay` and `actuator_lag`. Under feedback compare with "
-    "`eoi refine`, whose simulated regressors hold no noise.",
+    "`eoi refine`, whose simulated regressors contain no noise.",
 )
-_LOOKS = (_EXCITATION, _SLIDING, _RESIDUAL, _NOISE, _SATURATION, _TIMING)
+_RULES = (_EXCITATION, _SLIDING, _RESIDUAL, _NOISE, _SATURATION, _TIMING)
 
 
-_SEARCHED = (
-    "No effect of the library explains what is left. Its maps, if it has any shape, are leads to "
-    "a term of your own; `eoi refine` fits the free run itself."
+_AFTER_SEARCH = (
+    "No effect of the library explains the residual. Its maps may suggest a term of your own; "
+    "`eoi refine` fits the free run itself."
 )
 
 
@@ -85,35 +85,37 @@ def health(diagnosis: Diagnosis, *, searched: bool = False) -> tuple[Check, ...]
 
     Args:
         diagnosis: of `diagnose`.
-        searched: whether the effects that the model may lack were tried already.
+        searched: whether the library of effects has already been searched.
 
     Returns:
-        One for each thing that was looked at, also where nothing was found.
+        One for each subject, with or without a problem.
     """
     checks = []
-    for look in _LOOKS:
-        found = " ".join(line for part in look.parts for line in part(diagnosis))
-        advice = _SEARCHED if searched and look is _RESIDUAL else look.advice
-        finding, advice = (found, advice) if found else (_fine(diagnosis, look), "")
-        checks.append(Check(look.name, not found, finding, advice))
+    for rule in _RULES:
+        problems = " ".join(line for finder in rule.finders for line in finder(diagnosis))
+        advice = _AFTER_SEARCH if searched and rule is _RESIDUAL else rule.advice
+        finding, advice = (problems, advice) if problems else (_passed(diagnosis, rule), "")
+        checks.append(Check(rule.name, not problems, finding, advice))
     return tuple(checks)
 
 
-def _fine(diagnosis: Diagnosis, look: _Look) -> str:
-    """What is said where nothing is wrong."""
-    if look is _EXCITATION:
-        return "Every parameter leaves a trace of its own in the records."
-    if look is _SLIDING:
+def _passed(diagnosis: Diagnosis, rule: _CheckRule) -> str:
+    """The finding of a check without a problem."""
+    if rule is _EXCITATION:
+        return "The records determine every parameter separately."
+    if rule is _SLIDING:
         share = f"{float(np.min(diagnosis.sliding_fraction)):.0%}"
-        return f"The observer slides in {share} of the steps: its injection is the model's error."
-    if look is _RESIDUAL:
-        return "What is left is no more than the noise of the records and discretisation explain."
-    if look is _NOISE:
+        return f"The observer is in sliding mode in {share} of the steps."
+    if rule is _RESIDUAL:
+        return (
+            "The residual is within what the noise of the records and the discretisation explain."
+        )
+    if rule is _NOISE:
         sizes = [
             f"{output} {quantity(noise, diagnosis.units.get(output, ''))}"
             for output, noise in zip(diagnosis.outputs, diagnosis.noise, strict=True)
         ]
-        return f"Noise of the outputs: {', '.join(sizes)}; steps of the converters do not show."
-    if look is _SATURATION:
+        return f"Noise of the outputs: {', '.join(sizes)}; quantisation is not visible."
+    if rule is _SATURATION:
         return "No input or output stops at a limit."
-    return "No input acts late, and none is computed from an output."
+    return "No input acts with a delay, and none is computed from an output."

@@ -1,4 +1,4 @@
-"""What is in a file, as a table and as a picture."""
+"""The contents of a data file as a table and as a figure."""
 
 from typing import Any
 
@@ -7,53 +7,53 @@ from jaxtyping import Float
 
 from eoi_jax._checks import printable
 from eoi_jax.data.inspection import Channel, Inspection
-from eoi_jax.report.figures import decimate
+from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
 
-_ROWS = 40  # of the table
-_PANELS = 6  # of the figure
+_ROWS = 40  # columns of the file in the table
+_PANELS = 6  # signals in the figure
 _COLOURS = {"input": "#D55E00", "output": "#0072B2"}
-_LINES = 1 << 17
+_SPECTRUM_SAMPLES = 1 << 17
 
 
-def inspection_text(found: Inspection) -> str:
-    """The clock, a line for each column, what was read and how, and what to look at.
+def inspection_text(inspection: Inspection) -> str:
+    """The time axis, a line for each column, how the file was read, and advice.
 
     Args:
-        found: of `inspect`.
+        inspection: of `inspect`.
 
     Returns:
         Several lines of at most about 100 characters.
     """
-    blocks = [f"{printable(str(found.path))}: {found.samples} rows, {len(found.channels)} columns"]
-    blocks.append(_clock_text(found))
+    size = f"{inspection.samples} rows, {len(inspection.channels)} columns"
+    blocks = [f"{printable(str(inspection.path))}: {size}", _clock_text(inspection)]
     rows = [("column", "looks like", "unit", "min", "max", "missing", "noise", "step", "band")]
     ranks = ("time", "input", "output", "other", "constant", "text")
-    ordered = sorted(found.channels, key=lambda one: ranks.index(one.role))
-    rows += [_row(one) for one in ordered[:_ROWS]]
+    ordered = sorted(inspection.channels, key=lambda channel: ranks.index(channel.role))
+    rows += [_row(channel) for channel in ordered[:_ROWS]]
     table = columns(rows, "<<<>>>>>>")
     if len(ordered) > _ROWS:
-        table += f"\nand {len(ordered) - _ROWS} more: --json lists them all"
+        table += f"\nand {len(ordered) - _ROWS} more columns: --json lists all"
     blocks.append(table)
-    guesses = [one for one in ordered if one.role in ("input", "output")][:12]
+    guesses = [channel for channel in ordered if channel.role in ("input", "output")][:12]
     if guesses:
-        why = "\n".join(f"  {one.name} {one.role}: {one.why}" for one in guesses)
-        blocks.append(f"Guesses, from what the columns look like:\n{why}")
-    notes = [*found.notes, *(f"Left out: {one}" for one in found.left_out[:8])]
-    if len(found.left_out) > 8:
-        notes.append(f"Left out: {len(found.left_out) - 8} more")
-    blocks.append("\n".join(f"- {line}" for line in (*notes, *found.advice)))
+        reasons = "\n".join(f"  {guess.name} {guess.role}: {guess.why}" for guess in guesses)
+        blocks.append(f"Guesses from the values and names of the columns:\n{reasons}")
+    notes = [*inspection.notes, *(f"Omitted: {line}" for line in inspection.left_out[:8])]
+    if len(inspection.left_out) > 8:
+        notes.append(f"Omitted: {len(inspection.left_out) - 8} more")
+    blocks.append("\n".join(f"- {line}" for line in (*notes, *inspection.advice)))
     return "\n\n".join(block for block in blocks if block)
 
 
-def _clock_text(found: Inspection) -> str:
-    clock = found.clock
+def _clock_text(inspection: Inspection) -> str:
+    clock = inspection.clock
     if clock.sample_period is None:
         return f"time: none; {clock.why}"
     if clock.column is None or clock.spacing is None:
         return f"time: none; every {clock.sample_period:g} s ({clock.why})"
     period, (low, high) = clock.sample_period, clock.spacing
-    scale = "" if clock.factor == 1.0 else f", {clock.factor:g} s a unit"
+    scale = "" if clock.factor == 1.0 else f", {clock.factor:g} s per unit"
     lines = [
         f"time: `{clock.column}`{scale} ({clock.why})",
         f"  every {period:.6g} s ({1 / period:.6g} Hz) for {clock.duration:.6g} s",
@@ -61,50 +61,54 @@ def _clock_text(found: Inspection) -> str:
         f"  {clock.gaps[0]} gaps, {clock.repeated} repeated, {clock.backwards[0]} backwards",
     ]
     if clock.others:
-        lines.append(f"  might be it, too: {', '.join(clock.others)}")
+        lines.append(f"  other candidates: {', '.join(clock.others)}")
     return "\n".join(lines)
 
 
-def _row(one: Channel) -> tuple[str, ...]:
-    def shown(value: float | None, digits: int = 4) -> str:
+def _row(channel: Channel) -> tuple[str, ...]:
+    def number(value: float | None, digits: int = 4) -> str:
         return "" if value is None else f"{value:.{digits}g}"
 
-    looks = one.role if one.role != "other" else one.kind
-    band = "" if one.band is None else f"{one.band:.3g} Hz"
-    noise, step = shown(one.noise, 2), shown(one.quantum, 3)
-    name = one.name if len(one.name) <= 32 else f"{one.name[:31]}…"
-    return (name, looks, one.unit, shown(one.low), shown(one.high), str(one.missing or ""),
-            noise, step, band)  # fmt: skip
+    role = channel.role if channel.role != "other" else channel.kind
+    band = "" if channel.band is None else f"{channel.band:.3g} Hz"
+    noise, step = number(channel.noise, 2), number(channel.quantum, 3)
+    name = channel.name if len(channel.name) <= 32 else f"{channel.name[:31]}…"
+    limits = number(channel.low), number(channel.high)
+    return (name, role, channel.unit, *limits, str(channel.missing or ""), noise, step, band)
 
 
-def inspection_figure(found: Inspection) -> Any:
-    """Signals over time beside their spectra, and below the distances between the stamps.
+def inspection_figure(inspection: Inspection) -> Any:
+    """Signals over time with their spectra, and the intervals between time stamps.
 
     Args:
-        found: of `inspect`.
+        inspection: of `inspect`.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
     from matplotlib.figure import Figure
 
-    shown = [one for one in found.channels if one.role in _COLOURS]
-    shown += [one for one in found.channels if one.role == "other" and one.name in found.signals]
-    shown = sorted(shown, key=lambda one: one.role != "output")[:_PANELS]
-    clock, count, numbers = found.clock, len(shown), found.signals
+    channels = [channel for channel in inspection.channels if channel.role in _COLOURS]
+    channels += [
+        channel
+        for channel in inspection.channels
+        if channel.role == "other" and channel.name in inspection.signals
+    ]
+    channels = sorted(channels, key=lambda channel: channel.role != "output")[:_PANELS]
+    clock, count, signals = inspection.clock, len(channels), inspection.signals
     stamped = clock.column is not None
     seconds = clock.sample_period is not None
     time = (
-        clock.factor * numbers[clock.column]
+        clock.factor * signals[clock.column]
         if clock.column
-        else np.arange(found.samples) * (clock.sample_period or 1.0)
+        else np.arange(inspection.samples) * (clock.sample_period or 1.0)
     )
     rows = count + stamped
     figure = Figure(figsize=(10, 1.0 + 1.8 * max(rows, 1)), dpi=100, layout="constrained")
     grid = figure.subplots(max(rows, 1), 2, squeeze=False, width_ratios=[2.6, 1])
-    for axes, one in zip(grid, shown, strict=False):
-        _draw_signal(axes[0], time, numbers[one.name], one)
-        _draw_spectrum(axes[1], numbers[one.name], clock.sample_period or 1.0, one)
+    for axes, channel in zip(grid, channels, strict=False):
+        _draw_signal(axes[0], time, signals[channel.name], channel)
+        _draw_spectrum(axes[1], signals[channel.name], clock.sample_period or 1.0, channel)
     for axes in grid[: count - 1]:
         axes[0].tick_params(labelbottom=False)
         axes[1].tick_params(labelbottom=False)
@@ -117,58 +121,61 @@ def inspection_figure(found: Inspection) -> Any:
         grid[count - 1, 1].set_xlabel(f"frequency [{unit}]\n{marks}", fontsize=7)
     if stamped:
         _draw_steps(grid[-1], time, clock.sample_period or 1.0)
-    more = sum(one.role in ("input", "output", "other") for one in found.channels) - count
-    title = printable(found.path.name) + (f" ({more} more columns)" if more > 0 else "")
+    roles = [channel.role for channel in inspection.channels]
+    hidden = sum(role in ("input", "output", "other") for role in roles) - count
+    title = printable(inspection.path.name) + (f" ({hidden} more columns)" if hidden > 0 else "")
     figure.suptitle(title, fontsize=12, parse_math=False)
     return figure
 
 
 def _draw_signal(
-    axes: Any, time: Float[np.ndarray, " time"], values: Float[np.ndarray, " time"], one: Channel
+    axes: Any,
+    time: Float[np.ndarray, " time"],
+    values: Float[np.ndarray, " time"],
+    channel: Channel,
 ) -> None:
-    colour = _COLOURS.get(one.role, "#666666")
+    colour = _COLOURS.get(channel.role, "#666666")
     if np.any(np.diff(time) < 0):
         order = np.argsort(time, kind="stable")
         time, values = time[order], values[order]
     axes.plot(*decimate(time, values), color=colour, linewidth=0.8)
-    unit = f" [{one.unit}]" if one.unit and one.unit not in one.name else ""
-    axes.set_ylabel(f"{one.name[:24]}{unit}", parse_math=False)
-    label = one.role if one.role in _COLOURS else "?"
+    unit = f" [{channel.unit}]" if channel.unit and channel.unit not in channel.name else ""
+    axes.set_ylabel(f"{channel.name[:24]}{unit}", parse_math=False)
+    label = f"{channel.role}?" if channel.role in _COLOURS else "?"
     axes.annotate(
-        f"{label}?" if label != "?" else "?", (0.005, 0.97), xycoords="axes fraction", va="top",
-        fontsize=8, color=colour,
-    )  # fmt: skip
+        label, (0.005, 0.97), xycoords="axes fraction", va="top", fontsize=8, color=colour
+    )
     axes.grid(visible=True, alpha=0.3)
 
 
 def _draw_spectrum(
-    axes: Any, values: Float[np.ndarray, " time"], period: float, one: Channel
+    axes: Any, values: Float[np.ndarray, " time"], period: float, channel: Channel
 ) -> None:
-    """Amplitude over frequency; the noise's level as a line, the band as a mark."""
-    part = values[:_LINES]
+    """Amplitude over frequency, with lines at the noise level and at the bandwidth."""
+    part = values[:_SPECTRUM_SAMPLES]
     part = np.where(np.isfinite(part), part, np.nanmean(part) if np.isfinite(part).any() else 0.0)
     window = np.hanning(len(part))
-    lines = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] * 2 / max(window.sum(), 1.0)
-    frequency = np.arange(1, len(lines) + 1) / (len(part) * period)
-    edges = np.unique(np.geomspace(1, len(lines) + 1, 400).astype(int)) - 1
-    peaks = np.maximum.reduceat(lines, edges[edges < len(lines)])
-    colour = _COLOURS.get(one.role, "#666666")
+    amplitudes = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] * 2 / max(window.sum(), 1.0)
+    frequency = np.arange(1, len(amplitudes) + 1) / (len(part) * period)
+    edges = np.unique(np.geomspace(1, len(amplitudes) + 1, 400).astype(int)) - 1
+    peaks = np.maximum.reduceat(amplitudes, edges[edges < len(amplitudes)])
+    colour = _COLOURS.get(channel.role, "#666666")
     positive = peaks > 0
     if not positive.any():
         axes.set_axis_off()
         return
-    axes.loglog(frequency[edges[edges < len(lines)]][positive], peaks[positive],
+    axes.loglog(frequency[edges[edges < len(amplitudes)]][positive], peaks[positive],
                 color=colour, linewidth=0.8)  # fmt: skip
-    if one.noise:
-        level = one.noise * 2 * np.sqrt(np.sum(window**2)) / window.sum()
+    if channel.noise:
+        level = channel.noise * 2 * np.sqrt(np.sum(window**2)) / window.sum()
         axes.axhline(level, color="#000000", linewidth=0.8, linestyle=":")
-    if one.band:
-        axes.axvline(one.band, color="#000000", linewidth=0.8, linestyle="--")
+    if channel.band:
+        axes.axvline(channel.band, color="#000000", linewidth=0.8, linestyle="--")
     axes.grid(visible=True, alpha=0.3)
 
 
 def _draw_steps(axes: Any, time: Float[np.ndarray, " time"], period: float) -> None:
-    """Distances of neighbouring stamps, over time and as a histogram."""
+    """Intervals between successive time stamps, over time and as a histogram."""
     steps = np.diff(time) / period
     axes[0].plot(*decimate(time[1:], steps), color="#000000", linewidth=0.6)
     low, high = min(float(steps.min()), 0.9), max(float(steps.max()), 1.1)

@@ -1,4 +1,4 @@
-"""The report of a run as one HTML page that needs nothing but itself."""
+"""The report of a run as one self-contained HTML page."""
 
 import base64
 import hashlib
@@ -6,12 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eoi_jax.report.contents import Contents, Shown
-from eoi_jax.report.drawn import drawn
+from eoi_jax.report.contents import Contents, ReportFigure
+from eoi_jax.report.drawing import draw_or_warn
 from eoi_jax.report.mathml import equation_mathml
 from eoi_jax.report.svg import inline, variables
 
-# Besides the figures' own colours: cards, small text, a badge that is well and one that is not.
+# Colours besides those of the figures: cards, small text, badges of good and bad checks.
 _LIGHT = {"--card": "#f4f6f8", "--muted": "#5a636f", "--good": "#0b6b4b", "--attention": "#a94400"}
 _DARK = {"--card": "#1e232a", "--muted": "#a3abb7", "--good": "#5fd0a5", "--attention": "#f5a15f"}
 
@@ -19,17 +19,17 @@ _DARK = {"--card": "#1e232a", "--muted": "#a3abb7", "--good": "#5fd0a5", "--atte
 def page(
     summary: Mapping[str, Any], contents: Contents, command: str, config: str, verb: str
 ) -> str:
-    """The whole page.
+    """The page of a run.
 
     Args:
         summary: the run's JSON object.
-        contents: what differs between kinds of runs.
-        command: that repeats the run.
+        contents: parts that differ between kinds of runs.
+        command: the command that repeats the run.
         config: text of its config.
-        verb: of the command.
+        verb: name of the command.
 
     Returns:
-        HTML; every name and unit in it is text, and it asks nothing of a network.
+        HTML; names and units are escaped, and nothing is loaded from a network.
     """
     from jinja2 import Environment, PackageLoader
     from markupsafe import Markup
@@ -39,11 +39,11 @@ def page(
     loader = templates.loader
     assert loader is not None
     script, style = (loader.get_source(templates, f"page.{kind}")[0] for kind in ("js", "css"))
-    # Only the page's own script may run, whatever a name tries.
+    # Only the script of the page may run, whatever a name contains.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     equation = summary.get("equation")
-    figures, lost = _figures(contents.shown)
-    parts = {
+    figures, failures = _figures(contents.figures)
+    values = {
         "name": summary["name"],
         "verb": verb,
         "status": summary["status"]["code"].replace("_", " "),
@@ -51,12 +51,12 @@ def page(
         "answer": summary["answer"],
         "tiles": contents.tiles,
         "tables": contents.tables,
-        "beneath": contents.beneath,
+        "final_tables": contents.final_tables,
         "checks": contents.checks,
-        "notes": (*contents.notes, *lost),
+        "notes": (*contents.notes, *failures),
         "added": contents.added,
-        "equations": [Markup(one) for one in _equations(equation)],
-        "equation_title": "The model with what it lacked" if contents.added else "The model",
+        "equations": [Markup(formula) for formula in _equations(equation)],
+        "equation_title": "The augmented model" if contents.added else "The model",
         "figures": figures,
         "records": _records(summary),
         "versions": summary["versions"],
@@ -64,7 +64,7 @@ def page(
         "config": config,
     }
     return templates.get_template("page.html").render(
-        page=parts,
+        page=values,
         style=Markup(style),
         script=Markup(script),
         script_hash=f"sha256-{digest}",
@@ -73,32 +73,33 @@ def page(
     )
 
 
-def _figures(shown: Sequence[Shown]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Those that can be drawn, and a sentence for each that cannot."""
+def _figures(items: Sequence[ReportFigure]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Figures that can be drawn, and a sentence for each that cannot."""
     from markupsafe import Markup
 
-    figures, lost = [], []
-    for one in shown:
-        svg = drawn(
-            one.name, lambda one=one: inline(one.figure(), one.name.replace("_", ""), one.title)
+    figures, failures = [], []
+    for item in items:
+        prefix = item.name.replace("_", "")
+        svg = draw_or_warn(
+            item.name, lambda item=item, prefix=prefix: inline(item.figure(), prefix, item.title)
         )
         if svg is None:
-            lost.append(f"The figure `{one.title}` could not be drawn and is left out.")
+            failures.append(f"The figure `{item.title}` could not be drawn and is omitted.")
             continue
-        parts = {"name": one.name, "title": one.title, "caption": one.caption}
-        figures.append({**parts, "svg": Markup(svg)})
-    return figures, lost
+        texts = {"name": item.name, "title": item.title, "caption": item.caption}
+        figures.append({**texts, "svg": Markup(svg)})
+    return figures, failures
 
 
 def _prose(text: str) -> Any:
-    """`Code` between backquotes, and numbers that stay with their units."""
+    """HTML of a text: code between backquotes, no line break between a number and its unit."""
     from markupsafe import Markup, escape
 
-    tied = re.sub(r"(?<=[\d±]) (?=\S)", "\u00a0", text)
-    parts = re.split(r"`([^`]+)`", tied)
+    joined = re.sub(r"(?<=[\d±]) (?=\S)", "\u00a0", text)
+    parts = re.split(r"`([^`]+)`", joined)
     marked = [
-        Markup("<code>{}</code>").format(one) if i % 2 else escape(one)
-        for i, one in enumerate(parts)
+        Markup("<code>{}</code>").format(part) if i % 2 else escape(part)
+        for i, part in enumerate(parts)
     ]
     return Markup("").join(marked)
 
@@ -108,22 +109,28 @@ def _rules(values: Mapping[str, str]) -> str:
 
 
 def _equations(equation: Mapping[str, Any] | None) -> list[str]:
-    """With names, then with values; as plain text where a browser could not set them."""
+    """The equation with names and with values; as plain text where it cannot be converted."""
     from markupsafe import Markup
 
-    found: list[str] = []
+    formulas: list[str] = []
     if equation is None:
-        return found
+        return formulas
     for kind, plain in (("names", "text"), ("values", "values")):
         formula = equation_mathml(equation["lines"][kind], equation["changes"][kind])
-        found.append(formula or Markup("<pre>{}</pre>").format(equation[plain]))
-    return found
+        formulas.append(formula or Markup("<pre>{}</pre>").format(equation[plain]))
+    return formulas
 
 
 def _records(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
     kinds = (("the fit", "records"), ("held out", "held_out_records"))
     return [
-        (one["name"], used, f"{one['samples']}", f"{one['sample_period']:.6g}", one["hash"])
-        for used, key in kinds
-        for one in summary[key]
+        (
+            record["name"],
+            use,
+            f"{record['samples']}",
+            f"{record['sample_period']:.6g}",
+            record["hash"],
+        )
+        for use, key in kinds
+        for record in summary[key]
     ]

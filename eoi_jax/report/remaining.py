@@ -1,4 +1,4 @@
-"""What is left of a refined model's error, as a figure."""
+"""The remaining error of a refined model as text and as a figure."""
 
 from typing import Any
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.report.style import (
-    AFTER,
+    ACCENT,
     WIDTH,
-    finished,
-    ink,
+    fix_theme,
     legend_above,
-    new,
+    new_figure,
     series,
     shortened,
-    styled,
+    text_colour,
+    themed,
 )
 
-_SINGLE, _PAIRS = 8, 4  # candidates that are drawn
-_FAINT = 0.35  # opacity of what may be chance
+_SINGLE, _PAIRS = 8, 4  # candidates that are listed and drawn
+_FAINT = 0.35  # opacity of candidates that are not significant
 
 
-@styled()
+@themed()
 def remaining_figure(result: Remaining) -> Any:
-    """Share of the free run's error that each effect, and each pair, explains.
+    """Share of the free-run error that each effect, and each pair, explains.
 
     Args:
         result: of `remaining`.
@@ -31,46 +31,51 @@ def remaining_figure(result: Remaining) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    shown = [*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]]
-    figure = new(WIDTH, 1.1 + 0.26 * len(shown))
+    candidates = [*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]]
+    figure = new_figure(WIDTH, 1.1 + 0.26 * len(candidates))
     axes = figure.add_subplot()
-    for sure in (True, False):
-        rows = [i for i, one in enumerate(shown) if (one.significance < result.level) == sure]
+    for significant in (True, False):
+        rows = [
+            i
+            for i, candidate in enumerate(candidates)
+            if (candidate.significance < result.level) == significant
+        ]
         axes.barh(
             rows,
-            [100.0 * shown[i].share for i in rows],
+            [100.0 * candidates[i].share for i in rows],
             height=0.65,
-            color=series(AFTER) if sure else ink(),
-            alpha=1.0 if sure else _FAINT,
-            label="significant" if sure else "may be chance",
+            color=series(ACCENT) if significant else text_colour(),
+            alpha=1.0 if significant else _FAINT,
+            label="significant" if significant else "not significant",
         )
-    names = [" + ".join(one.names).replace("_", " ") for one in shown]
-    axes.set_yticks(np.arange(len(shown)), [shortened(name) for name in names])
+    names = [" + ".join(candidate.names).replace("_", " ") for candidate in candidates]
+    axes.set_yticks(np.arange(len(candidates)), [shortened(name) for name in names])
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("share of the free run's squared error [%]")
+    axes.set_xlabel("share of the squared free-run error [%]")
     legend_above(axes)
-    return finished(figure)
+    return fix_theme(figure)
 
 
 def remaining_text(result: Remaining) -> str:
-    """The first ones of the ranking, and of the pairs; what held-out records say."""
+    """The first effects and pairs of the ranking, and the errors on held-out records."""
     rows = [f"{'effect':<42} {'share':>8} {'by chance':>10}  values"]
-    for one in (*result.ranking[:8], *result.pairs[:4]):
-        values = ", ".join(f"{name} {value:.4g}" for name, value in one.values.items())
-        label = " + ".join(one.names)
-        rows.append(f"{label:<42} {100 * one.share:>6.1f} % {one.significance:>10.2g}  {values}")
+    for candidate in (*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]):
+        values = ", ".join(f"{name} {value:.4g}" for name, value in candidate.values.items())
+        label = " + ".join(candidate.names)
+        share, significance = 100 * candidate.share, candidate.significance
+        rows.append(f"{label:<42} {share:>6.1f} % {significance:>10.2g}  {values}")
     if result.held_out is not None:
-        before = _numbers(result.held_out.rmse)
+        rmse = _numbers(result.held_out.rmse)
         rows += [
-            f"held out with {' + '.join(one.candidate.names)}: {before} before, "
-            f"{_numbers(one.held_out.rmse)} after"
-            for one in result.trials
+            f"held out with {' + '.join(trial.candidate.names)}: {rmse} before, "
+            f"{_numbers(trial.held_out.rmse)} after"
+            for trial in result.trials
         ]
     if result.best is None:
-        refused = "None of them lowers the error on held-out records."
+        refused = "None of them reduces the error on held-out records."
         return "\n".join([*rows, refused if result.trials else "None of them is significant."])
-    lacks = " and ".join(one.effect.sentence for one in result.best.placed)
+    lacks = " and ".join(placed.effect.sentence for placed in result.best.placed)
     return "\n".join([*rows, f"The model lacks {lacks}."])
 
 

@@ -1,7 +1,7 @@
-"""One look for all figures: a sheet for both themes, the roles of its colours, labels, legends.
+"""Style of all figures: light and dark style sheets, roles of colours, labels, legends.
 
-The theme of a figure is that of what surrounds it: dark where matplotlib's own style is dark (such
-as ``matplotlib.style.use("dark_background")``), else light.
+A figure is dark where the current style of matplotlib is dark, e.g. after
+``matplotlib.style.use("dark_background")``, else light.
 """
 
 from collections.abc import Iterator
@@ -13,21 +13,21 @@ import numpy as np
 
 from eoi_jax.models.plant import Plant, derivative_unit
 
-_LONGEST = 34  # characters of a name in a figure
-_DARK = 0.5  # mean of a page's red, green and blue below which it is a dark one
-_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+_MAX_LENGTH = 34  # characters of a name in a figure
+_DARK = 0.5  # mean of red, green and blue of a background below which it is dark
+_SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
-WIDTH = 5.4  # [inch] of a figure of the report: fits a phone, and twice beside itself a desk
-WIDE = 10.0  # [inch] of a figure that stands alone
+WIDTH = 5.4  # [inch] of a figure of the report: fits a phone, and two side by side a desktop
+WIDE = 10.0  # [inch] of a figure of `.plot()`
 
-BEFORE, AFTER = 0, 1  # numbers of the series: the declared model, and what was found
+BASE, ACCENT = 0, 1  # numbers of the series: the declared model, and the result
 
 
 def sheet(dark: bool) -> Any:
-    """Settings of matplotlib for one theme.
+    """Settings of matplotlib for a theme.
 
     Args:
-        dark: which.
+        dark: whether the theme is dark.
 
     Returns:
         For `matplotlib.rc_context`.
@@ -45,8 +45,8 @@ def sheet(dark: bool) -> Any:
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """The sheet of the theme around it; as ``@styled()`` before a function that draws a figure."""
+def themed() -> Iterator[None]:
+    """Apply the sheet of the current theme; ``@themed()`` decorates functions that draw."""
     from matplotlib import rc_context, rcParams
     from matplotlib.colors import to_rgb
 
@@ -55,48 +55,48 @@ def styled() -> Iterator[None]:
         yield
 
 
-def finished(figure: Any) -> Any:
-    """The same figure, which now keeps its theme wherever it is shown."""
+def fix_theme(figure: Any) -> Any:
+    """The same figure, which keeps its theme wherever it is shown."""
     for axes in figure.axes:
-        _keep_ticks(axes)
+        _fix_ticks(axes)
     return figure
 
 
-def _keep_ticks(axes: Any) -> None:
-    """Ticks are made when they are drawn, by the settings of then: those of now are handed on."""
+def _fix_ticks(axes: Any) -> None:
+    """Set the ticks to the current settings: matplotlib reads those only when it draws."""
     from matplotlib import rcParams
 
-    rc: Any = rcParams  # whose keys a type checker knows one by one
-    for which in ("x", "y"):
+    rc: Any = rcParams  # typed with literal keys
+    for axis in ("x", "y"):
         axes.tick_params(
-            axis=which,
+            axis=axis,
             which="both",
-            color=rc[f"{which}tick.color"],
-            labelcolor=rc[f"{which}tick.labelcolor"],
-            labelsize=rc[f"{which}tick.labelsize"],
-            width=rc[f"{which}tick.major.width"],
+            color=rc[f"{axis}tick.color"],
+            labelcolor=rc[f"{axis}tick.labelcolor"],
+            labelsize=rc[f"{axis}tick.labelsize"],
+            width=rc[f"{axis}tick.major.width"],
             grid_color=rc["grid.color"],
             grid_linewidth=rc["grid.linewidth"],
         )
-        axes.tick_params(axis=which, which="major", length=rc[f"{which}tick.major.size"])
+        axes.tick_params(axis=axis, which="major", length=rc[f"{axis}tick.major.size"])
 
 
-def new(width: float, height: float) -> Any:
-    """An empty figure [inch], which no window of matplotlib's knows of."""
-    from matplotlib.figure import Figure  # slow to import, and needed by nothing else
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure [inch], which `pyplot` does not manage."""
+    from matplotlib.figure import Figure  # slow to import, and needed for figures only
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def ink() -> str:
-    """The colour of text, of a measurement, of a first pass."""
+def text_colour() -> str:
+    """The colour of text, measurements and first passes."""
     from matplotlib import rcParams
 
     return rcParams["text.color"]
 
 
 def series(number: int) -> str:
-    """The colour of a series, counted from 0; after the last the first comes again."""
+    """The colour of a series, counted from 0, cyclic."""
     from matplotlib import rcParams
 
     colours = rcParams["axes.prop_cycle"].by_key()["color"]
@@ -108,7 +108,7 @@ def series(number: int) -> str:
 
 
 def logarithmic(axis: Any) -> None:
-    """Powers of ten on an axis, in characters: the sheet has switched mathematics off.
+    """A logarithmic axis with powers of ten as characters: the sheet switches mathtext off.
 
     Args:
         axis: ``axes.xaxis`` or ``axes.yaxis``.
@@ -123,23 +123,23 @@ def logarithmic(axis: Any) -> None:
 
 
 def power(value: float) -> str:
-    """``0.001`` as 10⁻³; what lies between powers, and 1 to 100, as a number."""
+    """``0.001`` as 10⁻³; 1 to 100, and values between powers, as a number."""
     if value <= 0:
         return ""
     exponent = np.log10(value)
     if abs(exponent - np.rint(exponent)) > 1e-6 or 0 <= np.rint(exponent) <= 2:
         return f"{value:.4g}"
-    return "10" + str(int(np.rint(exponent))).translate(_RAISED)
+    return "10" + str(int(np.rint(exponent))).translate(_SUPERSCRIPTS)
 
 
 def legend_above(axes: Any, columns: int = 3) -> None:
-    """Above the panel: wherever it stood inside, it would hide data."""
-    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-    axes.legend(ncols=columns, **place)
+    """A legend above the panel, where it hides no data."""
+    position = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+    axes.legend(ncols=columns, **position)
 
 
 def limit(axes: Any, low: float, high: float) -> None:
-    """At most these ends of the vertical axis, so that one curve cannot flatten the rest."""
+    """Clip the vertical axis to [low, high], so that a diverging curve does not flatten others."""
     bottom, top = axes.get_ylim()
     axes.set_ylim(max(bottom, low), min(top, high))
 
@@ -148,24 +148,24 @@ def limit(axes: Any, low: float, high: float) -> None:
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """``angle [rad]``; without a unit, or where a column's name holds it already, the name."""
+    """``angle [rad]``; the name only without a unit or where it already contains the unit."""
     if not unit or f"[{unit}]" in name:
         return shortened(name)
     return f"{shortened(name)} [{shortened(unit)}]"
 
 
 def shortened(name: str) -> str:
-    """A name as it fits beside a panel: a long one ends in an ellipsis."""
-    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+    """A name that fits beside a panel: a long one ends in an ellipsis."""
+    return name if len(name) <= _MAX_LENGTH else f"{name[: _MAX_LENGTH - 1]}…"
 
 
 def injection_unit(unit: str | None, degree: int) -> str:
-    """The unit of y^(r), e.g. m/s² for a position; empty if the output has none."""
+    """The unit of y^(r), e.g. m/s² for a position; empty if the output has no unit."""
     return derivative_unit(unit, degree)
 
 
-def injected(what: str, plant: Plant, j: int) -> str:
+def injection_label(quantity: str, plant: Plant, j: int) -> str:
     """``residual of position [m/s²]`` in two lines, for output `j`."""
     name = plant.outputs[j]
     unit = injection_unit(plant.units.get(name), plant.degrees[j])
-    return f"{what} of\n{with_unit(name, unit)}"
+    return f"{quantity} of\n{with_unit(name, unit)}"

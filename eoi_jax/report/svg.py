@@ -1,4 +1,4 @@
-"""A figure as SVG that takes its colours from the page that it stands in."""
+"""A figure as SVG that uses the colours of the page around it."""
 
 import io
 import re
@@ -7,35 +7,35 @@ from typing import Any
 
 from eoi_jax.report.style import power, sheet
 
-_DECIMALS = 2  # of coordinates; a unit is about a pixel
-_PLAIN = ("text.color", "axes.edgecolor", "grid.color", "figure.facecolor")
-_NAMES = ("ink", "edge", "grid", "page")
+_DECIMALS = 2  # of coordinates, in units of about a pixel
+_COLOUR_SETTINGS = ("text.color", "axes.edgecolor", "grid.color", "figure.facecolor")
+_COLOUR_NAMES = ("ink", "edge", "grid", "page")
 
 
 def variables(dark: bool) -> dict[str, str]:
-    """Colours of a theme as variables of a page: ``--ink``, ``--s0`` for the first series, ….
+    """Colours of a theme as CSS variables: ``--ink``, ``--s0`` for the first series, ….
 
     Args:
-        dark: which theme.
+        dark: whether the theme is dark.
 
     Returns:
         Colours (``#rrggbb``) by name.
     """
     settings = sheet(dark)
-    colours = [settings[key] for key in _PLAIN]
-    named = dict(zip((f"--{name}" for name in _NAMES), colours, strict=True))
+    colours = [settings[key] for key in _COLOUR_SETTINGS]
+    named = dict(zip((f"--{name}" for name in _COLOUR_NAMES), colours, strict=True))
     cycle = settings["axes.prop_cycle"].by_key()["color"]
     named |= {f"--s{i}": colour for i, colour in enumerate(cycle)}
     return {name: f"#{colour.removeprefix('#').lower()}" for name, colour in named.items()}
 
 
 def inline(figure: Any, name: str, title: str) -> str:
-    """A light figure as an element of a page; text stays text.
+    """A figure of the light theme as an SVG element; text stays text.
 
     Args:
         figure: drawn under the light sheet.
-        name: makes its identifiers unique in the page; letters and digits.
-        title: read out by screen readers.
+        name: prefix of its identifiers, unique in the page; letters and digits.
+        title: text for screen readers.
 
     Returns:
         One ``<svg>`` element.
@@ -46,25 +46,25 @@ def inline(figure: Any, name: str, title: str) -> str:
     file = io.StringIO()
     metadata = {"Date": None, "Creator": None, "Format": None, "Type": None}
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        for part in (figure, *figure.subfigs, *figure.axes):
-            part.patch.set_visible(False)
-        # Not `savefig`, which draws everything once more, only to lay it out.
+        for artist in (figure, *figure.subfigs, *figure.axes):
+            artist.patch.set_visible(False)
+        # Not `savefig`, which draws the figure twice to lay it out.
         FigureCanvasSVG(figure).print_svg(file, metadata=metadata)
-    drawn = file.getvalue()
-    drawn = drawn[drawn.index("<svg") :]
-    drawn = re.sub(r"<metadata>.*?</metadata>", "", drawn, flags=re.DOTALL)
-    drawn = re.sub(r' id="', f' id="{name}-', drawn)
-    drawn = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", drawn)
-    drawn = re.sub(r' (d|x|y)="[^"]*"', _rounded, drawn)
-    drawn = re.sub(r"'DejaVu Sans'(, [^;\"]+)?, sans-serif", "sans-serif", drawn)
+    svg = file.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' id="', f' id="{name}-', svg)
+    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r' (d|x|y)="[^"]*"', _rounded, svg)
+    svg = re.sub(r"'DejaVu Sans'(, [^;\"]+)?, sans-serif", "sans-serif", svg)
     for variable, colour in variables(dark=False).items():
-        drawn = drawn.replace(colour, f"var({variable})")
-    # The factor that matplotlib sets above an axis, as it is written by hand.
-    drawn = re.sub(r">1e([−-]?\d+)<", _factor, drawn)
-    view = re.search(r'viewBox="[^"]*"', drawn)
+        svg = svg.replace(colour, f"var({variable})")
+    # The factor above an axis: ×10⁻³ instead of 1e−3.
+    svg = re.sub(r">1e([−-]?\d+)<", _factor, svg)
+    view = re.search(r'viewBox="[^"]*"', svg)
     head = f'<svg role="img" aria-label="{escape(title)}" {view[0] if view else ""}'
     head += ' xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
-    return re.sub(r"<svg[^>]*>", lambda _: head, drawn, count=1).strip()
+    return re.sub(r"<svg[^>]*>", lambda _: head, svg, count=1).strip()
 
 
 def _factor(offset: re.Match[str]) -> str:
@@ -72,7 +72,7 @@ def _factor(offset: re.Match[str]) -> str:
 
 
 def _rounded(attribute: re.Match[str]) -> str:
-    return re.sub(
-        r"-?\d+\.\d{3,}", lambda one: f"{float(one[0]):.{_DECIMALS}f}".rstrip("0").rstrip("."),
-        attribute[0],
-    )  # fmt: skip
+    def shorten(number: re.Match[str]) -> str:
+        return f"{float(number[0]):.{_DECIMALS}f}".rstrip("0").rstrip(".")
+
+    return re.sub(r"-?\d+\.\d{3,}", shorten, attribute[0])

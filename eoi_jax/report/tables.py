@@ -1,4 +1,4 @@
-"""Results as plain text: aligned columns, no colours, so that they read the same everywhere."""
+"""Results as plain text in aligned columns, without colours."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 
 def identification_text(result: Identification) -> str:
-    """The whole result: status, parameters, index per pass, gains and notes.
+    """An identification as text: status, parameters, index per pass, gains and notes.
 
     Args:
         result: of `identify`.
@@ -58,7 +58,7 @@ def parameter_rows(result: Identification) -> list[tuple[str, ...]]:
 
 
 def uncertainty_text(result: Uncertainty, level: float = 0.95) -> str:
-    """A line for each parameter with its error and interval; then what cannot be told apart.
+    """A line for each parameter with its error and interval; then notes on ambiguities.
 
     Args:
         result: of `uncertainty`.
@@ -83,8 +83,8 @@ def refined_rows(result: Refinement) -> list[tuple[str, ...]]:
     for name, value in result.parameters.items():
         fixed = name in result.plant.fixed
         error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
-        before = f"{result.nominal.parameters[name]:.6g}"
-        rows.append((name, before, f"{value:.6g}", error, result.plant.units.get(name, "")))
+        initial = f"{result.nominal.parameters[name]:.6g}"
+        rows.append((name, initial, f"{value:.6g}", error, result.plant.units.get(name, "")))
     return rows
 
 
@@ -98,7 +98,7 @@ def validation_rows(result: Validation) -> list[tuple[str, ...]]:
 
 
 def identification_answer(result: Identification, validation: Validation | None = None) -> str:
-    """How an identification ended, in one sentence.
+    """The outcome of an identification in one sentence.
 
     Args:
         result: of `identify`.
@@ -108,20 +108,20 @@ def identification_answer(result: Identification, validation: Validation | None 
         return f"No answer: {result.status}"
     count = sum(name not in result.plant.fixed for name in result.parameters)
     samples = sum(len(record) for record in result.records)
-    many = f"{count} parameter{'s' if count != 1 else ''}"
-    left = 100 * float(np.max(result.unexplained))
-    start = (
-        f"{many} of {result.plant.name} identified from {samples} samples in pass "
-        f"{result.best_pass + 1} of {len(result.index)}; {left:.2g} % of the highest derivative "
-        "is left unexplained"
+    parameters = f"{count} parameter{'s' if count != 1 else ''}"
+    share = 100 * float(np.max(result.unexplained))
+    sentence = (
+        f"{parameters} of {result.plant.name} identified from {samples} samples in pass "
+        f"{result.best_pass + 1} of {len(result.index)}; {share:.2g} % of the highest derivative "
+        "remains unexplained"
     )
     if validation is None or not np.all(np.isfinite(validation.rmse)):
-        return f"{start}."
-    return f"{start}, and the free run fits held-out data by {np.min(validation.fit):.4g} %."
+        return f"{sentence}."
+    return f"{sentence}, and the free-run fit to held-out data is {np.min(validation.fit):.4g} %."
 
 
 def refinement_answer(result: Refinement, after: Validation | None = None) -> str:
-    """What a refinement changed, or why it has no answer, in one sentence.
+    """The outcome of a refinement in one sentence.
 
     Args:
         result: of `refine`.
@@ -130,31 +130,34 @@ def refinement_answer(result: Refinement, after: Validation | None = None) -> st
     if not result.status.ok:
         return f"No answer: {result.status}"
     units = result.plant.units
-    parts = [
-        f"{quantity(old, units.get(name, ''))} before, {quantity(new, units.get(name, ''))} after"
+    changes = [
+        f"{quantity(initial, units.get(name, ''))} before, "
+        f"{quantity(final, units.get(name, ''))} after"
         + (f" ({name})" if len(result.rmse) > 1 else "")
-        for name, old, new in zip(result.plant.outputs, result.before, result.rmse, strict=True)
+        for name, initial, final in zip(
+            result.plant.outputs, result.before, result.rmse, strict=True
+        )
     ]
-    end = ""
+    suffix = ""
     if after is not None and np.all(np.isfinite(after.rmse)):
-        end = f"; held-out data are fitted by {np.min(after.fit):.4g} %"
-    return f"Refined: free-run error of {result.plant.name} {'; '.join(parts)}{end}."
+        suffix = f"; the fit to held-out data is {np.min(after.fit):.4g} %"
+    return f"Refined: free-run error of {result.plant.name} {'; '.join(changes)}{suffix}."
 
 
 def refinement_text(
-    result: Refinement, before: Validation | None = None, after: Validation | None = None
+    result: Refinement, initial_run: Validation | None = None, refined_run: Validation | None = None
 ) -> str:
-    """The whole result: parameters before and after, intervals, errors of the free runs.
+    """A refinement as text: parameters before and after, intervals, free-run errors.
 
     Args:
         result: of `refine`.
-        before: held-out free run with the parameters that it started from, if there is one.
-        after: with the refined ones.
+        initial_run: held-out free run with the initial parameters, if there is one.
+        refined_run: with the refined parameters.
     """
     blocks = [str(result), str(uncertainty(result))]
-    for name, one in (("before", before), ("refined", after)):
-        if one is not None:
-            blocks.append(f"Held out, {name}:\n{one}")
+    for name, validation in (("before", initial_run), ("refined", refined_run)):
+        if validation is not None:
+            blocks.append(f"Held out, {name}:\n{validation}")
     return "\n\n".join(blocks)
 
 
@@ -175,66 +178,71 @@ def index_table(result: Identification) -> str:
                 *(f"{value:.4g}" if np.isfinite(value) else "-" for value in increments),
             )
         )
-    return "\n\n".join(columns(part, ">" * len(part[0])) for part in _narrow(rows, len(outputs)))
+    return "\n\n".join(
+        columns(part, ">" * len(part[0])) for part in _split_columns(rows, len(outputs))
+    )
 
 
 def health_table(result: Identification) -> str:
-    """For each output the share of steps in sliding, and the injection left over y^(r) [%]."""
-    rows = [("output", "in sliding", "unexplained")]
-    for name, sliding, left in zip(
+    """Share of steps in sliding mode, and of the injection that remains over y^(r) [%]."""
+    rows = [("output", "in sliding mode", "unexplained")]
+    for name, sliding, share in zip(
         result.plant.outputs, result.sliding_fraction, result.unexplained, strict=True
     ):
-        rows.append((name, f"{100 * sliding:.4g} %", f"{100 * left:.2g} %"))
+        rows.append((name, f"{100 * sliding:.4g} %", f"{100 * share:.2g} %"))
     return columns(rows, "<>>")
 
 
 def _gains(module: Any) -> str:
     """An observer or a filter as its name and gains: ``SecondOrder(c1 17.5, c2 57.2, …)``."""
-    shown = []
+    gains = []
     for name, value in vars(module).items():
         if isinstance(value, tuple) and value and not np.isscalar(value[0]):
-            shown += [_gains(one) for one in value]
+            gains += [_gains(part) for part in value]
         elif isinstance(value, str):
-            shown.append(value)
+            gains.append(value)
         else:
-            numbers = " ".join(f"{one:.4g}" for one in np.atleast_1d(np.asarray(value, float)))
-            shown.append(f"{name} {numbers}")
-    return f"{type(module).__name__}({', '.join(shown)})"
+            numbers = " ".join(
+                f"{number:.4g}" for number in np.atleast_1d(np.asarray(value, float))
+            )
+            gains.append(f"{name} {numbers}")
+    return f"{type(module).__name__}({', '.join(gains)})"
 
 
 def _change(nominal: float, value: float) -> str:
     return f"{100 * (value - nominal) / abs(nominal):+.2f} %" if nominal else "new"
 
 
-def _narrow(rows: list[tuple[str, ...]], outputs: int) -> list[list[tuple[str, ...]]]:
-    """Tables of about eight columns; the number of the pass stands in each."""
+def _split_columns(rows: list[tuple[str, ...]], outputs: int) -> list[list[tuple[str, ...]]]:
+    """Tables of about eight columns, each with the pass in its first column."""
     head, step = 1 + outputs, max(7 - outputs, 3)
-    parts = [[row[: head + step] for row in rows]]
+    tables = [[row[: head + step] for row in rows]]
     for start in range(head + step, len(rows[0]), 7):
-        parts.append([(row[0], *row[start : start + 7]) for row in rows])
-    return parts
+        tables.append([(row[0], *row[start : start + 7]) for row in rows])
+    return tables
 
 
-def columns(rows: Sequence[Sequence[str]], sides: str) -> str:
+def columns(rows: Sequence[Sequence[str]], alignments: str) -> str:
     """Rows padded to common widths.
 
     Args:
         rows: cells, the header first.
-        sides: < or > for each column, where its cells stand.
+        alignments: < or > for each column.
     """
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     lines = [
         "  ".join(
-            f"{cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=True)
+            f"{cell:{alignment}{width}}"
+            for cell, alignment, width in zip(row, alignments, widths, strict=True)
         ).rstrip()
         for row in rows
     ]
     return "\n".join(lines)
 
 
-_SMALL = 1e-5  # below that an error has an exponent
+_SMALL = 1e-5  # an error below this is printed with an exponent
 
-# Units that take a prefix, and the prefixes.
+# Units that take a prefix, and the prefixes with their factors.
 _PREFIXED = ("m", "s", "V", "A", "N", "rad", "N m", "N·m", "Pa", "W")
 _PREFIXES = ((1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
 
@@ -249,17 +257,17 @@ def quantity(value: float, unit: str) -> str:
     value = float(value)
     if unit not in _PREFIXED or value == 0.0:
         return f"{value:.3g} {unit}".rstrip()
-    fitting = [one for one in _PREFIXES if abs(value) >= 0.9995 * one[0]]
+    fitting = [row for row in _PREFIXES if abs(value) >= 0.9995 * row[0]]
     factor, prefix = fitting[-1] if fitting else _PREFIXES[0]
     return f"{value / factor:.3g} {prefix}{unit}"
 
 
 def with_error(value: float, error: float) -> str:
-    """``20.42 ± 0.08``: as many digits as the error leaves, five at most.
+    """``20.42 ± 0.08``: digits that are significant with the error, five at most.
 
     Args:
         value: the estimate.
-        error: its standard error; NaN or 0 where it is not known, and then is not shown.
+        error: its standard error; NaN or 0, where it is not known, is not printed.
     """
     if not (np.isfinite(error) and error > 0 and np.isfinite(value)):
         return f"{value:.5g}"
@@ -267,42 +275,44 @@ def with_error(value: float, error: float) -> str:
     digits = int(min(4 - size, 1 - np.floor(np.log10(error))))
     if digits < 0 or digits > 8:
         return f"{value:.4g} ± {error:.2g}"
-    shown = f"{error:.2g}"
-    if error >= _SMALL:  # "9.3e-05" would not be read as a small part of the number before it
-        shown = np.format_float_positional(float(shown), trim="-")
-    return f"{value:.{digits}f} ± {shown}"
+    rounded_error = f"{error:.2g}"
+    if error >= _SMALL:  # "9.3e-05" is hard to compare with the number before it
+        rounded_error = np.format_float_positional(float(rounded_error), trim="-")
+    return f"{value:.{digits}f} ± {rounded_error}"
 
 
 def refinement_table(result: Refinement) -> str:
     """Parameters before and after, errors of the runs, and notes."""
-    wide = max(len(name) for name in result.parameters)
-    units, old = result.plant.units, result.nominal.parameters
+    width = max(len(name) for name in result.parameters)
+    units, initial = result.plant.units, result.nominal.parameters
     lines = [
         f"{result.plant.name}: {result.status}",
-        f"{'parameter':<{wide}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
+        f"{'parameter':<{width}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
     ]
     for name, value in result.parameters.items():
         fixed = name in result.plant.fixed
         error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
-        row = f"{name:<{wide}}  {old[name]:>11.6g}  {value:>11.6g}  {error:>12}"
+        row = f"{name:<{width}}  {initial[name]:>11.6g}  {value:>11.6g}  {error:>12}"
         lines.append(f"{row}  {units.get(name, '')}".rstrip())
     length = "whole records" if result.window is None else f"windows of {result.window:g} s"
     lines.append(f"rmse of {len(result.starts)} run(s), {length}:")
-    for name, old_rmse, rmse in zip(result.plant.outputs, result.before, result.rmse, strict=True):
-        lines.append(f"  {name}: {old_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
+    for name, initial_rmse, rmse in zip(
+        result.plant.outputs, result.before, result.rmse, strict=True
+    ):
+        lines.append(f"  {name}: {initial_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
     return "\n".join([*lines, *(f"- {note}" for note in (*result.notes, *result.engine.notes))])
 
 
 def validation_text(result: Validation) -> str:
     """Errors of the free run, a line for each output; then notes."""
-    wide = max(len("output"), *(len(key) for key in result.outputs))
+    width = max(len("output"), *(len(key) for key in result.outputs))
     lines = [
         f"Free run, {len(result.predictions)} record(s), {result.scored} samples scored",
-        f"{'output':<{wide}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
+        f"{'output':<{width}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
     ]
     rows = zip(result.outputs, result.rmse, result.nrmse, result.fit, result.units, strict=True)
     lines += [
-        f"{key:<{wide}}  {rmse:>11.5g}  {nrmse:>8.4f}  {fit:>8.2f}  {unit}".rstrip()
+        f"{key:<{width}}  {rmse:>11.5g}  {nrmse:>8.4f}  {fit:>8.2f}  {unit}".rstrip()
         for key, rmse, nrmse, fit, unit in rows
     ]
     return "\n".join([*lines, *(f"Note: {note}" for note in result.notes)])

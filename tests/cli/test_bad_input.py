@@ -144,7 +144,7 @@ def test_an_output_folder_that_cannot_be_made_is_noticed_before_the_work(
     place = tmp_path / "file" / "new" / "run.toml"
     done = CliRunner().invoke(app, [command, str(path), "--output", str(place)])
     assert done.exit_code == 2
-    assert "`--output` must be a folder that can be made and written" in done.stderr
+    assert "`--output` must be a folder that can be created and written" in done.stderr
     assert f"({tmp_path / 'file'} is a file), got {place.parent}" in done.stderr
     assert {one.name for one in tmp_path.iterdir()} == {"config.toml", "record.csv", "file"}
 
@@ -232,11 +232,11 @@ def test_brackets_without_end_and_names_that_are_none_are_refused(tmp_path: Path
     path = prepared(tmp_path, ('["record.csv"]', f'["{"x" * 5000}"]'))
     refused(path, 2, "`data.files`")
     path.write_text(f"x = {'[' * 5000}{']' * 5000}")
-    refused(path, 2, "`config` must be a TOML file", "it is nested too deeply")
+    refused(path, 2, "`config` must be a TOML file", "nested too deeply")
     path.write_text("[" + ".".join("a" * 3000) + "]")
-    refused(path, 2, "`config` must have at most 20 tables and lists inside each other")
+    refused(path, 2, "`config` must have at most 20 levels of nested tables and lists")
     path.write_text(f"x = {'[' * 21}{']' * 21}")
-    refused(path, 2, "`config` must have at most 20 tables and lists inside each other")
+    refused(path, 2, "`config` must have at most 20 levels of nested tables and lists")
     path = prepared(tmp_path, ('name = "run"', r'name = "run\n"'))
     refused(path, 2, "`name`", r"'run\n'")
 

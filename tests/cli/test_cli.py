@@ -236,7 +236,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
     monkeypatch.setattr(actions, "run_passes", interrupted)
     done = eoi("identify", config, "--output", tmp_path / "runs")
     assert done.exit_code == 130
-    assert "nothing half-written is left" in done.stderr
+    assert "no partly written files remain" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 

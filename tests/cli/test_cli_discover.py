@@ -181,7 +181,7 @@ def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, confi
     )  # fmt: skip
     done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
-    assert "something that no effect tried explains" in done.stderr
+    assert "something that none of the tested effects explains" in done.stderr
     result = json.loads(done.stdout)
     assert result["status"]["code"] == "unexplained"
     assert result["effects"] == []

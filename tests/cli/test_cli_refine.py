@@ -133,7 +133,7 @@ def test_without_an_identification_there_is_nothing_to_refine(config: Path, tmp_
     done = run(config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     result = json.loads(done.stdout)
-    assert result["error"].startswith("nothing to refine (no_data")
+    assert result["error"].startswith("no estimate to refine (no_data")
     assert result["answer"].startswith("No answer: no_data: ")
     assert not (tmp_path / "runs").exists()
 
@@ -163,8 +163,8 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
     done = run(config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 1
     error = json.loads(done.stdout)["error"]
-    assert error.startswith("nothing to refine (unidentifiable")
-    assert error.endswith("`starts = 200` under [refine] tries so many points around the nominal "
+    assert error.startswith("no estimate to refine (unidentifiable")
+    assert error.endswith("`starts = 200` under [refine] tries that many points around the nominal "
                           "values")  # fmt: skip
     config.write_text(TANKS + "\n[refine]\nstarts = 200\n")
     done = run(config, "--output", tmp_path / "runs", "--json")

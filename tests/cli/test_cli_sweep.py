@@ -107,7 +107,7 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
     monkeypatch.setattr(actions, "run_sweep", interrupted)
     first = run(config, "--output", tmp_path)
     assert first.exit_code == 130
-    assert "the same command goes on" in first.stderr
+    assert "the same command continues" in first.stderr
     monkeypatch.setattr(actions, "run_sweep", whole)
     second = run(config, "--output", tmp_path, "--json")
     assert second.exit_code == 0, second.stderr
@@ -122,7 +122,7 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
     assert "eoi sweep" in (tmp_path / "small" / "config.toml").read_text()
     third = run(config, "--output", tmp_path)
     assert third.exit_code == 0
-    assert "from the resamples" in third.stdout
+    assert "over the resamples" in third.stdout
     figure = sweep_figure(stored)
     assert [one.get_xlabel() for one in figure.axes[:3]] == ["c2", "c3", "cut-off [rad/s]"]
 

@@ -210,7 +210,7 @@ def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
     if wait > 1.0:  # before, Python itself may still be starting
         assert run.returncode == 130, err
         # Nothing to say where no command has begun.
-        assert err in ("", "eoi: interrupted; nothing half-written is left\n")
+        assert err in ("", "eoi: interrupted; no partly written files remain\n")
     assert out == ""
     assert left == []
 
@@ -218,11 +218,11 @@ def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
 def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
     """`nohup` asks for that."""
     code = (
-        "import signal; from eoi_jax.cli.signals import handled, ENDING; "
+        "import signal; from eoi_jax.cli.signals import handle, ENDING; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "  # a shell's `&` ignores it
         "signal.signal(signal.SIGHUP, signal.SIG_IGN); "
         "heard = []; "
-        "manager = handled(lambda number, _: heard.append(number)); manager.__enter__(); "
+        "manager = handle(lambda number, _: heard.append(number)); manager.__enter__(); "
         "[signal.raise_signal(one) for one in ENDING]; "
         "assert heard == [signal.SIGINT, signal.SIGTERM], heard; "
         "manager.__exit__(None, None, None); "
@@ -241,8 +241,8 @@ def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatc
     done = CliRunner().invoke(app, words)
     assert (done.exit_code, done.stdout) == (2, "")
     assert done.stderr == (
-        "eoi: an error that should not be (KeyError: 'lost'). Please report it to the developers "
-        "of eoi_jax, with what the same command and --debug show\n"
+        "eoi: internal error (KeyError: 'lost'). Please report it to the developers of "
+        "eoi_jax with the output of the same command with --debug\n"
     )
     done = CliRunner().invoke(app, [*words, "--json"])
     assert done.exit_code == 2

@@ -252,7 +252,7 @@ def test_data_lie_in_the_given_folder_else_beside_the_config_else_in_that_of_the
     assert len(built(path)[1][0]) == 12
     (folders["beside"] / "one.csv").unlink()
     assert len(built(path)[1][0]) == 11
-    with pytest.raises(ValueError, match=r"must be files that exist.*given.*one\.csv\. Name"):
+    with pytest.raises(ValueError, match=r"must be files that exist.*given.*one\.csv\. Give"):
         built(path, tmp_path / "given" / "nowhere")
     (folders["variable"] / "one.csv").unlink()
     with pytest.raises(ValueError, match=r"beside.*one\.csv nor .*variable.*one\.csv"):

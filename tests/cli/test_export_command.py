@@ -114,7 +114,7 @@ def test_a_python_file_is_run_where_it_is_trusted_only(tmp_path, monkeypatch):
     run = tmp_path / "runs" / "rig"
     done = called("export", run, "--language", "c")
     assert done.exit_code == 2
-    assert "whose model is a function in own.py:rig. Look at this file; --trust" in done.stderr
+    assert "whose model is a function in own.py:rig. Check this file; --trust" in done.stderr
     assert called("report", run).exit_code == 0
     assert not mark.exists()
     for place in (".", "runs/rig", "elsewhere"):

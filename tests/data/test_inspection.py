@@ -238,7 +238,7 @@ def test_a_wide_file_is_told_in_short(tmp_path):
     wide = {f"c{i:04}": np.cos(0.01 * (i + 1) * np.arange(50)) for i in range(100)}
     found = inspect(written(tmp_path / "run.csv", t=T[:50], **wide))
     assert len(found.channels) == 101
-    assert "and 61 more: --json lists them all" in str(found)
+    assert "and 61 more columns: --json lists all" in str(found)
     assert len(found.plot().axes) == 2 * 7
 
 
@@ -335,11 +335,11 @@ def test_the_draft_says_every_guess_and_the_alternatives(tmp_path, monkeypatch):
     text, _, _ = drafted(tmp_path / "run.csv", tmp_path / "run.toml")
     for part in (
         "# other columns: angle",
-        "# it might be, too: count",
+        "# other candidates: count",
         "u: input, its name says so",
     ):
         assert part in text
-    assert re.search(r"everything in it is a guess", text)
+    assert re.search(r"Everything in it is a guess", text)
 
 
 def test_a_file_elsewhere_is_named_by_its_whole_path_and_one_in_the_data_folder_is_not(

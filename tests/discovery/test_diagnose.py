@@ -115,7 +115,7 @@ def test_the_residual_of_a_right_model_has_the_predicted_size(clean):
 
 def test_a_clean_record_gives_one_finding_that_there_is_none(clean):
     assert len(clean.findings) == 1
-    assert clean.findings[0].startswith("Nothing found")
+    assert clean.findings[0].startswith("No findings")
     assert clean.strongest == (None,)
 
 
@@ -187,7 +187,7 @@ def test_missing_dry_friction_shows_as_a_step_of_the_map_against_velocity(coulom
 def test_a_late_input_is_called_late_by_its_delay():
     diagnosis = found(record(late=5))
     assert diagnosis.cross[0].delay == pytest.approx(0.010, abs=5e-4)
-    assert said(diagnosis, "u seems to act on y late, by about 0.01")
+    assert said(diagnosis, "u seems to act on y with a delay of about 0.01")
     assert diagnosis.cross[0].p_value < 1e-4
 
 
@@ -277,7 +277,7 @@ def test_two_parameters_that_do_the_same_are_called_confounded():
     assert {pair.first, pair.second} == {"k", "k2"}
     assert pair.correlation < -0.999
     assert said(diagnosis, "k and k2 are confounded")
-    assert said(diagnosis, "The data say least about")
+    assert said(diagnosis, "The least certain combination of parameters is")
     assert {"k", "k2"} == {one.split("·")[1] for one in diagnosis.worst_combination.split()}
 
 
@@ -288,7 +288,7 @@ def test_windows_in_which_nothing_moves_are_named(clean):
     # The mass comes to rest within half a second (d = 12 1/s).
     assert all(one.poor for one in diagnosis.windows if one.start > 6.5)
     assert not any(one.poor for one in diagnosis.windows if one.stop < 5.5)
-    assert said(diagnosis, "Without excitation in")
+    assert said(diagnosis, "There is no excitation in")
 
 
 def test_excitation_is_that_of_the_filtered_regressors():
@@ -310,7 +310,7 @@ def test_an_observer_that_cannot_follow_is_called_so():
     observer = eoi.observers.SecondOrder(c1=20.0, c2=100.0, c3=1.0)
     measured = record()
     result = eoi.identify(plant(values=NOMINAL), measured, observer, passes=1)
-    assert said(diagnose(result), "slides in only")
+    assert said(diagnose(result), "is in sliding mode in only")
 
 
 def test_a_constant_force_shows_as_the_mean_of_the_residual():
@@ -336,7 +336,7 @@ def test_what_is_small_but_not_noise_is_said_so(clean, coulomb):
 
 def test_an_estimate_that_failed_is_said_first(clean):
     status = eoi.Status("unidentifiable", "no trace in the data of b")
-    assert findings(clean, status)[0] == "The estimate is not one: no trace in the data of b."
+    assert findings(clean, status)[0] == "There is no valid estimate: no trace in the data of b."
 
 
 # -- edges ------------------------------------------------------------------------------------
@@ -345,7 +345,7 @@ def test_an_estimate_that_failed_is_said_first(clean):
 def test_a_record_without_a_scored_sample_says_so_instead_of_numbers():
     flat = eoi.Record(TIME, DRIVE, np.zeros(len(TIME)), hold="smooth")
     diagnosis = diagnose(eoi.identify(plant(), flat))
-    assert diagnosis.findings[0].startswith("Nothing was scored")
+    assert diagnosis.findings[0].startswith("No sample was scored")
     assert np.isnan(diagnosis.residual_rms[0])
     assert str(diagnosis)
 

@@ -434,7 +434,9 @@ def test_a_held_out_record_at_rest_is_told_and_what_it_refuses_stays_in_view():
     first = answer.ranking[0]
     assert (first.effect, first.remark) == ("coulomb_friction", "held-out error grows")
     text = str(answer)
-    assert text.startswith("The model lacks something that no effect tried explains on all records")
+    assert text.startswith(
+        "The model lacks something that none of the tested effects explains on all records"
+    )
     assert any(line.endswith("held-out error grows") for line in text.splitlines())
 
 

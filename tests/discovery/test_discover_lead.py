@@ -62,8 +62,12 @@ def test_what_takes_too_little_is_no_answer_but_a_lead_with_its_free_runs(found)
 
 def test_the_lead_is_told_and_is_not_called_an_answer(found):
     text = str(found)
-    assert text.startswith("The model lacks something that no effect tried explains")
-    (line,) = [one for one in text.splitlines() if one.startswith("A lead, not an answer")]
+    assert text.startswith("The model lacks something that none of the tested effects explains")
+    (line,) = [
+        one
+        for one in text.splitlines()
+        if one.startswith("Best partial explanation, not an answer")
+    ]
     assert "with Coulomb (dry) friction of 0." in line
     assert " before, " in line
     assert line in discovery_contents(found, {"diagnosis": found.diagnosis}).notes

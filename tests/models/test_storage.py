@@ -444,7 +444,7 @@ def test_no_module_is_imported_because_a_file_says_so(tmp_path):
     code = (
         "import sys, eoi_jax; before = set(sys.modules)\n"
         "from eoi_jax.models.stored_classes import class_named, function_named\n"
-        "assert class_named('eoi_jax.cli.actions:Ending') is None\n"
+        "assert class_named('eoi_jax.cli.terminal:Outcome') is None\n"
         "assert class_named('eoi_jax.results:EngineUsed') is not None\n"
         "assert function_named('eoi_jax.plants.pendulum:jnp') is None\n"
         "assert 'eoi_jax.cli' not in sys.modules"

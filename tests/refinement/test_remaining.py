@@ -102,7 +102,7 @@ def test_held_out_records_confirm_what_is_there_and_refuse_what_only_fits():
     assert len(found.trials) > 0
     assert found.answer is None
     assert found.with_best() is found.plant
-    assert "None of them lowers the error on held-out records" in str(found)
+    assert "None of them reduces the error on held-out records" in str(found)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,11 @@ LATE = Cross("position", "force", np.zeros(1), np.zeros(1), 0.5, 0.0, 0.5, 0.02,
 FED_BACK = dataclasses.replace(LATE, delay=np.nan, feedback=True)
 BAD: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("Excitation", {"confounded": (Confounded("mass", "spring", 0.999),)}, "mass and spring"),
-    ("Excitation", {"worst_combination": "mass"}, "least about mass"),
+    (
+        "Excitation",
+        {"worst_combination": "mass"},
+        "The least certain combination of parameters is mass",
+    ),
     ("Sliding", {"sliding_fraction": np.array([0.5])}, "50%"),
     ("Residual", {"more_than_noise": np.array([True])}, "more than noise"),
     ("Residual", {"white": np.array([False])}, "coloured"),

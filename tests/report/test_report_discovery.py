@@ -70,12 +70,12 @@ def test_the_first_line_names_effects_with_values_errors_and_units_and_both_erro
 def test_an_error_without_held_out_data_says_so(found):
     line = answer(dataclasses.replace(found, in_sample=True))
     assert "held-out" not in line
-    assert "on the same data (none was held out)" in line
+    assert "on the same data (no data held out)" in line
 
 
 def test_an_unexplained_residual_is_not_given_a_name(nothing):
     line = answer(nothing)
-    assert line.startswith("The model lacks something that no effect tried explains: ")
+    assert line.startswith("The model lacks something that none of the tested effects explains: ")
     assert not any(one.sentence in line for one in effects.standard())
     text = discovery_text(nothing)
     assert "after" not in text
@@ -86,7 +86,7 @@ def test_a_partly_explained_residual_names_what_is_known(found):
     status = eoi.Status("unexplained", "")
     line = answer(dataclasses.replace(found, status=status))
     assert "a constant offset of -0." in line
-    assert "and something that no effect tried explains" in line
+    assert "and something that none of the tested effects explains" in line
 
 
 def test_a_complete_model_lacks_nothing(nothing):
@@ -104,7 +104,7 @@ def test_a_fit_that_failed_is_no_answer(nothing):
 def test_a_run_that_diverges_has_no_number(found):
     bad = dataclasses.replace(found.before, rmse=np.array([np.inf]), fit=np.array([-np.inf]))
     text = discovery_text(dataclasses.replace(found, before=bad))
-    assert "without bound before" in text
+    assert "unbounded before" in text
     (line,) = [line for line in text.splitlines() if line.startswith("held-out RMSE of position  ")]
     assert "diverges" in line
 
@@ -121,7 +121,7 @@ def test_where_whole_runs_drift_the_answer_speaks_of_short_ones(found, factor):
     ]
     assert answer(drifting).endswith(
         f"free-run error on held-out data in windows {short[0]} before, {short[1]} after "
-        "(whole records drift away in free run)."
+        "(over whole records the free run drifts)."
     )
     tiles = [
         (one.label, one.value)
@@ -173,8 +173,8 @@ def test_errors_are_shown_for_the_whole_record_for_windows_and_for_the_index(fou
 
 def test_share_ambiguity_advice_candidates_and_notes_are_told(found):
     text = discovery_text(found)
-    assert "above the noise the effects explain 98.3 %" in text
-    assert "do not tell it from asymmetric friction." in text
+    assert "The effects explain 98.3 % of the residual's power above the noise." in text
+    assert "do not distinguish it from asymmetric friction." in text
     assert found.advice in text
     lines = [line.split() for line in text.splitlines()]
     assert ["input_dead_zone", "force", "20", "%", "-3", "held-out", "error", "grows"] in lines

@@ -64,15 +64,15 @@ def test_curves_and_text_stand_out_from_the_page(colours):
         assert contrast(colours[name], colours["--page"]) >= (4.5 if name == "--ink" else 3.0)
 
 
-@style.styled()
+@style.themed()
 def some_figure():
-    figure = style.new(3.0, 2.0)
+    figure = style.new_figure(3.0, 2.0)
     axes = figure.add_subplot()
-    axes.plot([0.0, 1.0], [1e-3, 10.0], color=style.series(style.AFTER), label="<b>&")
+    axes.plot([0.0, 1.0], [1e-3, 10.0], color=style.series(style.ACCENT), label="<b>&")
     style.logarithmic(axes.yaxis)
     axes.set_xlabel("price [$/$]")
     style.legend_above(axes)
-    return style.finished(figure)
+    return style.fix_theme(figure)
 
 
 def test_a_figure_takes_the_theme_that_surrounds_it_and_keeps_it():

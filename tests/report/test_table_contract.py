@@ -146,11 +146,11 @@ def test_answer_of_an_identification_names_its_best_pass(identified):
     line = tables.identification_answer(identified)
     assert line == (
         "2 parameters of two tanks identified from 1500 samples in pass 3 of 5; 12 % of the "
-        "highest derivative is left unexplained."
+        "highest derivative remains unexplained."
     )
     held = replace(fake_validation(identified), fit=np.array([91.2, 88.76]))
     assert tables.identification_answer(identified, held).endswith(
-        ", and the free run fits held-out data by 88.76 %."
+        ", and the free-run fit to held-out data is 88.76 %."
     )
 
 
@@ -173,8 +173,8 @@ def test_report_of_an_identification(identified, diagnosed):
          f"error {tables.quantity(held.rmse[0], 'm')}"),
         ("Free run of lower, held out", f"{held.fit[1]:.4g} %",
          f"error {tables.quantity(held.rmse[1], 'cm')}"),
-        ("Left of upper", "12 %", "of what the observer had to explain"),
-        ("Left of lower", "4.6 %", "of what the observer had to explain"),
+        ("Unexplained in upper", "12 %", "injection over highest derivative"),
+        ("Unexplained in lower", "4.6 %", "injection over highest derivative"),
     ]  # fmt: skip
 
 
@@ -255,7 +255,7 @@ def test_answer_of_a_refinement(refined, identified):
     after = fake_validation(identified, 31)
     assert tables.refinement_answer(refined, after) == (
         "Refined: free-run error of two tanks 789 mm before, 12.3 mm after (upper); 32.1 cm "
-        f"before, 4.56 cm after (lower); held-out data are fitted by {min(after.fit):.4g} %."
+        f"before, 4.56 cm after (lower); the fit to held-out data is {min(after.fit):.4g} %."
     )
 
 
@@ -393,7 +393,7 @@ def test_tables_of_a_discovery(discovered):
     block = next(part for part in text.split("\n\n") if "after/before" in part)
     assert_rows(rows_below(block, "before"), error_table_of(discovered))
     assert_rows(rows_below(text, "other candidate"), others_of(discovered))
-    assert "the effects explain 98.3 %." in text
+    assert "The effects explain 98.3 % of" in text
     small, big = discovered.before.rmse[0], discovered.after.rmse[0]
     ends = f"{tables.quantity(small, 'm')} before, {tables.quantity(big, 'm')} after."
     assert text.splitlines()[0].endswith(ends)
@@ -406,8 +406,8 @@ def test_report_of_a_discovery(discovered, diagnosed):
         assert_rows(table.rows, rows)
     assert [table.numeric for table in shown.tables] == [(1, 2, 3, 4, 5), (1, 2, 3)]
     assert shown.tables[1].head[0] == "error"
-    assert_rows(shown.beneath[0].rows, others_of(discovered))
-    assert shown.beneath[0].numeric == (2, 3)
+    assert_rows(shown.final_tables[0].rows, others_of(discovered))
+    assert shown.final_tables[0].numeric == (2, 3)
     assert [(one.label, one.value, one.note) for one in shown.tiles] == [
         ("Free-run error of position, held-out data",
          tables.quantity(discovered.after.rmse[0], "m"),
@@ -437,7 +437,7 @@ def test_report_of_a_discovery_that_added_nothing(discovered, diagnosed):
     shown = contents.discovery_contents(nothing, {"diagnosis": diagnosed})
     assert_rows(shown.tables[1].rows, wanted)
     assert shown.tables[1].numeric == (1,)
-    assert shown.beneath[0].text == ""
+    assert shown.final_tables[0].text == ""
     assert [one.note for one in shown.tiles] == ["", ""]
 
 
@@ -514,7 +514,7 @@ def estimates_of(known: Comparison) -> list[Row]:
 def test_tables_of_a_comparison_of_one_output():
     known = comparison(1)
     text = str(known)
-    assert "windows: state estimated anew every 2.5 s" in text
+    assert "windows: initial state re-estimated every 2.5 s" in text
     assert "free runs on held-out records" in text
     worst = [100 * max(abs(e) for e in one.errors.values()) if one.errors else "-"
              for one in known.entries]  # fmt: skip
@@ -573,10 +573,10 @@ def test_tables_of_a_sweep(record, resamples):
         drawn = best["parameters"].isel(record=0, resample=slice(1, None))
         drawn = np.asarray(drawn.transpose("resample", ...))
         errors = np.std(drawn.reshape(resamples, 2), axis=0)
-        assert "± from the resamples" in text
+        assert "±: standard deviation over the resamples" in text
     else:
         errors = np.ravel(best["standard_error"].sel(resample=0).values)
-    ((_, *shown),) = rows_below(text.replace("\n± from", "\n\n± from"), "record")
+    ((_, *shown),) = rows_below(text.replace("\n±: ", "\n\n±: "), "record")
     for cell, value, error in zip(shown, values, errors, strict=True):
         left, _, right = cell.partition(" ± ")
         assert float(left) == pytest.approx(value, rel=1e-5)
@@ -600,11 +600,11 @@ def test_tables_of_an_inspection():
                        {})  # fmt: skip
     text = inspection_text(known)
     assert text.startswith("rig.csv: 777 rows, 5 columns")
-    assert "time: `t`, 0.001 s a unit (why)" in text
+    assert "time: `t`, 0.001 s per unit (why)" in text
     assert "every 0.004 s (250 Hz) for 2.5 s" in text
     assert "stamps 0.0039 to 0.0041 s apart, jitter 1.2 %" in text
     assert "3 gaps, 4 repeated, 5 backwards" in text
-    assert "might be it, too: stamp" in text
+    assert "other candidates: stamp" in text
     assert_rows(rows_below(text, "column"), [
         ("t", "time", "ms", 0.0, 2500.0),
         ("u", "input", "A", 0.5, 7.75, "45.6 Hz"),
@@ -613,7 +613,7 @@ def test_tables_of_an_inspection():
         ("label", "text"),
     ])  # fmt: skip
     assert "  u input: steps\n  y output: smooth" in text
-    assert text.endswith("- n\n- Left out: a matrix\n- look")
+    assert text.endswith("- n\n- Omitted: a matrix\n- look")
 
 
 def test_table_of_what_remains(refined, identified):

@@ -125,7 +125,7 @@ def test_wrong_calls_of_profile_are_named(refined):
 def test_figure_of_a_profile_shows_both_and_the_threshold(profiled: Profile):
     (axes,) = profile_figure(profiled).axes
     assert [line.get_label() for line in axes.get_lines()[:3]] == [
-        "by the standard error", "profile", "95 %",
+        "from the standard error", "profile", "95 %",
     ]  # fmt: skip
     assert axes.get_xlabel() == "rate [1/s]"
     assert profiled.plot() is not None

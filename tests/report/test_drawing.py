@@ -13,7 +13,7 @@ from eoi_jax._checks import FigureWarning
 from eoi_jax.models.equations.display import equation_latex
 from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.report import discovery_figures
-from eoi_jax.report.drawn import drawn, save_drawn
+from eoi_jax.report.drawing import draw_or_warn, save_figure
 
 NAMES = r"y_{$x} % ^2", r"volt $\frac{a}"
 
@@ -23,9 +23,9 @@ def fails(*_):
 
 
 def test_what_cannot_be_drawn_is_said_with_its_reason_and_left_out(tmp_path):
-    with pytest.warns(FigureWarning, match=r"`map` cannot be drawn and is left out \(RuntimeError"):
-        assert drawn("map", fails) is None
-    assert drawn("map", lambda: 3) == 3
+    with pytest.warns(FigureWarning, match=r"`map` cannot be drawn and is omitted \(RuntimeError"):
+        assert draw_or_warn("map", fails) is None
+    assert draw_or_warn("map", lambda: 3) == 3
 
 
 def test_no_half_written_file_of_a_figure_stays(tmp_path):
@@ -35,7 +35,7 @@ def test_no_half_written_file_of_a_figure_stays(tmp_path):
             fails()
 
     with pytest.warns(FigureWarning, match="`half`"):
-        save_drawn(tmp_path / "half.png", Figure)
+        save_figure(tmp_path / "half.png", Figure)
     assert not list(tmp_path.iterdir())
 
 
@@ -47,7 +47,7 @@ def test_a_figure_that_fails_costs_neither_result_nor_page(tmp_path, monkeypatch
     assert not (run / "effect.png").exists()
     assert (run / "residual.png").exists()
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert "could not be drawn and is left out" in page
+    assert "could not be drawn and is omitted" in page
     assert 'id="effect"' not in page
 
 
