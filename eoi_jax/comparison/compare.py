@@ -22,7 +22,7 @@ from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
 from eoi_jax.estimation.holdout import INITIAL, held_out
 from eoi_jax.estimation.identify import estimate
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
@@ -189,7 +189,7 @@ def common_index(plant: Plant, records: Record | Sequence[Record]) -> CommonInde
     Returns:
         A score, and the reasons for what was chosen.
     """
-    prepared = ready(plant, check_records(plant, records))
+    prepared = prepare_records(plant, check_records(plant, records))
     observer, chosen = default_observer(
         plant, prepared.fine, prepared.inputs, prepared.lowpass.cutoff, prepared.substeps
     )

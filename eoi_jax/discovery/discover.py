@@ -38,11 +38,11 @@ from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import aside
 from eoi_jax.estimation.covariance import Certainty
-from eoi_jax.estimation.defaults import brief_notes, too_short
+from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.holdout import check_runs, held_out, resting
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.estimation.preparation import Ready, ready
+from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.effects import rare, standard
@@ -139,15 +139,15 @@ def discover(
 
 def _telling(
     plant: Plant, records: tuple[Record, ...], lowpass: LowPass | None
-) -> tuple[Ready, tuple[Record, ...], list[str]]:
+) -> tuple[PreparedRecords, tuple[Record, ...], list[str]]:
     """Records made ready, without those too short to tell anything beside the others."""
-    prepared = ready(plant, records, lowpass)
+    prepared = prepare_records(plant, records, lowpass)
     cutoff = prepared.lowpass.cutoff
-    left = brief_notes(records, cutoff, "left out")
+    left = short_record_notes(records, cutoff, "left out")
     if left:
         each = zip(records, too_short(records, cutoff), strict=True)
         records = tuple(one for one, short in each if not short)
-        prepared = ready(plant, records, lowpass)
+        prepared = prepare_records(plant, records, lowpass)
     return prepared, records, left
 
 

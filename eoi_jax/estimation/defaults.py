@@ -119,7 +119,7 @@ def _torn(record: Record) -> bool:
     return _longest_run(record) < SHORTEST
 
 
-def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str]:
+def short_record_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str]:
     """A sentence for each of these.
 
     Args:

@@ -1,7 +1,8 @@
 """Records made ready for a pass: which steps count, where the observer starts anew.
 
 All on the host; the kernel then reads one rectangular batch. What depends on the records alone is
-done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
+done by `prepare_records`, once for all models of the same outputs; the rest by `prepare_steps`, for
+each model.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -132,7 +133,7 @@ def check_preparation(transient: Any, substeps: Any, smoothing: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Ready:
+class PreparedRecords:
     """Records made ready for passes of any model with the same outputs.
 
     Attributes:
@@ -158,14 +159,14 @@ class Ready:
     reasons: tuple[str, ...]
 
 
-def ready(
+def prepare_records(
     plant: Plant,
     records: tuple[Record, ...],
     lowpass: LowPass | None = None,
     smoothing: float | bool | None = None,
     substeps: int | None = None,
     explicit: bool = False,
-) -> Ready:
+) -> PreparedRecords:
     """Choose filter, smoothing and sub-steps where they are left out, and apply them.
 
     Args:
@@ -193,7 +194,7 @@ def ready(
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)
-    return Ready(
+    return PreparedRecords(
         records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
     )
 
@@ -203,7 +204,7 @@ def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]
     return record.inputs[:-1] if explicit else record.midpoint_inputs()
 
 
-def prepare(
+def prepare_steps(
     plant: Plant,
     records: Sequence[Record],
     inputs: Sequence[Float[np.ndarray, "_ nu"]],

@@ -16,14 +16,17 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-_TURNS, _MOST = 10, 100  # with all exchanged at once; in which what is on a bound may leave it
+_BLOCK_TURNS, _RELEASE_TURNS = (
+    10,
+    100,
+)  # with all exchanged at once; in which what is on a bound may leave it
 
 Rows = Float[np.ndarray, "lanes np"]
 # Δθ of right-hand sides, with only the parameters of the mask free.
 Solve = Callable[[Rows, Bool[np.ndarray, "lanes np"]], Rows]
 
 
-def outside(increment: Rows, room: tuple[Rows, Rows]) -> bool:
+def leaves_bounds(increment: Rows, room: tuple[Rows, Rows]) -> bool:
     """Whether some Δθ leaves its room, down and up."""
     return bool(np.any((increment < room[0]) | (increment > room[1])))
 
@@ -52,15 +55,15 @@ def bounded(
     while True:
         with np.errstate(invalid="ignore"):  # a lane without an answer
             slope = rhs - np.einsum("lab,lb->la", information, increment)
-        inward = (side * slope < 0.0) & (turn < _MOST)
+        inward = (side * slope < 0.0) & (turn < _RELEASE_TURNS)
         leaves = (side == 0) & ((increment < low) | (increment > high))
         if not np.any(inward | leaves):
             return increment, side
-        if turn >= _TURNS:
+        if turn >= _BLOCK_TURNS:
             last = np.cumsum((inward | leaves)[:, ::-1], axis=1)[:, ::-1] == 1
             inward, leaves = inward & last, leaves & last
         side = np.where(leaves, np.where(increment > high, 1, -1), np.where(inward, 0, side))
         moved = np.where(side > 0, high, np.where(side < 0, low, 0.0))
         with np.errstate(invalid="ignore"):
-            left = rhs - np.einsum("lab,lb->la", information, moved)
-        increment, turn = moved + solve(left, side == 0), turn + 1
+            remainder = rhs - np.einsum("lab,lb->la", information, moved)
+        increment, turn = moved + solve(remainder, side == 0), turn + 1

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from eoi_jax._status import ANSWERED, EngineUsed
 from eoi_jax.estimation.engines import AbstractEngine, Lanes
 from eoi_jax.estimation.engines.automatic import engine_used
-from eoi_jax.estimation.iteration import Iterations, iterate, mean, sandwich
+from eoi_jax.estimation.iteration import IterationHistory, iterate, mean, sandwich
 from eoi_jax.estimation.kernel import Sums
 from eoi_jax.estimation.observers import AbstractObserver
 from eoi_jax.estimation.observers.gain_sets import GainSets, gain_sets
@@ -118,7 +118,7 @@ class _Lanes:
             "common_index": np.where(known[:, None], self._common(one.theta), np.nan),
             "sliding_fraction": mean(one.sums.sliding, one.sums.count),
             "status": codes,
-            "blocks": np.full(len(codes), self.source.tally.complete, np.int32),
+            "blocks": np.full(len(codes), self.source.tally.complete_blocks, np.int32),
             "best_pass": done.best_pass.astype(np.int16),
             "passes": done.passes.astype(np.int16),
         }
@@ -130,7 +130,7 @@ class _Lanes:
         steps, lowpass = next(iter(self.source))
         return engine_used(self.engine, self.part.plant, lanes, lowpass, steps)
 
-    def _codes(self, done: Iterations) -> Int[np.ndarray, " lanes"]:
+    def _codes(self, done: IterationHistory) -> Int[np.ndarray, " lanes"]:
         names = np.where(self.gains.valid[self.gain], done.codes, "invalid_gains")
         return np.select([names == name for name in CODES], range(len(CODES))).astype(np.int8)
 

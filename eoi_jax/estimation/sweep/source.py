@@ -13,11 +13,11 @@ import numpy as np
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import default_observer, default_transient
-from eoi_jax.estimation.iteration import Tally
+from eoi_jax.estimation.iteration import BlockCounts
 from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.estimation.preparation import TAPER, Ready, prepare, ready
+from eoi_jax.estimation.preparation import TAPER, PreparedRecords, prepare_records, prepare_steps
 from eoi_jax.models.plant import Plant
 
 # Steps of a source that are kept for the next pass; above it they are made again each time.
@@ -58,8 +58,8 @@ class Source:
     choices: Choices
     taps: int
     explicit: bool
-    _first: Ready = field(init=False, repr=False)
-    _tally: Tally | None = field(init=False, default=None, repr=False)
+    _first: PreparedRecords = field(init=False, repr=False)
+    _tally: BlockCounts | None = field(init=False, default=None, repr=False)
     _blocks_of: tuple[int, ...] | None = field(init=False, default=None, repr=False)
     _kept: list[tuple[Steps, DiscreteFilter]] | None = field(init=False, default=None, repr=False)
 
@@ -90,7 +90,7 @@ class Source:
         if self._kept is not None:
             yield from self._kept
             return
-        kept, count, tally, blocks = [], 0, Tally(), []
+        kept, count, tally, blocks = [], 0, BlockCounts(), []
         for steps in self._made():
             count += len(steps[0].time)
             kept = [*kept, steps] if count <= _KEPT else []
@@ -99,7 +99,7 @@ class Source:
         self._kept, self._tally, self._blocks_of = kept or None, tally, tuple(blocks)
 
     @property
-    def tally(self) -> Tally:
+    def tally(self) -> BlockCounts:
         """Steps and blocks of all records."""
         return self._counted()[0]
 
@@ -108,7 +108,7 @@ class Source:
         """Blocks of each record, an incomplete last one counted."""
         return self._counted()[1]
 
-    def _counted(self) -> tuple[Tally, tuple[int, ...]]:
+    def _counted(self) -> tuple[BlockCounts, tuple[int, ...]]:
         if self._tally is None or self._blocks_of is None:
             for _ in self:
                 pass
@@ -127,8 +127,8 @@ class Source:
         for piece in self.records:
             yield self._steps(self._ready((piece,), settled), 0, self.records.duration)
 
-    def _ready(self, records: tuple[Record, ...], choices: Choices) -> Ready:
-        return ready(
+    def _ready(self, records: tuple[Record, ...], choices: Choices) -> PreparedRecords:
+        return prepare_records(
             self.plant,
             records,
             choices.lowpass,
@@ -137,8 +137,8 @@ class Source:
             self.explicit,
         )
 
-    def _steps(self, one: Ready, i: int, duration: float) -> tuple[Steps, DiscreteFilter]:
-        steps = prepare(
+    def _steps(self, one: PreparedRecords, i: int, duration: float) -> tuple[Steps, DiscreteFilter]:
+        steps = prepare_steps(
             self.plant,
             one.fine[i : i + 1],
             one.inputs[i : i + 1],
