@@ -20,7 +20,7 @@ from eoi_jax.comparison.methods import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
-from eoi_jax.estimation.holdout import INITIAL, held_out
+from eoi_jax.estimation.holdout import INITIAL, held_out_records
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
@@ -123,7 +123,7 @@ def compare(
             one that is no comparator, two of one name.
     """
     several = check_records(plant, records)
-    apart = held_out(plant, several, validation)
+    apart = held_out_records(plant, several, validation)
     check(
         validation is None or len(apart) > 0, "validation", "must hold at least one record", "none"
     )

@@ -39,7 +39,7 @@ from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import aside
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
-from eoi_jax.estimation.holdout import check_runs, held_out, resting
+from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
@@ -112,7 +112,7 @@ def discover(
         check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
         parts = [one.split(1.0 - validation) for one in several]
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
-    held = held_out(plant, several, validation)
+    held = held_out_records(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
     spare = rare() if effects is None else ()
     fitting = _fitting(plant, tried)
@@ -442,7 +442,7 @@ _REFUSED = "refused: {} makes the free run worse or diverge on the records of `v
 
 
 def _notes(task: Task) -> list[str]:
-    notes = resting(task.held, task.records)
+    notes = resting_outputs(task.held, task.records)
     if not task.held:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "
