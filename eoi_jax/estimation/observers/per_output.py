@@ -69,15 +69,17 @@ class PerOutput(AbstractObserver):
     ) -> tuple[tuple[Any, ...], Observation]:
         """One step of every observer."""
         pairs = [
-            one.step(state[j], y[j : j + 1], y_next[j : j + 1], drift[j : j + 1], sample_period)
-            for j, one in enumerate(self.observers)
+            observer.step(
+                state[j], y[j : j + 1], y_next[j : j + 1], drift[j : j + 1], sample_period
+            )
+            for j, observer in enumerate(self.observers)
         ]
         observations = [observation for _, observation in pairs]
         joined = Observation(
-            jnp.concatenate([one.injection for one in observations]),
-            jnp.concatenate([one.observed for one in observations]),
-            self._columns([one.rates for one in observations]),
-            jnp.concatenate([one.sliding for one in observations]),
+            jnp.concatenate([observation.injection for observation in observations]),
+            jnp.concatenate([observation.observed for observation in observations]),
+            self._columns([observation.rates for observation in observations]),
+            jnp.concatenate([observation.sliding for observation in observations]),
         )
         return tuple(new for new, _ in pairs), joined
 
