@@ -474,7 +474,7 @@ _NONLINEAR = (
     "the model is far from linear in its parameters there. Start from other nominal values, or "
     "set bounds"
 )
-_POOR_OBSERVER = "the observer does not show what the model lacks. Try other gains"
+_POOR_OBSERVER = "the injection of the observer is not the model's error. Try other gains"
 _DIVERGED = (
     "the model, or its slope with a parameter, is not finite along the record: check units, "
     "nominal values, and functions such as sqrt or log at the measured outputs"
@@ -528,7 +528,7 @@ def _sliding_note(plant: Plant, sliding: np.ndarray) -> tuple[str, ...]:
         return ()
     shares = ", ".join(f"{share:.0%}" for share in sliding)
     note = (
-        f"in sliding only {shares} of the scored steps ({', '.join(outputs)}): the injection is "
-        "not the model's error while the relay saturates. Raise its gain"
+        f"in sliding mode in only {shares} of the scored steps ({', '.join(outputs)}): the "
+        "injection is not the model's error while the relay saturates. Raise its gain"
     )
     return (note,)

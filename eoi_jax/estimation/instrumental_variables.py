@@ -123,7 +123,7 @@ def instrumental_estimate(
             on_bound = (theta == plant.lower) | (theta == plant.upper)
             bound = on_bound & ~np.any(inverse, axis=1) & (np.asarray(plant.free) > 0)
             return InstrumentalEstimate(theta, covariance, freedom, iteration, runs.windows, bound)
-    return f"its passes did not settle within {_MAX_ITERATIONS}"
+    return f"they did not converge within {_MAX_ITERATIONS} passes"
 
 
 def correct_bias(
@@ -148,7 +148,7 @@ def correct_bias(
         The estimate, or None; and what was chosen and why.
     """
     records, prepared = _long_enough(records, prepared)
-    reason = "as asked for"
+    reason = "requested"
     if not requested:
         level = float(np.max([_noise_level(record) for record in records]))
         sliding = np.min(mean(iteration.sums.sliding[0], iteration.sums.count[0]))
@@ -158,17 +158,14 @@ def correct_bias(
         if not lowest <= noise_in_residual(plant, iteration, records, prepared) <= highest:
             return None, ()
         reason = (
-            f"measurement noise, {level:.2g} of the output's rms, is what the plain passes leave"
+            f"measurement noise, {level:.2g} of the output's rms, explains the remaining injection"
         )
     corrected = instrumental_estimate(plant, records, prepared, observer)
     if isinstance(corrected, str):
-        return None, (f"no instruments, though {reason}: {corrected}",)
-    windows = (
-        ""
-        if corrected.windows == 1
-        else f", runs starting anew {corrected.windows - 1} times a record"
-    )
-    text = f"instrumental variables in {corrected.passes} passes{windows}"
+        return None, (f"no instrumental variables, though {reason}: {corrected}",)
+    text = f"instrumental variables in {corrected.passes} passes"
+    if corrected.windows > 1:
+        text += f", runs restarted {corrected.windows - 1} times a record"
     return corrected, (f"{text}: {reason}",)
 
 

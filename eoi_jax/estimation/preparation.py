@@ -144,7 +144,7 @@ class PreparedRecords:
         records: smoothed, if `smoothing` is not False.
         fine: the same with sub-steps.
         inputs: during each step of `fine`, one array (S, nu) per record.
-        velocity_noise: as `tuning.velocity_noise`, per record.
+        velocity_noise: as `defaults.velocity_noise`, per record.
         lowpass: F.
         substeps: per sample.
         smoothing: its cut-off [rad/s], False for none.
@@ -229,7 +229,7 @@ def prepare_steps(
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
         memory: of the filter [s]; scores further apart than this are independent.
-        velocity_noise: as `tuning.velocity_noise`, per record.
+        velocity_noise: as `defaults.velocity_noise`, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which weights rise from zero next to a step that does not count [s].
         duration: of all records of the estimate [s], if these are only part of them.
@@ -300,7 +300,7 @@ def moving(
         degrees: of the outputs; of degree one they are speeds themselves.
         outputs: on a uniform grid.
         h: its step [s].
-        noise: of `tuning.velocity_noise`.
+        noise: of `defaults.velocity_noise`.
     """
     velocity = np.where(
         np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h

@@ -6,7 +6,7 @@ Offline a filter can have zero phase, so that derivatives stay aligned with y. T
 2. a narrow one, L, on both sides of the equation: L[m y^(r)] = L[m f(W y, …; θ)].
 
 For a plant that is linear in y and u, W commutes with it and nothing is lost; for any other W must
-be wide against the plant's own motion. m is 0 where the equation says nothing (gaps, ends of a
+be wide against the plant's motion. m is 0 where the equation does not hold (gaps, ends of a
 segment, dry friction near rest), and rises smoothly from there: a factor m on both sides keeps the
 regression exact. L is a zero-phase Butterworth filter, or the plant itself, linearised
 (Young's refined method): residuals are then those of y.

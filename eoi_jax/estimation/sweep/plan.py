@@ -273,7 +273,7 @@ def _groups(plant: Plant, records: Any) -> tuple[Group, ...]:
     return tuple(groups)
 
 
-_FILTERS = "filters `LowPass(cutoff, order)`, or left out"
+_FILTERS = "filters `LowPass(cutoff, order)`, or None"
 
 
 def _filters(lowpass: Any) -> tuple[LowPass | None, ...]:
