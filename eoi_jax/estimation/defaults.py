@@ -44,9 +44,7 @@ _LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
 _ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
 _CUTOFFS = 200  # that are tried
 _BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
-_NOISY_RATE = (
-    0.01  # rms noise of the velocity over the velocity, from which on records are smoothed
-)
+_NOISY_RATE = 0.01  # rms noise of the velocity over the velocity, above which records are smoothed
 _SMOOTH_BAND = 5.0  # cut-off of the smoothing over that of F
 _MAX_STEP = 0.012  # cut-off times step
 _MAX_SUBSTEPS = 20

@@ -280,7 +280,7 @@ class _Pair(eqx.Module):
         columns: Float[Array, "ny columns"],
         h: Scalar,
     ) -> Float[Array, "nx columns"]:
-        """L⁻¹ over one step: Runge–Kutta of order four, with L constant over the step."""
+        """L⁻¹ over one step: Runge–Kutta of order four, all of L held over the step."""
         ny = len(self.plant.outputs)
         size = self.plant.relative_degree * ny
         is_highest = (

@@ -158,20 +158,16 @@ def iterate(
         watch: called after each iteration with its number from 0, its index (lanes, ny), and for
             which lanes it is the best so far.
     """
-    lane_count, affine = len(start), plant.is_affine
-    all_lanes, theta, active = np.arange(lane_count), start, np.ones(lane_count, bool)
-    stale, damping, count = (
-        np.zeros(lane_count, int),
-        np.zeros(lane_count),
-        np.zeros(lane_count, int),
-    )
+    lanes, affine = np.arange(len(start)), plant.is_affine
+    theta, active, damping = start, np.ones(len(start), bool), np.zeros(len(start))
+    stale, count, best_pass = (np.zeros(len(start), int) for _ in range(3))
     sums = reference = best = has_data = None
-    best_pass, history = np.zeros(lane_count, int), []
+    history = []
     for number in range(passes):
-        running = all_lanes[active]
+        running = lanes[active]
         new_sums = run(running, theta[running], number)
         sums = _updated(sums, running, new_sums)
-        current = _solve(plant, theta, sums, np.zeros(lane_count))
+        current = _solve(plant, theta, sums, np.zeros(len(start)))
         if reference is None or best is None:
             reference, best, has_data = current, current, np.any(new_sums.count != 0, axis=1)
         better = active & ((number == 0) | (current.cost < reference.cost - MIN_PROGRESS))
@@ -253,8 +249,8 @@ def group_by_sample(
         substeps: steps per sample.
 
     Returns:
-        One group a sample; its rows are the outputs in all of its steps, since what varies within a
-        sample is far faster than any cosine of `long_run`.
+        One group per sample; its rows are the outputs in all of its steps, since variations within
+        a sample are far faster than any cosine of `long_run`.
     """
     stops = substeps * sample_counts(use, substeps)
     parts = [array[:end] for array, end in zip(values, stops, strict=True)]
@@ -263,7 +259,7 @@ def group_by_sample(
 
 
 def sample_counts(use: Any, substeps: int) -> Int[np.ndarray, " records"]:
-    """Samples of each record up to the last that counts: of `group_by_sample`."""
+    """Number of samples of each record up to the last that counts, as in `group_by_sample`."""
     used = np.any(np.asarray(use) > 0, axis=-1)
     ends = used.shape[1] - np.argmax(used[:, ::-1], axis=1)
     return np.where(np.any(used, axis=1), -(-ends // substeps), 0)
@@ -335,6 +331,7 @@ _least_squares_per_lane = jit(jax.vmap(least_squares), static=())  # free parame
 def _solve(
     plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]
 ) -> Iteration:
+    """Index (14) and Δθ of (11), from the sums of a pass of every lane."""
     theta = _snapped_to_bounds(plant, theta)
     power = np.asarray(index_of(sums.square, sums.weight))
     size = mean(sums.observed_square, sums.weight)

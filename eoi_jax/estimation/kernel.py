@@ -344,13 +344,13 @@ class Kernel(eqx.Module):
             def rate(z: Array) -> Array:
                 return self.plant.internal_rate(t, State(y, z), u(shift), theta)
 
-            k1 = rate(z)
-            k2 = rate(z + 0.5 * h * k1)
-            k3 = rate(z + 0.5 * h * k2)
-            k4 = rate(z + h * k3)
-            end = z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            first = rate(z)
+            second = rate(z + 0.5 * h * first)
+            third = rate(z + 0.5 * h * second)
+            fourth = rate(z + h * third)
+            end = z + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
             # Cubic through both ends; the slope at the end is nearly `fourth`.
-            return 0.5 * (z + end) + h / 8.0 * (k1 - k4), end
+            return 0.5 * (z + end) + h / 8.0 * (first - fourth), end
 
         (middle, end), jacobian = self._value_and_jacobian(middle_and_end)
         return middle, jacobian[0], end, jacobian[1]

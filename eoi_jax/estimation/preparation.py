@@ -31,7 +31,7 @@ from eoi_jax.models.plant import Plant
 
 # An increment of y within this many standard deviations of its noise has no certain sign.
 _SIGNIFICANT = 4.0
-# Time constants of F over which weights rise from zero next to steps that do not count.
+# Weights rise over this many time constants of F beside steps that do not count.
 TAPER = 2.0
 _BLOCKS, _FEWEST = 50, 10  # blocks of scores: most and fewest, if the filter's memory allows them
 
@@ -228,7 +228,7 @@ def prepare_steps(
         inputs: during each step, see `step_inputs`.
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
-        memory: of the filter [s]; scores further apart than this are independent.
+        memory: of the filter [s]; scores further apart are independent.
         velocity_noise: as `defaults.velocity_noise`, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which weights rise from zero next to a step that does not count [s].
@@ -300,7 +300,7 @@ def moving(
         degrees: of the outputs; of degree one they are speeds themselves.
         outputs: on a uniform grid.
         h: its step [s].
-        noise: of `defaults.velocity_noise`.
+        noise: of `tuning.velocity_noise`.
     """
     velocity = np.where(
         np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
