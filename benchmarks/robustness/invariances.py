@@ -58,7 +58,7 @@ import eoi_jax as eoi
 from benchmarks.common import Report, arguments, table
 from eoi_jax import excitation
 from eoi_jax.estimation.defaults import default_transient
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.effects import InputDelay
 
 PLANTS = 200
@@ -401,7 +401,7 @@ def choices(one: Experiment) -> dict[str, Any]:
     """What `identify` chooses for an experiment, as its arguments."""
     records = tuple(one.made())
     found = eoi.identify(one.model, records)
-    prepared = ready(one.model, records)
+    prepared = prepare_records(one.model, records)
     return {
         "observer": found.observer,
         "lowpass": found.lowpass,

@@ -32,7 +32,7 @@ import eoi_jax as eoi
 from eoi_jax.estimation.engines import Lanes, Native, Scan
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import SecondOrder
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.models.library import pendulum
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -107,7 +107,7 @@ class Case:
         record = eoi.simulate(pendulum(true=True), time_, u)
         lowpass = LowPass(CUTOFF)
         inputs = [step_inputs(record, False)]
-        batch: Any = prepare(
+        batch: Any = prepare_steps(
             pendulum(), [record], inputs, 2, 0.5, lowpass.memory, [np.zeros(1)], False, 0.05
         )
         whole = jax.tree.map(lambda leaf: np.asarray(leaf[0]), batch)

@@ -1,9 +1,9 @@
-r"""Every method on the same records, with the same report.
+r"""Several methods on the same records, scored in the same way.
 
-Each method gets the plant at its nominal parameters and the same records. Its estimate is judged by
-what does not depend on the method: free runs on held-out records, the truth where it is known, and
-the index P of eq. (14) under *one* observer and *one* filter, chosen once from the records (a
-method's own index depends on its own filter, and no two of them may be compared).
+Each method gets the plant at its nominal parameters and the same records. The scores do not depend
+on the method: free runs on hold-out records, the error of the parameters where the truth is known,
+and the index P of eq. (14) under *one* observer and *one* filter, chosen from the records. (A
+method's own index depends on its filter, and cannot be compared with that of another.)
 """
 
 import time
@@ -20,32 +20,34 @@ from eoi_jax.comparison.methods import AbstractComparator, Estimate, standard
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
-from eoi_jax.estimation.holdout import INITIAL, held_out
+from eoi_jax.estimation.holdout import INITIAL, held_out_records
 from eoi_jax.estimation.identify import estimate
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
 
-_FEWEST = 20  # samples of a re-initialised run, at least
+_FEWEST = 20  # smallest number of samples of a re-initialised run
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One method's row.
+    """Result and scores of one method.
 
     Attributes:
-        method: its name. description: one sentence on it.
-        parameters: estimate by name; None where it has no answer.
-        standard_errors: by name; None where it has none.
+        method: name.
+        description: one sentence.
+        parameters: estimate by name; None without an answer.
+        standard_errors: by name; None if the method gives none.
         status: how it ended.
-        rmse: of free runs through whole held-out records, shape (ny,). windows: of free runs whose
-            state is estimated anew in every window. NaN without an answer, infinite where a run
-            diverges.
+        rmse: of free runs over the hold-out records, shape (ny,); NaN without an answer, infinite
+            where a run diverges.
+        windows: rmse of free runs in windows, each with its initial state estimated again, (ny,).
         index: P of the estimate under the common observer and filter, shape (ny,).
         errors: by name, (estimate - truth) over |truth| (or over 1 where the truth is zero);
-            None where no truth is given.
-        seconds: of a second call, with everything compiled. first_seconds: of the first call.
+            None without truth.
+        seconds: time of a second call, with everything compiled.
+        first_seconds: time of the first call.
     """
 
     method: str
@@ -63,18 +65,18 @@ class Entry:
 
 @dataclass(frozen=True)
 class Comparison(Result):
-    """What `compare` found: prints itself as a table.
+    """Result of `compare`; prints itself as a table.
 
-    `plot` shows parameter error, held-out error and time of each method.
+    `plot` shows parameter error, hold-out error and time of each method.
 
     Attributes:
-        entries: one for each method, in the order given.
+        entries: one for each method, in the order of the call.
         plant: with its nominal parameters.
-        truth: by name, where given.
+        truth: true parameters by name, or None.
         held_out: whether free runs are on other records than those of the fit.
         window: length of the re-initialised runs [s]; None where records are too short.
-        reasons: the common observer and filter, and why.
-        notes: what limits the numbers.
+        reasons: why the common observer and filter were chosen.
+        notes: limits of the scores.
     """
 
     entries: tuple[Entry, ...]
@@ -91,7 +93,7 @@ class Comparison(Result):
         Raises:
             ValueError: a name that is not among them.
         """
-        names = [one.method for one in self.entries]
+        names = [entry.method for entry in self.entries]
         check_choice("method", method, names)
         return self.entries[names.index(method)]
 
@@ -103,62 +105,66 @@ def compare(
     truth: Mapping[str, float] | None = None,
     methods: Sequence[AbstractComparator | str] | None = None,
 ) -> Comparison:
-    """Estimate a plant's parameters by several methods, and put them side by side.
+    """Estimate a plant's parameters by several methods, and compare the results.
 
     Args:
         plant: the model with its nominal parameters, from which every method starts.
         records: one or several; every method fits all of them.
-        validation: held-out records, on which free runs are scored, none of them seen by a fit; if
-            left out, those of the fit.
-        truth: parameters that made the records, by name, where they are known.
-        methods: comparators, one's own among them, and names of those in `comparators.standard()`;
-            by default all of these.
+        validation: hold-out records, on which free runs are scored; default: the records of the
+            fit.
+        truth: true parameters of the records by name, if known.
+        methods: comparators, and names of those in `comparators.standard()`; default: all of these.
 
     Returns:
-        One entry for each method. A method that fails has a status that says how, and the others
-        are not touched by it.
+        One entry for each method. A method that fails has a status that says how, and does not
+        affect the others.
 
     Raises:
-        ValueError: records that do not fit the plant, an unknown parameter in `truth`, no method,
-            one that is no comparator, two of one name.
+        ValueError: records that do not match the plant, an unknown parameter in `truth`, no method,
+            a method that is not a comparator, two methods of the same name.
     """
-    several = check_records(plant, records)
-    apart = held_out(plant, several, validation)
+    checked = check_records(plant, records)
+    validation_records = held_out_records(plant, checked, validation)
     check(
-        validation is None or len(apart) > 0, "validation", "must hold at least one record", "none"
+        validation is None or len(validation_records) > 0,
+        "validation",
+        "must hold at least one record",
+        "none",
     )
-    held = apart or several
+    scored = validation_records or checked
     check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:
         check_choice("truth", name, plant.names)
     chosen = _methods(methods)
-    names = [one.name for one in chosen]
+    names = [comparator.name for comparator in chosen]
     check(len(set(names)) == len(names), "methods", "must have different names", ", ".join(names))
-    judge = _Judge(plant, held, dict(truth) if truth else None, common_index(plant, several))
-    entries = tuple(judge.entry(one, several) for one in chosen)
+    scorer = _Scorer(plant, scored, dict(truth) if truth else None, common_index(plant, checked))
+    entries = tuple(scorer.entry(comparator, checked) for comparator in chosen)
     return Comparison(
         entries,
         plant,
-        judge.truth,
-        bool(apart),
-        judge.window,
-        judge.index.reasons,
-        judge.notes,
+        scorer.truth,
+        bool(validation_records),
+        scorer.window,
+        scorer.index.reasons,
+        scorer.notes,
     )
 
 
 def _methods(
     methods: Sequence[AbstractComparator | str] | None,
 ) -> tuple[AbstractComparator, ...]:
-    known = {one.name: one for one in standard()}
-    several = [methods] if isinstance(methods, str) else list(known) if methods is None else methods
-    check_kind("methods", several, Iterable, "comparators or their names")
+    library = {method.name: method for method in standard()}
+    requested = (
+        [methods] if isinstance(methods, str) else list(library) if methods is None else methods
+    )
+    check_kind("methods", requested, Iterable, "comparators or their names")
     chosen = []
-    for one in several:
-        if isinstance(one, str):
-            check_choice("methods", one, known)
-        check_kind("methods", one, (AbstractComparator, str), "comparators or their names")
-        chosen.append(known[one] if isinstance(one, str) else one)
+    for method in requested:
+        if isinstance(method, str):
+            check_choice("methods", method, library)
+        check_kind("methods", method, (AbstractComparator, str), "comparators or their names")
+        chosen.append(library[method] if isinstance(method, str) else method)
     check(len(chosen) > 0, "methods", "must hold at least one comparator", "none")
     return tuple(chosen)
 
@@ -180,23 +186,23 @@ class CommonIndex:
 
 
 def common_index(plant: Plant, records: Record | Sequence[Record]) -> CommonIndex:
-    """The observer and the filter that `identify` would choose, kept for every set of parameters.
+    """Index under the observer and the filter that `identify` chooses for the nominal parameters.
 
     Args:
         plant: at its nominal parameters, for which the relay is chosen.
-        records: on which P is taken.
+        records: of the index.
 
     Returns:
-        A score, and the reasons for what was chosen.
+        The score function, and the reasons for observer and filter.
     """
-    prepared = ready(plant, check_records(plant, records))
+    prepared = prepare_records(plant, check_records(plant, records))
     observer, chosen = default_observer(
         plant, prepared.fine, prepared.inputs, prepared.lowpass.cutoff, prepared.substeps
     )
 
     def score(values: Mapping[str, float]) -> Float[np.ndarray, " ny"]:
-        at = plant.with_parameters(values)
-        return np.asarray(estimate(at, prepared, observer, passes=1).index[0])
+        candidate = plant.with_parameters(values)
+        return np.asarray(estimate(candidate, prepared, observer, passes=1).index[0])
 
     return CommonIndex(score, prepared.reasons + chosen)
 
@@ -204,41 +210,41 @@ def common_index(plant: Plant, records: Record | Sequence[Record]) -> CommonInde
 # -- one method ---------------------------------------------------------------------------------
 
 
-class _Judge:
-    """What every method is judged by."""
+class _Scorer:
+    """Scores every method on the same records."""
 
     def __init__(
         self,
         plant: Plant,
-        held: Sequence[Record],
+        scored: Sequence[Record],
         truth: dict[str, float] | None,
         index: CommonIndex,
     ):
-        self.plant, self.held, self.truth, self.index = plant, held, truth, index
-        self.window = window_length(held, _FEWEST)
+        self.plant, self.scored, self.truth, self.index = plant, scored, truth, index
+        self.window = window_length(scored, _FEWEST)
         self.notes: tuple[str, ...] = ()
         if self.window is None:
             self._note(f"held-out records are too short for windows of {_FEWEST} samples")
 
     def entry(self, method: AbstractComparator, records: tuple[Record, ...]) -> Entry:
-        """Run a method twice, for its time once compiled, and score its answer."""
-        found, first = _timed(lambda: _attempt(method, self.plant, records))
+        """Run a method, again for its time once compiled, and score its answer."""
+        answer, first = _timed(lambda: _attempt(method, self.plant, records))
         seconds = np.nan
-        if found.status.ok:
-            found, seconds = _timed(lambda: _attempt(method, self.plant, records))
-        values = found.parameters
-        none = np.full(len(self.plant.outputs), np.nan)
-        whole, windows, index = none, none, none
+        if answer.status.ok:
+            answer, seconds = _timed(lambda: _attempt(method, self.plant, records))
+        values = answer.parameters
+        no_value = np.full(len(self.plant.outputs), np.nan)
+        free_run, windows, index = no_value, no_value, no_value
         if values is not None:
-            whole, index = self._free_run(values, None), self.index.score(values)
-            windows = none if self.window is None else self._free_run(values, self.window)
+            free_run, index = self._free_run(values, None), self.index.score(values)
+            windows = no_value if self.window is None else self._free_run(values, self.window)
         return Entry(
             method.name,
             method.description,
             values,
-            found.standard_errors,
-            found.status,
-            whole,
+            answer.standard_errors,
+            answer.status,
+            free_run,
             windows,
             index,
             self._errors(values),
@@ -247,14 +253,14 @@ class _Judge:
         )
 
     def _free_run(self, values: dict[str, float], window: float | None) -> np.ndarray:
-        """Held-out error; a record that cannot be scored costs the number, not the comparison."""
-        samples = min(len(one) for one in self.held)
+        """Hold-out error; NaN with a note if a record cannot be scored."""
+        samples = min(len(record) for record in self.scored)
         if window is not None:
-            samples = min(round(window / one.sample_period) for one in self.held)
+            samples = min(round(window / record.sample_period) for record in self.scored)
         initial = min(INITIAL, max(samples // 2, 1))
         try:
-            at = self.plant.with_parameters(values)
-            return validate(at, self.held, initial_samples=initial, window=window).rmse
+            candidate = self.plant.with_parameters(values)
+            return validate(candidate, self.scored, initial_samples=initial, window=window).rmse
         except ValueError as error:
             self._note(f"no free runs on held-out records: {error}")
             return np.full(len(self.plant.outputs), np.nan)
@@ -279,20 +285,20 @@ def _timed(run: Callable[[], Estimate]) -> tuple[Estimate, float]:
 
 
 def _attempt(method: AbstractComparator, plant: Plant, records: tuple[Record, ...]) -> Estimate:
-    """A method's answer; whatever it raises, or gets wrong, is a status."""
+    """A method's answer; exceptions and invalid answers become a status."""
     try:
-        found = method.estimate(plant, records)
-        if found.parameters is None:
-            return found
+        answer = method.estimate(plant, records)
+        if answer.parameters is None:
+            return answer
         check(
-            set(found.parameters) == set(plant.names),
+            set(answer.parameters) == set(plant.names),
             "parameters",
             f"must name all of {', '.join(plant.names)}",
-            ", ".join(found.parameters),
+            ", ".join(answer.parameters),
         )
-        if not np.all(np.isfinite(list(found.parameters.values()))):
+        if not np.all(np.isfinite(list(answer.parameters.values()))):
             return Estimate(None, None, Status("diverged", "the estimate is not finite"))
     except Exception as error:
         text = f"{method.name} raised {type(error).__name__}: {error}"
         return Estimate(None, None, Status("failed", text))
-    return found
+    return answer

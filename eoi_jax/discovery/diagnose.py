@@ -36,8 +36,8 @@ from eoi_jax.estimation.regression.noise_autocorrelation import (
     correlations,
     largest,
     ljung_box,
+    max_lag,
     prediction_from,
-    reach,
     wald,
     whitened,
     whitened_inputs,
@@ -308,7 +308,7 @@ def _maps(plant: Plant, views: Sequence[View], j: int) -> list[Map]:
     total = sum(int(np.sum(np.isfinite(view.thinned(j)))) for view in views)
     if total < FEWEST:
         return []
-    freedom = 1.5 * total / reach(total)  # of a Bartlett window
+    freedom = 1.5 * total / max_lag(total)  # of a Bartlett window
     bins = int(np.clip(freedom / 8.0, 3, _BINS))
     maps = []
     for c, name in enumerate(variable_names(plant)):

@@ -38,11 +38,11 @@ from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import aside
 from eoi_jax.estimation.covariance import Certainty
-from eoi_jax.estimation.defaults import brief_notes, too_short
-from eoi_jax.estimation.holdout import check_runs, held_out, resting
+from eoi_jax.estimation.defaults import short_record_notes, too_short
+from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.estimation.preparation import Ready, ready
+from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.effects import rare, standard
@@ -112,7 +112,7 @@ def discover(
         check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
         parts = [one.split(1.0 - validation) for one in several]
         several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
-    held = held_out(plant, several, validation)
+    held = held_out_records(plant, several, validation)
     tried = _effects([effects] if isinstance(effects, str) else effects)
     spare = rare() if effects is None else ()
     fitting = _fitting(plant, tried)
@@ -139,15 +139,15 @@ def discover(
 
 def _telling(
     plant: Plant, records: tuple[Record, ...], lowpass: LowPass | None
-) -> tuple[Ready, tuple[Record, ...], list[str]]:
+) -> tuple[PreparedRecords, tuple[Record, ...], list[str]]:
     """Records made ready, without those too short to tell anything beside the others."""
-    prepared = ready(plant, records, lowpass)
+    prepared = prepare_records(plant, records, lowpass)
     cutoff = prepared.lowpass.cutoff
-    left = brief_notes(records, cutoff, "left out")
+    left = short_record_notes(records, cutoff, "left out")
     if left:
         each = zip(records, too_short(records, cutoff), strict=True)
         records = tuple(one for one, short in each if not short)
-        prepared = ready(plant, records, lowpass)
+        prepared = prepare_records(plant, records, lowpass)
     return prepared, records, left
 
 
@@ -442,7 +442,7 @@ _REFUSED = "refused: {} makes the free run worse or diverge on the records of `v
 
 
 def _notes(task: Task) -> list[str]:
-    notes = resting(task.held, task.records)
+    notes = resting_outputs(task.held, task.records)
     if not task.held:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "

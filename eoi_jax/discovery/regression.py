@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax.discovery.candidates import Atom
 from eoi_jax.discovery.cosine_modes import Stretch, model_rows
-from eoi_jax.estimation.regression.bounded import bounded, outside
+from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 
@@ -133,7 +133,7 @@ def within_bounds(base: Base, fit: Fit, power: Rows) -> Fit:
     room = base.room or (np.full(len(base.free), -np.inf), np.full(len(base.free), np.inf))
     low = np.append(room[0], [one.lower for one in gains])[None]
     high = np.append(room[1], [one.upper for one in gains])[None]
-    if not outside(fit.theta[None], (low, high)):
+    if not leaves_bounds(fit.theta[None], (low, high)):
         return fit
     target, matrix = system(base, fit.atoms)
     weighed = matrix / np.sqrt(power)[:, None]

@@ -22,7 +22,7 @@ from eoi_jax.estimation.defaults import default_substeps, velocity_noise
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import DiscreteFilter
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
@@ -119,7 +119,7 @@ def _regressors(
         / record.noise_left
         for record in records
     ]
-    steps = prepare(
+    steps = prepare_steps(
         plant,
         fine,
         [step_inputs(record, explicit) for record in fine],

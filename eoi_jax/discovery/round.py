@@ -18,7 +18,7 @@ from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, wit
 from eoi_jax.discovery.search import Search
 from eoi_jax.discovery.side_by_side import each, waits
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.preparation import Ready
+from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed, augmented, own_states, place
 from eoi_jax.models.effects import (
     AsymmetricFriction,
@@ -50,7 +50,7 @@ class Task:
     """One discovery: what is fixed during it."""
 
     plant: Plant
-    prepared: Ready  # for the estimator
+    prepared: PreparedRecords  # for the estimator
     records: tuple[Record, ...]
     held: tuple[Record, ...]
     effects: tuple[AbstractEffect, ...]

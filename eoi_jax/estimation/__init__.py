@@ -1,4 +1,8 @@
-"""The estimator: observers, the pass over a record, its iteration (the paper's sections 3 to 5)."""
+"""The estimator: observers, the pass over a record, its iteration (sections 3 to 5 of the paper).
+
+Read `identify` (the estimator), `iteration` (section 4), `kernel` (one pass over a record) and
+`observers/` (section 3), in this order.
+"""
 
 import lazy_loader
 

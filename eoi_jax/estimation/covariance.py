@@ -1,7 +1,11 @@
-"""How sure an estimate is, worked out where somebody asks: as the start of another nobody does."""
+"""Covariance and standard errors of an estimate, computed when they are first read.
+
+An estimate that only starts another one never needs them.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +15,7 @@ from eoi_jax.models.stored_classes import stored_form
 
 @dataclass(frozen=True)
 class Certainty:
-    """What is known of the errors of an estimate.
+    """Uncertainty of an estimate.
 
     Attributes:
         covariance: of the parameters, shape (np, np).
@@ -24,32 +28,29 @@ class Certainty:
     standard_errors: dict[str, float]
 
 
-class Deferred:
-    """A certainty that is worked out once, when it is first asked for.
+class DeferredCertainty:
+    """A `Certainty` that is computed once, when `value` is first read.
 
     Args:
-        work: what gives it; let go afterwards, with all that it holds.
+        compute: returns it; dropped afterwards, with the signals that it holds.
     """
 
-    def __init__(self, work: Callable[[], Certainty]):
-        self._work: Callable[[], Certainty] | None = work
-        self._found: Certainty | None = None
+    def __init__(self, compute: Callable[[], Certainty]):
+        self._compute: Callable[[], Certainty] | None = compute
 
-    @property
-    def found(self) -> Certainty:
+    @cached_property
+    def value(self) -> Certainty:
         """The certainty."""
-        work = self._work
-        if work is not None:
-            self._found, self._work = work(), None
-        assert self._found is not None
-        return self._found
+        assert self._compute is not None
+        certainty, self._compute = self._compute(), None
+        return certainty
 
 
-def settled(one: Certainty | Deferred) -> Certainty:
-    """A certainty, worked out if it has not been."""
-    return one.found if isinstance(one, Deferred) else one
+def computed(certainty: Certainty | DeferredCertainty) -> Certainty:
+    """A certainty, computed now if it was deferred."""
+    return certainty.value if isinstance(certainty, DeferredCertainty) else certainty
 
 
 @stored_form.register
-def _found(one: Deferred) -> Certainty:
-    return one.found
+def _stored_value(certainty: DeferredCertainty) -> Certainty:
+    return certainty.value

@@ -1,16 +1,16 @@
-r"""Default gains, filter and sub-steps, read off the records, with the reason in words.
+r"""Default gains, filter, smoothing and sub-steps, chosen from the records, each with its reason.
 
 **Filter.** Least squares on F[y^(r)] is disturbed by the measurement noise that F lets through,
 whose density grows as ω^2r. The cut-off is the highest at which that noise stays below a
 thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the power of y^(r), so
-that the plant's own dynamics stay inside, and at most the one below which 99 % of it lies. Lines
-that no input has (hum, vibration) count neither as dynamics nor as what noise is held against. One
-pole more than the derivatives that are taken bounds the noise at any sampling rate. Records too
-short for that, beside longer ones, have no say: what their spectra show is their length.
+that the plant's dynamics stay inside, and at most the one below which 99 % of it lies. Spectral
+lines that no input has (hum, vibration) are not part of y^(r) here. One pole more than the number
+of derivatives bounds the noise at any sampling rate. Records that are much shorter than others are
+not used: their spectra show mainly their length.
 
-**Relay.** It is set well above all that it may have to inject, so that the implicit observer stays
-in sliding; in the implicit form a large relay costs nothing (no chatter), and what noise it lets
-through, the filter removes.
+**Relay.** It is set well above the largest injection that it may need, so that the implicit
+observer stays in sliding mode; in the implicit form a large relay does not chatter, and the filter
+removes the noise that it passes.
 """
 
 import functools
@@ -44,13 +44,13 @@ _LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
 _ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
 _CUTOFFS = 200  # that are tried
 _BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
-_NOISY_RATE = 0.01  # noise of the velocity over the velocity, rms, that calls for smoothing
-_SMOOTH_BAND = 5.0  # of the smoothing over the cut-off of F
-_FINE = 0.012  # cut-off times step
-_MOST_SUBSTEPS = 20
-_MOST_SAMPLES = 2_000_000  # beyond this the memory of a sub-stepped record would show
-# A record below both has no say: its length in time constants of F, and over the longest one.
-_TELLS, _SHORT = 20.0, 0.1
+_NOISY_RATE = 0.01  # rms noise of the velocity over the velocity, above which records are smoothed
+_SMOOTH_BAND = 5.0  # cut-off of the smoothing over that of F
+_MAX_STEP = 0.012  # cut-off times step
+_MAX_SUBSTEPS = 20
+_MAX_SAMPLES = 2_000_000  # of a record with sub-steps, because of its memory
+# A record below both is not used: its length in time constants of F, and over the longest record.
+_MIN_TIME_CONSTANTS, _MIN_LENGTH_SHARE = 20.0, 0.1
 _RELAY = 2.0  # relay over the largest injection foreseen
 
 
@@ -59,40 +59,40 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
     order = plant.relative_degree + 1
 
     @functools.cache
-    def several(i: int) -> list[Spectrum]:
+    def spectra_of(i: int) -> list[Spectrum]:
         return [spectrum(records[i], j, degree) for j, degree in enumerate(plant.degrees)]
 
-    def chosen(brief: Sequence[bool]) -> tuple[float, str]:
-        kept = [i for i, short in enumerate(brief) if not short]
-        spectra = [one for i in kept for one in several(i)]
-        return _cutoff(spectra, [records[i] for i in kept], order)
+    def choose_cutoff(is_short: Sequence[bool]) -> tuple[float, str]:
+        used = [i for i, excluded in enumerate(is_short) if not excluded]
+        spectra = [output_spectrum for i in used for output_spectrum in spectra_of(i)]
+        return _cutoff(spectra, [records[i] for i in used], order)
 
     shortest = too_short(records, 0.0)
-    cutoff, reason = chosen(shortest)
-    brief = too_short(records, cutoff)
-    if brief != shortest:
-        cutoff, reason = chosen(brief)
+    cutoff, reason = choose_cutoff(shortest)
+    is_short = too_short(records, cutoff)
+    if is_short != shortest:
+        cutoff, reason = choose_cutoff(is_short)
     return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
 
 
 def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
-    """Which records are too short, or torn, beside others, to have a say in what is chosen.
+    """Which records are too short, or have too many gaps, to be used for choices.
 
     Args:
         records: of one estimate.
-        cutoff: of F [rad/s]; 0 for whatever F.
+        cutoff: of F [rad/s]; 0 for any F.
     """
     lengths = [record.sample_period * len(record) for record in records]
-    least = _SHORT * max(lengths)
+    shortest = _MIN_LENGTH_SHARE * max(lengths)
     torn = [_torn(record) for record in records]
     return tuple(
-        (gone and not all(torn)) or (one < least and one * cutoff < _TELLS)
-        for gone, one in zip(torn, lengths, strict=True)
+        (is_torn and not all(torn)) or (length < shortest and length * cutoff < _MIN_TIME_CONSTANTS)
+        for is_torn, length in zip(torn, lengths, strict=True)
     )
 
 
 def check_runs_of_samples(records: Sequence[Record]) -> None:
-    """Differences are taken between samples that follow each other.
+    """Check that differences between consecutive samples can be taken.
 
     Args:
         records: of one estimate.
@@ -119,49 +119,56 @@ def _torn(record: Record) -> bool:
     return _longest_run(record) < SHORTEST
 
 
-def brief_notes(records: Sequence[Record], cutoff: float, what: str) -> list[str]:
-    """A sentence for each of these.
+def short_record_notes(records: Sequence[Record], cutoff: float, consequence: str) -> list[str]:
+    """One sentence for each record that is too short (`too_short`).
 
     Args:
         records: of one estimate.
         cutoff: of F [rad/s].
-        what: is done with them.
+        consequence: end of the sentence.
     """
 
-    def why(one: Record) -> str:
-        if _torn(one):
+    def reason(record: Record) -> str:
+        if _torn(record):
             return f"no {SHORTEST} valid samples follow each other"
+        duration = record.sample_period * len(record)
         return (
-            f"{one.sample_period * len(one):.3g} s are too short beside the other records, less "
-            f"than {_TELLS:g} time constants of the filter"
+            f"{duration:.3g} s are too short beside the other records, less than "
+            f"{_MIN_TIME_CONSTANTS:g} time constants of the filter"
         )
 
-    brief = too_short(records, cutoff)
-    return [f"{one.name}: {why(one)}: {what}" for i, one in enumerate(records) if brief[i]]
+    is_short = too_short(records, cutoff)
+    return [
+        f"{record.name}: {reason(record)}: {consequence}"
+        for i, record in enumerate(records)
+        if is_short[i]
+    ]
 
 
 def _cutoff(
     spectra: Sequence["Spectrum"], records: Sequence[Record], order: int
 ) -> tuple[float, str]:
     """Cut-off [rad/s] for records with these spectra of y^(r), and the reason."""
-    half = max(one.below(0.5, one.own) for one in spectra)
-    most = max(one.below(0.99, one.signal) for one in spectra)
-    quiet = min(one.quiet_cutoff(_NOISE_SHARE, order) for one in spectra)
+    half_power = max(output_spectrum.below(0.5, output_spectrum.own) for output_spectrum in spectra)
+    highest = max(
+        output_spectrum.below(0.99, output_spectrum.signal) for output_spectrum in spectra
+    )
+    quiet = min(output_spectrum.quiet_cutoff(_NOISE_SHARE, order) for output_spectrum in spectra)
     choices = {
         f"the highest with noise below {_NOISE_SHARE:g} of the filtered highest derivative": quiet,
-        "below it lie 99 % of the power of the highest derivative": most,
+        "below it lie 99 % of the power of the highest derivative": highest,
     }
     reason = min(choices, key=lambda key: choices[key])
     cutoff = choices[reason]
     duration = max(record.sample_period * len(record) for record in records)
     period = max(record.sample_period for record in records)
-    for why, limit, bound in (
-        ("below it lies half of the power of the highest derivative", max, half),
+    for bound_reason, limit, bound in (
+        ("below it lies half of the power of the highest derivative", max, half_power),
         ("twenty over the record's length", max, 20.0 / duration),
         ("a tenth of the sampling rate", min, 0.2 * np.pi / period),
     ):
         if limit(cutoff, bound) != cutoff:
-            reason, cutoff = why, bound
+            reason, cutoff = bound_reason, bound
     return cutoff, reason
 
 
@@ -181,23 +188,23 @@ def default_observer(
         cutoff: of F [rad/s].
         substeps: per sample.
     """
-    needed = _largest_injection(plant, records, inputs)
-    chosen, reasons = [], []
+    injection = _largest_injection(plant, records, inputs)
+    gains, reasons = [], []
     for j, degree in enumerate(plant.degrees):
-        relay = _RELAY * float(needed[j])
+        relay = _RELAY * float(injection[j])
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
         ratio = (substeps * period) ** degree * relay / noise if noise > 0 else np.inf
         # A first-order observer integrates its relay: it must reach the injection in one step.
-        what = "delta" if degree == 1 else "relay"
+        gain = "delta" if degree == 1 else "relay"
         value = 2.0 * relay / period if degree == 1 else relay
         reasons.append(
-            f"{plant.outputs[j]}: {what} {value:.3g}, {_RELAY:g} times the largest injection "
-            f"foreseen at the nominal parameters ({needed[j]:.3g}); its reach over one sample is "
-            f"{ratio:.3g} times the measurement noise"
+            f"{plant.outputs[j]}: {gain} {value:.3g}, {_RELAY:g} times the largest injection "
+            f"foreseen at the nominal parameters ({injection[j]:.3g}); its reach over one sample "
+            f"is {ratio:.3g} times the measurement noise"
         )
-        chosen.append(value)
-    return _build(plant.degrees, np.asarray(chosen), cutoff), tuple(reasons)
+        gains.append(value)
+    return _build(plant.degrees, np.asarray(gains), cutoff), tuple(reasons)
 
 
 def default_smoothing(
@@ -205,27 +212,29 @@ def default_smoothing(
 ) -> tuple[float | bool, list[str]]:
     """Zero-phase cut-off [rad/s] for records whose noise hides the velocity, else False; and why.
 
-    A model sees the velocity before the filter F does: sign(ẏ) or ẏ|ẏ| of a noisy velocity is
-    wrong in the mean, and no filter behind it can mend that.
+    The model reads the velocity before the filter F: sign(ẏ) or ẏ|ẏ| of a noisy velocity has a
+    bias that no filter behind it can remove.
     """
     smoothing = _SMOOTH_BAND * cutoff
-    brief = too_short(records, cutoff)
-    telling = [one for one, short in zip(records, brief, strict=True) if not short]
-    moving = np.asarray(plant.degrees) > 1
+    is_short = too_short(records, cutoff)
+    used_records = [
+        record for record, excluded in zip(records, is_short, strict=True) if not excluded
+    ]
+    has_velocity = np.asarray(plant.degrees) > 1
     noisy = False
-    for record in telling:
+    for record in used_records:
         rates = np.diff(record.outputs, axis=0) / record.sample_period
         rms = np.sqrt(np.mean(rates**2, axis=0))
-        noisy |= bool(np.any((rate_noise(record, False) > _NOISY_RATE * rms) & moving))
+        noisy |= bool(np.any((rate_noise(record, False) > _NOISY_RATE * rms) & has_velocity))
     if not noisy or smoothing > 0.9 * min(np.pi / record.sample_period for record in records):
         return False, []
-    before, after = (
-        max(float(np.max(rate_noise(record, one))) for record in telling)
-        for one in (False, smoothing)
+    raw_noise, smoothed_noise = (
+        max(float(np.max(rate_noise(record, cutoff))) for record in used_records)
+        for cutoff in (False, smoothing)
     )
     reason = (
         f"smoothed at {smoothing:.4g} rad/s, outputs and inputs alike, zero phase: the noise of "
-        f"the velocity falls from {before:.2g} to {after:.2g}"
+        f"the velocity falls from {raw_noise:.2g} to {smoothed_noise:.2g}"
     )
     return smoothing, [reason]
 
@@ -245,9 +254,9 @@ def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " n
 def velocity_noise(
     degrees: Sequence[int], record: Record, smoothing: float | bool
 ) -> Float[np.ndarray, " ny"]:
-    """Standard deviation of the noise in what tells how an output moves [unit of y / s].
+    """Standard deviation of the noise of each output's velocity over one step [unit of y / s].
 
-    The velocity of a position, over one step; of relative degree one the output itself [its unit].
+    An output of relative degree one is taken as a velocity itself [unit of y].
     """
     speed = record.noise
     if smoothing:
@@ -256,32 +265,33 @@ def velocity_noise(
 
 
 def default_transient(records: Sequence[Record], lowpass: LowPass, explicit: bool) -> float:
-    """Ten time constants of F, at most a fifth of the shortest record that has a say [s].
+    """Ten time constants of F, at most a fifth of the shortest record in use [s].
 
-    The explicit observer also has to reach its surface; published gains take about a second.
+    An explicit observer also has to reach sliding mode, which takes about a second with published
+    gains.
     """
-    brief = too_short(records, lowpass.cutoff)
-    each = zip(records, brief, strict=True)
-    shortest = min(record.sample_period * len(record) for record, short in each if not short)
+    is_short = too_short(records, lowpass.cutoff)
+    pairs = zip(records, is_short, strict=True)
+    shortest = min(record.sample_period * len(record) for record, excluded in pairs if not excluded)
     return min(10.0 / lowpass.cutoff + (1.0 if explicit else 0.0), 0.2 * shortest)
 
 
 def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, list[str]]:
     """Sub-steps per sample that make the step short against the band of F, and why.
 
-    Model and measurement are averaged over a step by kernels that agree to second order: at the
-    frequency ω what is left is a share (ω h)²/6 of the highest derivative.
+    Model and measurement are averaged over a step by kernels that agree to second order: the error
+    at the frequency ω is a share (ω h)²/6 of the highest derivative.
     """
     period = max(record.sample_period for record in records)
     longest = max(len(record) for record in records)
-    wanted = int(np.ceil(cutoff * period / _FINE))
-    substeps = max(min(wanted, _MOST_SUBSTEPS, _MOST_SAMPLES // longest), 1)
+    wanted = int(np.ceil(cutoff * period / _MAX_STEP))
+    substeps = max(min(wanted, _MAX_SUBSTEPS, _MAX_SAMPLES // longest), 1)
     if substeps == 1:
         return 1, []
-    left = (cutoff * period / substeps) ** 2 / 6.0
+    error = (cutoff * period / substeps) ** 2 / 6.0
     reason = (
         f"{substeps} sub-steps a sample: the discretisation error at the cut-off falls from "
-        f"{substeps**2 * left:.2g} to {left:.2g} of the highest derivative"
+        f"{substeps**2 * error:.2g} to {error:.2g} of the highest derivative"
     )
     return substeps, [reason]
 
@@ -289,7 +299,7 @@ def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, lis
 def _build(
     degrees: tuple[int, ...], gains: Float[np.ndarray, " ny"], cutoff: float
 ) -> AbstractObserver:
-    def one(degree: int, value: Any) -> AbstractObserver:
+    def build_observer(degree: int, value: Any) -> AbstractObserver:
         if degree == 1:
             return FirstOrder(delta=value)
         if degree == 2:
@@ -298,8 +308,8 @@ def _build(
         return HighOrder(bound=value, degree=degree)
 
     if len(set(degrees)) == 1:
-        return one(degrees[0], gains)
-    return PerOutput(tuple(one(degree, gains[j]) for j, degree in enumerate(degrees)))
+        return build_observer(degrees[0], gains)
+    return PerOutput(tuple(build_observer(degree, gains[j]) for j, degree in enumerate(degrees)))
 
 
 @dataclass(frozen=True)
@@ -466,11 +476,11 @@ def _above(
 def _largest_injection(
     plant: Plant, records: Sequence[Record], inputs: Sequence[Float[np.ndarray, "_ nu"]]
 ) -> Float[np.ndarray, " ny"]:
-    """Bound on |y^(r) - f| at the nominal parameters: what differences show plus what f says."""
+    """Bound on |y^(r) - f| at the nominal parameters: largest differences plus largest |f|."""
     bounds = []
     for record, u in zip(records, inputs, strict=True):
         h, valid = record.sample_period, record.valid
-        model = np.abs(_model_along(plant, record, u))[valid[:-1] & valid[1:]]
+        model = np.abs(_model_values(plant, record, u))[valid[:-1] & valid[1:]]
         bound = np.max(np.where(np.isfinite(model), model, 0.0), axis=0, initial=0.0)
         for j, degree in enumerate(plant.degrees):
             good = np.convolve(valid, np.ones(degree + 1), "valid") > degree
@@ -478,13 +488,13 @@ def _largest_injection(
             bound[j] += np.max(size, where=good, initial=0.0)
         bounds.append(bound)
     largest = np.max(bounds, axis=0)
-    return np.where(largest > 0, largest, 1.0)  # in whatever unit; nothing moves where it is zero
+    return np.where(largest > 0, largest, 1.0)  # zero only if nothing moves
 
 
-def _model_along(
+def _model_values(
     plant: Plant, record: Record, inputs: Float[np.ndarray, "steps nu"]
 ) -> Float[np.ndarray, "steps ny"]:
-    """f at the nominal parameters along the measured outputs and their differences."""
+    """f at the nominal parameters, with differences of the measured outputs as derivatives."""
     h, r = record.sample_period, plant.relative_degree
     rows = [0.5 * (record.outputs[1:] + record.outputs[:-1])]
     for degree in range(1, r):
@@ -496,7 +506,7 @@ def _model_along(
 
 @jit(static=())
 def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny"]:
-    """f at every step, with the internal states where they start."""
+    """f at every step, with the internal states at their initial values."""
     theta = jnp.asarray(plant.theta)
     z = plant.internal_start(theta)
     u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)

@@ -1,4 +1,4 @@
-"""Which records may be held out, and what they can judge."""
+"""Checks of hold-out records, on which models are scored by free-run simulation."""
 
 from collections.abc import Iterable, Sequence
 
@@ -11,26 +11,26 @@ from eoi_jax.estimation.preparation import constant
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 
-INITIAL = 50  # samples from which a free run is started; they are not scored
-_CLOSE = 1e-3  # of a sample period: stamps so close together are one
+INITIAL = 50  # samples to which the initial state of a free run is fitted; they are not scored
+_SAME_TIME = 1e-3  # distance of equal time stamps, in sample periods
 
-# Standard deviation of an output over its noise, from which on it moves; and over that in the fit:
-# of coarse samples the differences, which tell the noise, are motion too.
-_MOVES, _LITTLE = 1.5, 0.5
+# An output rests if its standard deviation is below this multiple of its noise and below this share
+# of the standard deviation in the fit: the noise estimate of a coarse record contains motion.
+_NOISE_RATIO, _MIN_MOTION = 1.5, 0.5
 
 
-def held_out(
+def held_out_records(
     plant: Plant, records: Sequence[Record], validation: Record | Iterable[Record] | None
 ) -> tuple[Record, ...]:
-    """Records that judge, as a tuple; none where none are given.
+    """Hold-out records as a tuple; empty for None.
 
     Args:
         plant: whose channels and units they must have.
-        records: of the fit, whose samples they must not hold.
-        validation: one or several, or none.
+        records: of the fit; the hold-out records must not contain their samples.
+        validation: one record, several, or None.
 
     Raises:
-        ValueError: records that do not fit the plant, or that the fit has seen.
+        ValueError: records that do not match the plant, or share samples with the fit.
     """
     if validation is None:
         return ()
@@ -40,142 +40,152 @@ def held_out(
         if not validation:
             return ()
     try:
-        held = check_records(plant, validation)
+        checked = check_records(plant, validation)
     except ValueError as error:
         raise ValueError(str(error).replace("`records", "`validation", 1)) from error
-    hashes = {one.data_hash for one in records}
+    hashes = {record.data_hash for record in records}
     advice = "Give another record, or keep a part of this one back: `record.split(0.7)`."
-    for one in held:
-        name, rule = f"validation[{one.name}]", "must not be one of the records of the fit"
-        check(one.data_hash not in hashes, name, rule, "the same data", advice)
-        for other in records:
-            count = _common(one, other)
+    for record in checked:
+        name, rule = f"validation[{record.name}]", "must not be one of the records of the fit"
+        check(record.data_hash not in hashes, name, rule, "the same data", advice)
+        for fitted in records:
+            shared = _count_common_samples(record, fitted)
             rule = "must not hold samples that the fit sees"
-            check(count == 0, name, rule, f"{count} samples of {other.name}", advice)
-    return held
+            check(shared == 0, name, rule, f"{shared} samples of {fitted.name}", advice)
+    return checked
 
 
-def _common(held: Record, record: Record) -> int:
-    """Samples that would be scored and are those of another record: time, inputs and outputs.
+def _count_common_samples(candidate: Record, record: Record) -> int:
+    """Number of scored samples that another record contains: same time, inputs and outputs.
 
-    Only if all are that both have at one time, and the outputs move: two runs from rest are alike
-    at first.
+    Zero unless the records agree at all common times and the outputs move there: the beginnings of
+    two runs from rest are equal without being the same data.
     """
-    period = held.sample_period
-    shift = (held.time[0] - record.time[0]) / period
-    back = round(shift)
-    first, last = max(0, -back), min(len(held), len(record) - back)
+    period = candidate.sample_period
+    shift = (candidate.time[0] - record.time[0]) / period
+    offset = round(shift)
+    first, last = max(0, -offset), min(len(candidate), len(record) - offset)
     drift = abs(record.sample_period - period) * max(last - first, 0)
-    if max(abs(shift - back) * period, drift) > _CLOSE * period or last <= max(first, INITIAL):
+    if max(abs(shift - offset) * period, drift) > _SAME_TIME * period or last <= max(
+        first, INITIAL
+    ):
         return 0
-    own, other = slice(first, last), slice(first + back, last + back)
-    valid = held.valid[own] & record.valid[other]
-    y = held.outputs[own][valid]
-    same = np.array_equal(y, record.outputs[other][valid]) and np.array_equal(
-        held.inputs[own][valid], record.inputs[other][valid]
+    in_candidate, in_record = slice(first, last), slice(first + offset, last + offset)
+    valid = candidate.valid[in_candidate] & record.valid[in_record]
+    y = candidate.outputs[in_candidate][valid]
+    is_equal = np.array_equal(y, record.outputs[in_record][valid]) and np.array_equal(
+        candidate.inputs[in_candidate][valid], record.inputs[in_record][valid]
     )
-    moves = len(y) > 0 and bool(np.any(np.ptp(y, axis=0) > 0.0))
-    return int(np.sum(valid[max(INITIAL - first, 0) :])) if same and moves else 0
+    is_moving = len(y) > 0 and bool(np.any(np.ptp(y, axis=0) > 0.0))
+    return int(np.sum(valid[max(INITIAL - first, 0) :])) if is_equal and is_moving else 0
 
 
-def check_judges(
+def check_scored_records(
     plant: Plant, name: str, records: Sequence[Record], window: float | None = None
 ) -> list[str]:
-    """Refuse records of which no free run can be scored: before a fit, not after it.
+    """Check, before a fit, that free runs of the records can be scored.
 
     Args:
         plant: whose state each run starts from.
-        name: of the argument that they came by.
-        records: that are run through.
-        window: length of each run [s]; None for whole ones.
+        name: of the argument, for messages.
+        records: to simulate.
+        window: length of each run [s]; None for one run over each record.
 
     Returns:
-        A note for each record of which runs start late, or not at all, for want of valid samples.
+        A note for each record with runs that start late, or not at all, for lack of valid samples.
 
     Raises:
         ValueError: a record that is too short, or has too few valid samples in a row.
     """
-    each = "its free run" if window is None else f"each free run of {window:.4g} s"
+    subject = "its free run" if window is None else f"each free run of {window:.4g} s"
     notes = []
-    for one in records:
-        runs = plan(one, INITIAL, window, plant.relative_degree)
-        burn_in = f" and a burn-in of {one.burn_in:g} s" if one.burn_in else ""
+    for record in records:
+        runs = plan(record, INITIAL, window, plant.relative_degree)
+        burn_in = f" and a burn-in of {record.burn_in:g} s" if record.burn_in else ""
         check(
-            bool(np.any(runs.score & one.valid)),
-            f"{name}[{one.name}]",
-            f"must have valid samples after the {INITIAL} that start {each}",
-            f"{len(one)} samples, {int(np.sum(one.valid))} of them valid{burn_in}",
+            bool(np.any(runs.score & record.valid)),
+            f"{name}[{record.name}]",
+            f"must have valid samples after the {INITIAL} that start {subject}",
+            f"{len(record)} samples, {int(np.sum(record.valid))} of them valid{burn_in}",
             "Give a longer record, or one with fewer gaps.",
         )
-        notes += late_starts(one, runs, INITIAL, window is None)
+        notes += late_starts(record, runs, INITIAL, window is None)
     return notes
 
 
 def check_runs(
-    plant: Plant, records: Sequence[Record], held: Sequence[Record], window: float | None
+    plant: Plant, records: Sequence[Record], validation: Sequence[Record], window: float | None
 ) -> list[str]:
-    """Refuse records and windows of which `discover` could not make its free runs.
+    """Check that `discover` can simulate records and windows.
 
     Args:
-        plant: the declared one.
-        records: of the fit; they judge where none are held out.
-        held: records that are held out.
-        window: length of short runs [s], if it was asked for.
+        plant: the declared model.
+        records: of the fit; scored where no records are held out.
+        validation: hold-out records.
+        window: length of short runs [s]; None for the default.
 
     Returns:
-        A note for each judge with runs that start late for want of valid samples, or that is not
-        longer than the window that was asked for.
+        A note for each scored record with runs that start late for lack of valid samples, or that
+        is not longer than `window`.
 
     Raises:
         ValueError: a record or a window that is too short.
     """
     if window is not None:
         check_positive("window", window, "It is a time in seconds.")
-        for one in (*records, *held):
-            least = INITIAL * one.sample_period
-            rule = f"must be longer than {least:g} s, the {INITIAL} samples of {one.name} that "
+        for record in (*records, *validation):
+            shortest = INITIAL * record.sample_period
+            rule = (
+                f"must be longer than {shortest:g} s, the {INITIAL} samples of {record.name} that "
+            )
             rule += "start each free run"
-            check(round(window / one.sample_period) > INITIAL, "window", rule, f"{window:g} s")
-    judges = held or records
-    notes = check_judges(plant, "validation" if held else "records", judges)
-    for name, several in (("records", records), ("validation", held)):
+            check(round(window / record.sample_period) > INITIAL, "window", rule, f"{window:g} s")
+    scored = validation or records
+    notes = check_scored_records(plant, "validation" if validation else "records", scored)
+    for name, group in (("records", records), ("validation", validation)):
         length = window
-        if window is None and several:
-            length = window_length(several, 2 * INITIAL)
+        if window is None and group:
+            length = window_length(group, 2 * INITIAL)
         if length is not None:
-            late = check_judges(plant, name, several, length)
-            notes += late if several is judges else []
+            late_notes = check_scored_records(plant, name, group, length)
+            notes += late_notes if group is scored else []
     return notes + [
-        _WHOLE.format(window, one.name, len(one) * one.sample_period)
-        for one in judges
-        if window is not None and window >= (len(one) - 1) * one.sample_period
+        _WINDOW_TOO_LONG.format(window, record.name, len(record) * record.sample_period)
+        for record in scored
+        if window is not None and window >= (len(record) - 1) * record.sample_period
     ]
 
 
-def resting(held: Sequence[Record], records: Sequence[Record]) -> list[str]:
-    """A sentence for each output of a record that does not move beyond its noise.
+def resting_outputs(validation: Sequence[Record], records: Sequence[Record]) -> list[str]:
+    """One sentence for each output of a hold-out record that does not move beyond its noise.
 
-    There a model without an effect of motion is as good as one with it, and noise decides.
+    Models with and without an effect of motion are equally good there.
 
     Args:
-        held: records that are held out.
+        validation: hold-out records.
         records: of the fit.
     """
-    usual = np.max([np.std(one.outputs[one.valid], axis=0) for one in records], axis=0)
-    told = []
-    for record in held:
+    fit_spread = np.max(
+        [np.std(record.outputs[record.valid], axis=0) for record in records], axis=0
+    )
+    sentences = []
+    for record in validation:
         spread = np.std(record.outputs[record.valid], axis=0)
-        rests = (spread < np.minimum(_MOVES * record.noise, _LITTLE * usual)) | constant(record)
-        told += [
-            _RESTS.format(name, record.name)
-            for name, one in zip(record.output_names, rests, strict=True)
-            if one
+        resting = (
+            spread < np.minimum(_NOISE_RATIO * record.noise, _MIN_MOTION * fit_spread)
+        ) | constant(record)
+        sentences += [
+            _RESTING.format(name, record.name)
+            for name, is_resting in zip(record.output_names, resting, strict=True)
+            if is_resting
         ]
-    return told
+    return sentences
 
 
-_WHOLE = "`window` of {:g} s is no part of {}, of {:g} s: its free run in windows is the whole one"
-_RESTS = (
+_WINDOW_TOO_LONG = (
+    "`window` of {:g} s is no part of {}, of {:g} s: its free run in windows is the whole one"
+)
+_RESTING = (
     "{} does not move beyond its noise on the held-out record {}, which can neither confirm nor "
     "deny an effect that acts on motion. Hold out a record with motion"
 )

@@ -1,13 +1,15 @@
-r"""One pass over a record: observer, filter, normal equations and index fused in one scan.
+r"""One pass over a record: observer, filter, normal equations and index in one loop.
 
-Per step k → k+1 (section 4 of the paper, steps of one iteration):
-1. the observer follows y with the model at θ and shows y^(r) as it observes it;
-2. u_eq = observed - f, f at the middle of the step, averaged as the observer averages;
-3. F[u_eq] and F[φ], the same filter (19) on both;
-4. Σ φᵀφ, Σ φᵀu_eq (11), the sum of squares of the index (14), samples in sliding.
+For each step k → k+1 of the record (sections 3 and 4 of the paper):
 
-Nothing is stored per sample unless asked. A step that must not count (a gap, dry friction at
-rest) enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds for any mask m, so no
+1. the observer follows y with the model at θ, and gives an estimate of y^(r) (section 3);
+2. u_eq = observed - f, with f at the middle of the step, averaged as the observer averages;
+3. F[u_eq] and F[φ], with the same filter (19) on both;
+4. the sums Σ φᵀφ and Σ φᵀu_eq of (11), the sum of squares of the index (14), and the number of
+   samples in sliding mode.
+
+No sample is stored unless asked for. A step that must not count (a gap, dry friction at rest)
+enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds for any mask m, so that no
 margin is needed around it.
 """
 
@@ -28,7 +30,7 @@ from eoi_jax.models.plant import Plant, State
 
 
 class Steps(eqx.Module):
-    """One record as a kernel reads it: S = N - 1 steps between its samples.
+    """One record as the kernel reads it: S = N - 1 steps between its samples.
 
     Attributes:
         time: middle of each step [s], shape (S,).
@@ -36,10 +38,9 @@ class Steps(eqx.Module):
         u: inputs during each step, shape (S, nu).
         use: 1 where model and measurement belong together, shape (S, ny).
         score: 1 where least squares and index count the step, shape (S, ny).
-        restart: where the observer starts anew (first step, first step after a gap).
-        start_rates: rough rates to start with, shape (rates, ny).
-        block_weight: of each step's scores in its block, for the covariance.
-        block_end: last step of each block.
+        restart: where the observer is initialised again (first step, first step after a gap).
+        block_weight: weight of each step's scores in its block, for the covariance.
+        block_end: whether a step is the last of its block.
         sample_period: h [s].
     """
 
@@ -56,9 +57,17 @@ class Steps(eqx.Module):
 
 
 class Sums(eqx.Module):
-    """What a pass adds up, over scored steps and for each output.
+    """Sums of a pass over the scored steps, for each output.
 
-    `weight` is the sum of F[m]², the power that a unit injection would have had.
+    Attributes:
+        information: Σ φᵀφ.
+        rhs: Σ φᵀ u_eq.
+        square: Σ u_eq².
+        observed_square: Σ (observed y^(r))².
+        weight: Σ F[m]², the power of an injection of one.
+        count: number of scored steps.
+        sliding: number of scored steps in sliding mode.
+        meat: of the sandwich covariance, Σ over blocks of the outer products of their scores.
     """
 
     information: Float[Array | np.ndarray, "ny np np"]
@@ -72,10 +81,10 @@ class Sums(eqx.Module):
 
 
 class Trace(eqx.Module):
-    """What a pass stores when asked: for each step, at its end.
+    """Filtered signals of a pass, at the end of each step; stored if asked for.
 
-    All of it is filtered with the mask m inside, F[m u_eq] and F[m φ]; divided by `weight` = F[m]
-    it is a weighted mean over the filter's memory.
+    The mask m is inside the filter, F[m u_eq] and F[m φ]; divided by `weight` = F[m] they are
+    weighted means over the filter's memory.
     """
 
     injection: Float[Array | np.ndarray, "*steps ny"]
@@ -84,12 +93,14 @@ class Trace(eqx.Module):
 
 
 class Step(eqx.Module):
-    """One step of a record as the loop reads it (or all, leading axis); others as in `Steps`.
+    """One step of a record as the loop reads it, or all steps with a leading axis.
+
+    Fields that are not listed are those of `Steps`.
 
     Attributes:
         u: inputs behind the actuators, shape (nu,).
         slope: their derivative with θ, shape (nu, np); None without actuators.
-        emphasis: factor on `score`; how often a bootstrap drew the step, for example.
+        emphasis: factor on `score`, such as how often a bootstrap drew the step.
     """
 
     u: Float[Array, "*steps nu"]
@@ -106,7 +117,7 @@ class Step(eqx.Module):
 
 
 class Carry(eqx.Module):
-    """What the loop carries from step to step; nothing else is kept of a record."""
+    """State of the loop between two steps."""
 
     observer: Any
     z: Float[Array, " nz"]
@@ -118,7 +129,7 @@ class Carry(eqx.Module):
 
 
 Shift = Float[Array, " directions"]
-Shifted = Callable[[Shift], Any]  # something, such as the inputs, at a shift of θ
+Shifted = Callable[[Shift], Any]  # a quantity, such as the inputs, as a function of a shift of θ
 
 
 @jit
@@ -140,10 +151,9 @@ def run_pass(
         lowpass: the sampled filter of each record.
         steps: the records, padded to one length with `use` = `score` = 0.
         theta: θ of this pass.
-        increment: Δθ, what least squares explains by which is not in the scores; or zero.
-        weights: of each output in the scores, shape (ny,); or one.
-        store: ``"nothing"``, ``"signals"`` (a `Trace`), or ``"scores"``: only their covariance,
-            `Sums.meat`.
+        increment: Δθ of the scores φᵀ(u_eq - φ Δθ); zero by default.
+        weights: of each output in the scores, shape (ny,); one by default.
+        store: ``"nothing"``, ``"signals"`` (a `Trace`), or ``"scores"`` (only `Sums.meat`).
 
     Returns:
         Sums and traces, each with the records as leading axis.
@@ -151,15 +161,15 @@ def run_pass(
     increment = jnp.zeros_like(theta) if increment is None else increment
     weights = jnp.ones(len(plant.outputs), theta.dtype) if weights is None else weights
 
-    def one(lowpass: DiscreteFilter, steps: Steps) -> tuple[Sums, Trace | None]:
+    def run_record(lowpass: DiscreteFilter, steps: Steps) -> tuple[Sums, Trace | None]:
         kernel = Kernel(plant, observer, lowpass, theta, increment, weights, store)
         return kernel.run(steps)
 
-    return jax.vmap(one)(lowpass, steps)
+    return jax.vmap(run_record)(lowpass, steps)
 
 
 def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | None = None) -> Step:
-    """All steps of a record, with what stands behind the actuators; fields as of `Step`."""
+    """All steps of a record, with the inputs behind the actuators; arguments as in `Step`."""
     return Step(
         u=u,
         slope=slope,
@@ -176,11 +186,11 @@ def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | Non
 
 
 class Kernel(eqx.Module):
-    """The loop over one record: a carry and a step; fields as in `run_pass`.
+    """The loop over one record as `init` and `step`; fields as in `run_pass`.
 
     Attributes:
-        columns: directions in θ, along which the regressors are taken, shape (np, directions); the
-            parameters themselves if None.
+        columns: directions in θ along which the regressors are taken, shape (np, directions); by
+            default the parameters themselves.
     """
 
     plant: Plant
@@ -199,7 +209,7 @@ class Kernel(eqx.Module):
 
         Args:
             steps: of one record.
-            emphasis: factor on the scores of each of its blocks; ones if left out.
+            emphasis: factor on the scores of each of its blocks; one by default.
         """
         h = jnp.asarray(steps.sample_period)
         rows = self.rows(steps, emphasis)
@@ -209,93 +219,115 @@ class Kernel(eqx.Module):
 
     def rows(self, steps: Steps, emphasis: Float[Array, " blocks"] | None = None) -> Step:
         """All steps of a record, each field with a leading axis (S,)."""
-        each = None
+        factors = None
         if emphasis is not None:
             ends = jnp.asarray(steps.block_end)
-            each = emphasis[jnp.cumsum(ends) - ends]
-        return step_rows(steps, *self.inputs(steps), each)
+            factors = emphasis[jnp.cumsum(ends) - ends]
+        return step_rows(steps, *self.inputs(steps), factors)
 
     def inputs(self, steps: Steps) -> tuple[Array, Array | None]:
         """Inputs behind the actuators, (S, nu), and their derivative with θ, (S, nu, np)."""
         time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
         if self.plant.actuator is None:
             return u, None
-        return self._differentiated(lambda shift: self.plant.driven(time, u, self._at(shift)))
+        return self._value_and_jacobian(
+            lambda shift: self.plant.driven(time, u, self._theta_at(shift))
+        )
 
     def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
-        """Before the first step, whose ends are given."""
+        """Carry before the first step.
+
+        Args:
+            y: outputs at the start of that step.
+            y_next: outputs at its end.
+            h: sample period [s].
+        """
         ny, size, dtype = len(self.plant.outputs), self._directions, self.theta.dtype
         zeros = jnp.zeros
-        z, sensitivity = self._differentiated(
-            lambda shift: self.plant.internal_start(self._at(shift))
+        z, sensitivity = self._value_and_jacobian(
+            lambda shift: self.plant.internal_start(self._theta_at(shift))
         )
         taps = _kernel_weights(self.observer, ny).shape[0]
-        each = zeros(ny, dtype)
-        phi = zeros((ny, size), dtype)
+        zero_output = zeros(ny, dtype)
+        zero_phi = zeros((ny, size), dtype)
         sums = Sums(
             zeros((ny, size, size), dtype),
-            phi,
-            each,
-            each,
-            each,
-            each,
-            each,
+            zero_phi,
+            zero_output,
+            zero_output,
+            zero_output,
+            zero_output,
+            zero_output,
             zeros((size, size), dtype),
         )
         return Carry(
             self._start(y, y_next, h),
             z,
             sensitivity,
-            ((each, phi),) * (taps - 1),
+            ((zero_output, zero_phi),) * (taps - 1),
             zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
             zeros(size, dtype),
             sums,
         )
 
     def _start(self, y: Any, y_next: Any, h: Scalar) -> Any:
-        """Start on the measurement, with its first increment as velocity."""
+        """Observer state at the measurement, with its first increment as velocity."""
         rows = self.plant.relative_degree - 1
         rates = jnp.zeros((rows, y.shape[0]), self.theta.dtype)
         if rows:
             rates = rates.at[0].set((y_next - y) / h)
         return self.observer.init(jnp.asarray(y, self.theta.dtype), rates)
 
-    def step(self, carry: Carry, now: Step, h: Scalar) -> tuple[Carry, Any]:
-        """One step, and what is shown of it."""
-        u, t, y, y_next = now.u, now.time, now.y, now.y_next
+    def step(self, carry: Carry, row: Step, h: Scalar) -> tuple[Carry, Any]:
+        """One step of the loop.
 
-        def shifted(shift: Shift) -> Array:
-            return u if now.slope is None else u + now.slope @ shift
+        Args:
+            carry: state before the step.
+            row: the step.
+            h: sample period [s].
+
+        Returns:
+            The state after the step, and its `Trace` if stored.
+        """
+        u, t, y, y_next = row.u, row.time, row.y, row.y_next
+
+        def inputs_at(shift: Shift) -> Array:
+            return u if row.slope is None else u + row.slope @ shift
 
         state = jax.tree.map(
-            lambda new, old: jnp.where(now.restart, new, old),
+            lambda new, previous: jnp.where(row.restart, new, previous),
             self._start(y, y_next, h),
             carry.observer,
         )
         explicit = self.observer.scheme == "explicit"
         position = y if explicit else 0.5 * (y + y_next)
         z, sensitivity, z_next, sensitivity_next = self._internal(
-            carry, t, position, shifted, state, h
+            carry, t, position, inputs_at, state, h
         )
         predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
         drift = self.plant.derivative(t, predicted, u, self.theta)
-        state, seen = self.observer.step(state, y, y_next, drift, h)
-        f, phi = self._model(t, position, seen, z, sensitivity, shifted)
+        state, observation = self.observer.step(state, y, y_next, drift, h)
+        f, phi = self._model(t, position, observation, z, sensitivity, inputs_at)
         history = ((f, phi), *carry.history)
-        f, phi = self._averaged(history)
+        f, phi = self._moving_average(history)
         signals = jnp.concatenate(
-            [(seen.observed - f)[:, None], seen.observed[:, None], jnp.ones_like(f)[:, None], phi],
+            [
+                (observation.observed - f)[:, None],
+                observation.observed[:, None],
+                jnp.ones_like(f)[:, None],
+                phi,
+            ],
             1,
         )
-        # A model that is undefined where it does not count (√ of a negative level) must not spread.
-        counted = now.use[:, None]
+        # A model that is undefined at a masked step (√ of a negative level) must not spread NaN.
+        counted = row.use[:, None]
         signals = jnp.where(counted > 0, counted * signals, 0.0)
         filtered = self.lowpass.step(carry.filtered, signals)
-        sums, block, shown = self._add(carry, filtered[0], seen, now)
+        sums, block, trace = self._accumulate(carry, filtered[0], observation, row)
         new = Carry(
             state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
         )
-        return new, shown
+        return new, trace
 
     def _internal(
         self, carry: Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
@@ -305,8 +337,8 @@ class Kernel(eqx.Module):
             return carry.z, carry.sensitivity, carry.z, carry.sensitivity
         y = jnp.concatenate([position[None], self.observer.rates(state)])
 
-        def ends(shift: Shift) -> tuple[Array, Array]:
-            theta = self._at(shift)
+        def middle_and_end(shift: Shift) -> tuple[Array, Array]:
+            theta = self._theta_at(shift)
             z = carry.z + carry.sensitivity @ shift
 
             def rate(z: Array) -> Array:
@@ -320,64 +352,66 @@ class Kernel(eqx.Module):
             # Cubic through both ends; the slope at the end is nearly `fourth`.
             return 0.5 * (z + end) + h / 8.0 * (first - fourth), end
 
-        (middle, end), jacobian = self._differentiated(ends)
+        (middle, end), jacobian = self._value_and_jacobian(middle_and_end)
         return middle, jacobian[0], end, jacobian[1]
 
     def _model(
         self,
         t: Scalar,
         position: Output,
-        seen: Observation,
+        observation: Observation,
         z: Array,
         sensitivity: Array,
         u: Shifted,
     ) -> tuple[Output, Regressor]:
         """f and φ = df/dθ, total: through the internal states too."""
-        y = jnp.concatenate([position[None], seen.rates])
+        y = jnp.concatenate([position[None], observation.rates])
 
-        def shifted(shift: Shift) -> Output:
+        def model_at(shift: Shift) -> Output:
             x = State(y, z + sensitivity @ shift)
-            return self.plant.derivative(t, x, u(shift), self._at(shift))
+            return self.plant.derivative(t, x, u(shift), self._theta_at(shift))
 
-        return self._differentiated(shifted)
+        return self._value_and_jacobian(model_at)
 
-    def _averaged(self, history: tuple) -> tuple[Output, Regressor]:
-        """The observer's own moving average, on model and regressors."""
+    def _moving_average(self, history: tuple) -> tuple[Output, Regressor]:
+        """Moving average of the observer, applied to model and regressors."""
         weights = jnp.asarray(
             _kernel_weights(self.observer, len(self.plant.outputs)), self.theta.dtype
         )
-        f = sum(w * one[0] for w, one in zip(weights, history, strict=True))
-        phi = sum(w[:, None] * one[1] for w, one in zip(weights, history, strict=True))
+        f = sum(weight * values[0] for weight, values in zip(weights, history, strict=True))
+        phi = sum(
+            weight[:, None] * values[1] for weight, values in zip(weights, history, strict=True)
+        )
         return f, phi  # type: ignore[return-value]
 
-    def _add(
+    def _accumulate(
         self,
         carry: Carry,
         output: Float[Array, "ny columns"],
-        seen: Observation,
-        now: Step,
+        observation: Observation,
+        row: Step,
     ) -> tuple[Sums, Array, Any]:
         injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
-        score = now.score if now.emphasis is None else now.score * now.emphasis
-        old = carry.sums
+        score = row.score if row.emphasis is None else row.score * row.emphasis
+        previous = carry.sums
         weighted = score[:, None] * phi
-        block, meat = carry.block, old.meat
+        block, meat = carry.block, previous.meat
         if self.store == "scores":
-            own = now.score[:, None] * phi
+            scored_phi = row.score[:, None] * phi
             error = injection - phi @ self.increment
-            block = block + now.block_weight * (self.weights * error) @ own
-            # A block drawn k times counts k times, not as one of k times its size.
-            times = 1.0 if now.emphasis is None else now.emphasis
-            meat = meat + jnp.where(now.block_end, times * jnp.outer(block, block), 0.0)
-            block = jnp.where(now.block_end, 0.0, block)
+            block = block + row.block_weight * (self.weights * error) @ scored_phi
+            # A block drawn k times counts as k blocks, not as one block of k times its size.
+            repeats = 1.0 if row.emphasis is None else row.emphasis
+            meat = meat + jnp.where(row.block_end, repeats * jnp.outer(block, block), 0.0)
+            block = jnp.where(row.block_end, 0.0, block)
         sums = Sums(
-            old.information + weighted[:, :, None] * phi[:, None, :],
-            old.rhs + weighted * injection[:, None],
-            old.square + score * injection**2,
-            old.observed_square + score * observed**2,
-            old.weight + score * weight**2,
-            old.count + score,
-            old.sliding + score * seen.sliding,
+            previous.information + weighted[:, :, None] * phi[:, None, :],
+            previous.rhs + weighted * injection[:, None],
+            previous.square + score * injection**2,
+            previous.observed_square + score * observed**2,
+            previous.weight + score * weight**2,
+            previous.count + score,
+            previous.sliding + score * observation.sliding,
             meat,
         )
         return sums, block, Trace(injection, weight, phi) if self.store == "signals" else None
@@ -386,19 +420,19 @@ class Kernel(eqx.Module):
     def _directions(self) -> int:
         return self.theta.shape[0] if self.columns is None else self.columns.shape[1]
 
-    def _at(self, shift: Shift) -> Theta:
-        """θ so far along each direction."""
+    def _theta_at(self, shift: Shift) -> Theta:
+        """θ shifted along each direction."""
         return self.theta + (shift if self.columns is None else self.columns @ shift)
 
-    def _differentiated(self, function: Shifted) -> tuple[Any, Any]:
+    def _value_and_jacobian(self, function: Shifted) -> tuple[Any, Any]:
         """Value and Jacobian at a zero shift, forward mode: all directions in one sweep."""
 
-        def twice(shift: Shift) -> tuple[Any, Any]:
+        def value_twice(shift: Shift) -> tuple[Any, Any]:
             value = function(shift)
             return value, value
 
         zeros = jnp.zeros(self._directions, self.theta.dtype)
-        jacobian, value = jax.jacfwd(twice, has_aux=True)(zeros)
+        jacobian, value = jax.jacfwd(value_twice, has_aux=True)(zeros)
         return value, jacobian
 
 

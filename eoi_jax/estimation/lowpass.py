@@ -1,9 +1,9 @@
-r"""The low-pass filter of eq. (19), any order, and its matched use on both sides of a regression.
+r"""The low-pass filter of eq. (19), of any order, applied to both sides of a regression.
 
     ÿ_f + √2 ω_c ẏ_f + ω_c² y_f = ω_c² u_f        (19)
 
-is the Butterworth filter of order two. What reaches the least squares is F[u_eq] and F[φ]: the
-*same* filter on both, so that F[u_eq] = F[φ] Δθ holds whatever the filter's phase.
+is the Butterworth filter of order two. The least squares use F[u_eq] and F[φ]: the *same* filter on
+both, so that F[u_eq] = F[φ] Δθ holds whatever the filter's phase.
 """
 
 import equinox as eqx
@@ -31,9 +31,9 @@ class DiscreteFilter(eqx.Module):
         """One sample for any number of signals at once; ``state[0]`` is the output."""
         columns = (-1,) + (1,) * value.ndim
         transition, entry = jnp.asarray(self.transition), jnp.asarray(self.entry)
-        # Not as a matrix product: from eight columns on XLA hands it to a library, and a loop that
-        # calls one runs thirty times slower.
-        moved = sum(transition[:, k].reshape(columns) * one for k, one in enumerate(state))
+        # Not as a matrix product: from eight columns on XLA calls a library for it, which makes the
+        # loop thirty times slower.
+        moved = sum(transition[:, k].reshape(columns) * row for k, row in enumerate(state))
         return moved + entry.reshape(columns) * value
 
 
@@ -63,7 +63,7 @@ class LowPass(eqx.Module):
         return np.real(np.poly(poles))
 
     def discretise(self, sample_period: float) -> DiscreteFilter:
-        """Exact for an input that is constant over each step (which step means are).
+        """Sampled filter, exact for an input that is constant over each step (as step means are).
 
         Args:
             sample_period: h [s].
@@ -72,7 +72,7 @@ class LowPass(eqx.Module):
             The sampled filter, in the companion form of time scaled by ω_c (well conditioned at
             any order and any ω_c h).
         """
-        from scipy.linalg import expm  # only here: the import costs more than the call
+        from scipy.linalg import expm  # slow to import
 
         n = self.order
         a = np.zeros((n + 1, n + 1))

@@ -1,7 +1,8 @@
-"""Records made ready for a pass: which steps count, where the observer starts anew.
+"""Preparation of records for passes: filter, sub-steps, and which steps count.
 
-All on the host; the kernel then reads one rectangular batch. What depends on the records alone is
-done by `ready`, once for all models of the same outputs; the rest by `prepare`, for each model.
+The kernel reads one rectangular batch of steps, made here on the host. `prepare_records` does what
+depends on the records only, once for all models of the same outputs; `prepare_steps` does the rest,
+for each model.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,18 +33,18 @@ from eoi_jax.models.plant import Plant
 _SIGNIFICANT = 4.0
 # Weights rise over this many time constants of F beside steps that do not count.
 TAPER = 2.0
-_BLOCKS, _FEWEST = 50, 10  # of scores, for the covariance, if the filter's memory allows them
+_BLOCKS, _FEWEST = 50, 10  # blocks of scores: most and fewest, if the filter's memory allows them
 
 
 def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]:
-    """θ_0 of several starts.
+    """θ_0 of every start.
 
     Args:
-        plant: what they are for.
+        plant: the model.
         starts: dicts of parameters, the others nominal, or rows (starts, np); None for the nominal.
 
     Raises:
-        ValueError: none, an unknown name, a row of another length, a value that is not finite.
+        ValueError: no start, an unknown name, a row of wrong length, a value that is not finite.
     """
     if starts is None:
         return np.asarray(plant.theta, dtype=float)[None]
@@ -51,10 +52,10 @@ def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]
         starts = [starts]
     check_kind("starts", starts, Iterable, "dicts of parameters, or rows")
     rows = [
-        np.asarray(plant.with_parameters(one).theta, dtype=float)
-        if isinstance(one, Mapping)
-        else _row(one)
-        for one in starts
+        np.asarray(plant.with_parameters(start).theta, dtype=float)
+        if isinstance(start, Mapping)
+        else _row(start)
+        for start in starts
     ]
     check(len(rows) > 0, "starts", "must hold at least one starting point", "none: that is no lane")
     for i, row in enumerate(rows):
@@ -76,25 +77,29 @@ def _row(start: Any) -> Float[np.ndarray, "..."]:
 
 
 def check_observer(plant: Plant, observer: AbstractObserver) -> None:
-    """An observer must suit the plant's outputs.
+    """Check that an observer matches the plant's outputs.
 
     Args:
-        plant: whose relative degrees count.
+        plant: with its relative degrees.
         observer: with its gains.
 
     Raises:
-        ValueError: no observer, another relative degree, gains that are neither one nor one an
-            output.
+        ValueError: not an observer, another relative degree, a gain that is neither one number nor
+            one per output.
     """
-    what = "an observer with its gains, such as `SecondOrder(c1, c2, c3)`"
-    check_kind("observer", observer, AbstractObserver, what)
-    own = np.atleast_1d(observer.relative_degree)
-    degrees = np.repeat(own, len(plant.degrees)) if len(own) == 1 else own
+    description = "an observer with its gains, such as `SecondOrder(c1, c2, c3)`"
+    check_kind("observer", observer, AbstractObserver, description)
+    observer_degrees = np.atleast_1d(observer.relative_degree)
+    degrees = (
+        np.repeat(observer_degrees, len(plant.degrees))
+        if len(observer_degrees) == 1
+        else observer_degrees
+    )
     check(
         tuple(degrees) == plant.degrees,
         "observer",
         f"must have the relative degree of the plant's outputs, {plant.degrees}",
-        f"{type(observer).__name__} of {tuple(int(one) for one in degrees)}",
+        f"{type(observer).__name__} of {tuple(int(degree) for degree in degrees)}",
         "Leave it out to have one chosen; `PerOutput` mixes several.",
     )
     parts = observer.observers if isinstance(observer, PerOutput) else (observer,)
@@ -110,7 +115,7 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
 
 
 def check_preparation(transient: Any, substeps: Any, smoothing: Any) -> None:
-    """How records are made ready, where it is not left to be chosen (None).
+    """Check the choices for the preparation of records; None where they are left to the library.
 
     Args:
         transient: time not scored at the start of each record [s].
@@ -118,33 +123,33 @@ def check_preparation(transient: Any, substeps: Any, smoothing: Any) -> None:
         smoothing: cut-off [rad/s], False for none.
 
     Raises:
-        ValueError: a transient that is no time, sub-steps that are no count, a smoothing that is no
-            cut-off (True is none).
+        ValueError: a transient that is not a time, sub-steps that are not a count, a smoothing that
+            is not a cut-off (True is none).
     """
-    good = transient is None or 0.0 <= real(transient) < np.inf
-    check(good, "transient", "must be a time ≥ 0 in seconds", transient)
+    is_valid = transient is None or 0.0 <= real(transient) < np.inf
+    check(is_valid, "transient", "must be a time ≥ 0 in seconds", transient)
     if substeps is not None:
         check_count("substeps", substeps)
-    # No `in`: it compares, and an array has no truth.
-    good = smoothing is None or smoothing is False
-    good = good or (smoothing is not True and 0.0 < real(smoothing) < np.inf)
-    check(good, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
+    # Not `in (None, False)`: comparing an array gives no single truth value.
+    is_valid = smoothing is None or smoothing is False
+    is_valid = is_valid or (smoothing is not True and 0.0 < real(smoothing) < np.inf)
+    check(is_valid, "smoothing", "must be a cut-off > 0 in rad/s, or False", smoothing)
 
 
 @dataclass(frozen=True)
-class Ready:
-    """Records made ready for passes of any model with the same outputs.
+class PreparedRecords:
+    """Records prepared for passes of any model with the same outputs.
 
     Attributes:
-        records: smoothed, where noise asks for it.
+        records: smoothed, if `smoothing` is not False.
         fine: the same with sub-steps.
         inputs: during each step of `fine`, one array (S, nu) per record.
-        velocity_noise: as `tuning.velocity_noise`, per record.
+        velocity_noise: as `defaults.velocity_noise`, per record.
         lowpass: F.
         substeps: per sample.
         smoothing: its cut-off [rad/s], False for none.
         explicit: whether for an observer in explicit form.
-        reasons: for what was chosen.
+        reasons: why filter, smoothing and sub-steps were chosen.
     """
 
     records: tuple[Record, ...]
@@ -158,18 +163,18 @@ class Ready:
     reasons: tuple[str, ...]
 
 
-def ready(
+def prepare_records(
     plant: Plant,
     records: tuple[Record, ...],
     lowpass: LowPass | None = None,
     smoothing: float | bool | None = None,
     substeps: int | None = None,
     explicit: bool = False,
-) -> Ready:
-    """Choose filter, smoothing and sub-steps where they are left out, and apply them.
+) -> PreparedRecords:
+    """Choose filter, smoothing and sub-steps where they are None, and apply them.
 
     Args:
-        plant: whose relative degrees count.
+        plant: with its relative degrees.
         records: checked against the plant.
         lowpass: F.
         smoothing: its cut-off [rad/s], False for none.
@@ -193,7 +198,7 @@ def ready(
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)
-    return Ready(
+    return PreparedRecords(
         records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
     )
 
@@ -203,7 +208,7 @@ def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]
     return record.inputs[:-1] if explicit else record.midpoint_inputs()
 
 
-def prepare(
+def prepare_steps(
     plant: Plant,
     records: Sequence[Record],
     inputs: Sequence[Float[np.ndarray, "_ nu"]],
@@ -224,17 +229,17 @@ def prepare(
         taps: length of the observer's moving average [steps].
         transient: time not scored at the start of each record [s].
         memory: of the filter [s]; scores further apart are independent.
-        velocity_noise: as `tuning.velocity_noise`, per record.
+        velocity_noise: as `defaults.velocity_noise`, per record.
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
-        taper: time over which a step's weight rises from zero beside one that does not count [s].
-        duration: of all records of the estimate [s], if these are only some of them.
+        taper: time over which weights rise from zero next to a step that does not count [s].
+        duration: of all records of the estimate [s], if these are only part of them.
     """
     length = max(len(record) for record in records) - 1
     jumps = plant.jumps  # probed once, however many records there are
-    # Many blocks for a steady covariance, each longer than the filter remembers.
+    # Many blocks for a steady covariance, each longer than the memory of the filter.
     total = duration or sum(len(record) * record.sample_period for record in records)
     block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
-    whole: list[np.ndarray] = []
+    batch: list[np.ndarray] = []
     for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
         h = record.sample_period
         use, restart = _usable(record, taps, plant.degrees, jumps, noise)
@@ -250,25 +255,26 @@ def prepare(
             u,
         )
         weights = use, score, restart, *_blocks(len(use), max(round(block / h), 1))
-        each = *signals, *weights
+        arrays = *signals, *weights
         # Written in place: these are the largest arrays of an estimate.
-        whole = whole or [np.zeros((len(records), length, *a.shape[1:]), a.dtype) for a in each]
-        for out, own in zip(whole, each, strict=True):
-            out[i, : len(own)] = own
-        # Signals keep their last value: no model meets a number that it never saw.
-        for out, own in zip(whole, signals, strict=False):
-            out[i, len(own) :] = own[-1]
-    return Steps(*whole, np.asarray([one.sample_period for one in records]))  # type: ignore[call-arg]
+        batch = batch or [np.zeros((len(records), length, *a.shape[1:]), a.dtype) for a in arrays]
+        for target, values in zip(batch, arrays, strict=True):
+            target[i, : len(values)] = values
+        # Padding repeats the last values, so that no model is evaluated outside the data.
+        for target, values in zip(batch, signals, strict=False):
+            target[i, len(values) :] = values[-1]
+    periods = np.asarray([record.sample_period for record in records])
+    return Steps(*batch, periods)  # type: ignore[call-arg]
 
 
 def _blocks(
     steps: int, length: int
 ) -> tuple[Float[np.ndarray, " steps"], Bool[np.ndarray, " steps"]]:
-    """Weight of each step in its block, and where blocks end; a rest shorter than one is left out.
+    """Weight of each step in its block, and where blocks end; an incomplete last block has none.
 
     The mean square of block sums estimates the spectrum of the scores at frequency zero. White
-    measurement noise, differenced, has next to none there and much beside: the blocks are windowed
-    (Hann, mean square one), or that would leak in over their edges.
+    measurement noise, differenced, has almost no power there but much at higher frequencies, which
+    would leak over the edges of the blocks: they are windowed (Hann, mean square one).
     """
     length = min(length, steps)
     phase = (np.arange(steps) % length + 0.5) / length

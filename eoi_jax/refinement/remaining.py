@@ -16,7 +16,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import Result
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.holdout import check_judges, held_out
+from eoi_jax.estimation.holdout import check_scored_records, held_out_records
 from eoi_jax.models.augmented import augmented
 from eoi_jax.models.effects import rare, standard
 from eoi_jax.models.effects.effect import (
@@ -157,8 +157,8 @@ def remaining(
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
-    held = held_out(plant, records, validation)
-    check_judges(plant, "validation", held)
+    held = held_out_records(plant, records, validation)
+    check_scored_records(plant, "validation", held)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)
     start = min(float(one.time[0]) for one in records)
     chosen = tuple(one.since(start) for one in chosen)

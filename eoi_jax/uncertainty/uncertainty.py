@@ -19,8 +19,11 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import Result
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.regression.identifiability import in_weights, told
-from eoi_jax.estimation.regression.least_squares import traceless
+from eoi_jax.estimation.regression.identifiability import (
+    format_direction,
+    identifiable_combinations,
+)
+from eoi_jax.estimation.regression.least_squares import unidentified_directions
 from eoi_jax.models.plant import Plant, parameter_type
 from eoi_jax.refinement.result import Refinement
 
@@ -180,7 +183,9 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     information = getattr(estimate, "information", None)
     untraced = np.zeros((len(theta), 0))
     if information is not None:
-        untraced = traceless(np.asarray(information), np.where(bound, 0.0, plant.free))
+        untraced = unidentified_directions(
+            np.asarray(information), np.where(bound, 0.0, plant.free)
+        )
     units = {name: unit for name, unit in plant.units.items() if name in plant.names}
     known = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
     precision = _precision(covariance, freedom) if information is None else np.asarray(information)
@@ -221,13 +226,13 @@ def _open(
     """Sentences on directions that left no trace, together where they share parameters."""
     sentences = []
     for group in _groups(untraced):
-        involved, combinations = told(untraced[:, group], theta, names, _EXACT)
+        involved, combinations = identifiable_combinations(untraced[:, group], theta, names, _EXACT)
         if len(involved) == len(group):
             sentences.append(f"{_listed(involved)} left no trace in the data")
         elif combinations:
             sentences.append(f"only {_listed(combinations)} can be told, not {_listed(involved)}")
         else:
-            changes = [in_weights(untraced[:, one], theta, names) for one in group]
+            changes = [format_direction(untraced[:, one], theta, names) for one in group]
             sentences += [f"a change of {change} leaves no trace in the data" for change in changes]
     return sentences
 
@@ -260,7 +265,7 @@ def _weak(
     for vector in vectors.T[values * _INFLATED**2 < 1.0]:
         direction = np.zeros(len(theta))
         direction[used] = vector / alone
-        involved, combinations = told(direction[:, None], theta, names, _ROUGH)
+        involved, combinations = identifiable_combinations(direction[:, None], theta, names, _ROUGH)
         worst = max(relative[names.index(name)] for name in involved)
         if len(involved) < 2 or worst < _MUCH:
             continue
@@ -269,7 +274,7 @@ def _weak(
             verb = "is" if len(combinations) == 1 else "are"
             sentences.append(f"{sentence}; {_listed(combinations)} {verb} surer")
         else:
-            change = in_weights(direction, theta, names)
+            change = format_direction(direction, theta, names)
             sentences.append(f"{sentence}: a change of {change} hardly shows")
     return sentences
 

@@ -12,7 +12,7 @@ from eoi_jax import effects
 from eoi_jax.discovery.refit import free_runs
 from eoi_jax.discovery.round import Round, Task
 from eoi_jax.estimation.identify import estimate
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import augmented, place
 
 STEP, DRY = 4e-3, np.array([0.8, 0.5])
@@ -52,7 +52,7 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     """Whatever free runs say: the second exchange must not undo the first."""
     monkeypatch.setattr(discovery, "as_good", lambda *_: True)
     fit, held = (record(1),), (record(2),)
-    prepared = ready(PLANT, fit)
+    prepared = prepare_records(PLANT, fit)
     library = (effects.CoulombFriction(), effects.StribeckFriction())
     declared = estimate(PLANT, prepared)
     task = Task(PLANT, prepared, fit, held, library, declared, 0.01, 3, None)
@@ -79,7 +79,7 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
 def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offset, kept):
     """Asymmetric friction is read as a level and an offset; the level alone is the simpler law."""
     fit, held = (record(1, offset),), (record(2, offset),)
-    prepared = ready(PLANT, fit)
+    prepared = prepare_records(PLANT, fit)
     library = (effects.CoulombFriction(), effects.ConstantOffset())
     task = Task(PLANT, prepared, fit, held, library, estimate(PLANT, prepared), 0.01, 3, None)
     far = place(PLANT, effects.CoulombFriction(), 1)

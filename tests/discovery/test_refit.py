@@ -9,7 +9,7 @@ import eoi_jax as eoi
 from eoi_jax.discovery.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
 from eoi_jax.discovery.round import Task
 from eoi_jax.estimation.identify import estimate
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 
 TRUTH = {"stiffness": 20.0, "damping": 0.8, "gain": 2.0}
 
@@ -31,7 +31,7 @@ def task():
     noise = 0.03 * np.std(clean) * np.random.default_rng(1).standard_normal(clean.shape)
     record = eoi.Record(time, drive, clean + noise, "noisy", hold="linear",
                         input_names=("force",), output_names=("position",))  # fmt: skip
-    prepared = ready(TRUE, (record,))
+    prepared = prepare_records(TRUE, (record,))
     declared = estimate(TRUE, prepared)
     return Task(TRUE, prepared, (record,), (), (), declared, 0.01, 3, None)
 

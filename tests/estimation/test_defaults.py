@@ -11,7 +11,6 @@ from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import (
     Spectrum,
-    brief_notes,
     check_runs_of_samples,
     default_lowpass,
     default_observer,
@@ -19,6 +18,7 @@ from eoi_jax.estimation.defaults import (
     default_substeps,
     default_transient,
     foreign_lines,
+    short_record_notes,
     spectrum,
     too_short,
 )
@@ -54,7 +54,7 @@ def test_one_very_short_record_has_no_say(samples):
         lambda some: default_transient(some, lowpass, explicit=False),
     ):
         assert chosen(several) == chosen([record])
-    (note,) = brief_notes(several, lowpass.cutoff, "left out")
+    (note,) = short_record_notes(several, lowpass.cutoff, "left out")
     assert note.startswith(f"{record.name}: {samples * H:.3g} s are too short")
 
 
@@ -304,7 +304,7 @@ def test_a_torn_record_beside_whole_ones_has_no_say():
     chosen = default_lowpass(PLANT, [whole])
     assert default_lowpass(PLANT, [whole, holed]) == chosen
     assert default_lowpass(PLANT, [holed, whole]) == chosen
-    assert brief_notes([whole, holed], chosen[0].cutoff, "left out") == [
+    assert short_record_notes([whole, holed], chosen[0].cutoff, "left out") == [
         "torn: no 8 valid samples follow each other: left out"
     ]
     assert foreign_lines(holed, 0) == []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.estimation.holdout import INITIAL, _common, check_runs, held_out
+from eoi_jax.estimation.holdout import INITIAL, _count_common_samples, check_runs, held_out_records
 
 TIME = 0.01 * np.arange(1000)
 
@@ -37,7 +37,7 @@ def moved(record: eoi.Record, by: float) -> eoi.Record:
 )
 def test_a_part_of_a_record_of_the_fit_is_not_held_out(fit, held, count):
     with pytest.raises(ValueError, match=f"must not hold samples that the fit sees, got {count}"):
-        held_out(PLANT, [run(2), fit], held)
+        held_out_records(PLANT, [run(2), fit], held)
 
 
 @pytest.mark.parametrize(
@@ -53,20 +53,22 @@ def test_a_part_of_a_record_of_the_fit_is_not_held_out(fit, held, count):
     ],
 )
 def test_other_samples_are_held_out(held):
-    assert held_out(PLANT, [run(1)[:600]], held) == (held,)
+    assert held_out_records(PLANT, [run(1)[:600]], held) == (held,)
 
 
 def test_two_runs_that_rest_at_first_are_two():
     rest = np.zeros(1000)
     fit = eoi.Record(TIME, rest, rest, "rest")
     later = eoi.Record(TIME[500:], rest[500:], rest[500:], "rest too")
-    assert held_out(PLANT, [fit], later) == (later,)
+    assert held_out_records(PLANT, [fit], later) == (later,)
 
 
 def test_several_may_come_from_a_generator():
     held = run(2), run(3)
-    assert held_out(PLANT, [run(1)], (one for one in held)) == held
-    assert held_out(PLANT, [run(1)], iter(())) == held_out(PLANT, [run(1)], None) == ()
+    assert held_out_records(PLANT, [run(1)], (one for one in held)) == held
+    assert (
+        held_out_records(PLANT, [run(1)], iter(())) == held_out_records(PLANT, [run(1)], None) == ()
+    )
 
 
 def gaps(record: eoi.Record) -> eoi.Record:
@@ -138,4 +140,4 @@ def test_a_gap_in_either_hides_no_common_samples():
     with pytest.warns(eoi.RecordWarning):
         one, other = (eoi.Record(time, np.sin(time), y) for y in holes)
     both = np.isfinite(holes[0] + holes[1])
-    assert _common(one, other) == np.sum(both[INITIAL:])
+    assert _count_common_samples(one, other) == np.sum(both[INITIAL:])

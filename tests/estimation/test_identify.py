@@ -34,7 +34,7 @@ from eoi_jax.estimation.observers import (
     SecondOrder,
     SuperTwisting,
 )
-from eoi_jax.estimation.preparation import ready
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.library import (
     Plant,
     level_tank,
@@ -266,7 +266,7 @@ def test_records_ready_for_one_model_serve_another_of_the_same_outputs():
     """Dry friction is masked as the model that is estimated asks, not as the first one did."""
     record = swaying(noise=1e-3)
     smooth, rough = NOMINAL, pendulum()
-    prepared = ready(smooth, (record,))
+    prepared = prepare_records(smooth, (record,))
     plain = identify_by_default(smooth, record, instruments=False)
     assert estimate(smooth, prepared).parameters == plain.parameters
     alone = identify_by_default(rough, record, lowpass=prepared.lowpass, instruments=False)
@@ -364,7 +364,7 @@ def test_injection_and_residual_are_nan_where_nothing_is_scored(swung):
 
 def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung):
     """Then passes in between store nothing, and the best one is run once more."""
-    monkeypatch.setattr(import_module("eoi_jax.estimation.identify"), "_SHORT", 0)
+    monkeypatch.setattr(import_module("eoi_jax.estimation.identify"), "_MAX_STORED", 0)
     got, want = identify(NOMINAL, swung.record, OBSERVER, LOWPASS), swung.got
     assert want.best_pass > 0
     for name in ("index", "injection", "first_injection", "residual", "covariance", "information"):
@@ -376,7 +376,7 @@ def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung
 
 def test_a_regressor_without_bound_where_nothing_is_scored_costs_no_standard_error():
     weights = np.array([[0.0, 1.0, 2.0]]).T
-    got = import_module("eoi_jax.estimation.identify")._counted(
+    got = import_module("eoi_jax.estimation.identify")._weighted(
         weights, np.array([[np.inf, 3.0, np.nan]]).T
     )
     np.testing.assert_array_equal(got[:, 0], [0.0, 3.0, np.nan])  # where it counts it stays
@@ -708,6 +708,6 @@ def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
     module, calls = import_module("eoi_jax.estimation.identify"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
-    monkeypatch.setattr(module, "_KEPT", 100)
+    monkeypatch.setattr(module, "_MAX_DEFERRED", 100)
     identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
     assert len(calls) == 1

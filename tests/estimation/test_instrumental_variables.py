@@ -12,11 +12,11 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation import instrument_kernel
 from eoi_jax.estimation import instrumental_variables as module
 from eoi_jax.estimation.identify import identify
-from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, together
+from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, sum_over_runs
 from eoi_jax.estimation.instrumental_variables import noise_in_residual
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import SecondOrder
-from eoi_jax.estimation.preparation import prepare, ready, step_inputs
+from eoi_jax.estimation.preparation import prepare_records, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.instrumental import instrumental_variables, within_bounds
 from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
 from eoi_jax.models.plant import State
@@ -156,17 +156,17 @@ def test_sensitivities_of_the_velocity_change_by_the_ratio_of_accelerations():
 
 def paired(plant, record, simulated, observer, substeps=4):
     """Sums of a pass over two records, at the plant's parameters; its rows add up to them."""
-    prepared = ready(plant, (record,), LowPass(60.0, 3), False, substeps)
+    prepared = prepare_records(plant, (record,), LowPass(60.0, 3), False, substeps)
     fine = simulated.resample(substeps)
     inputs = [step_inputs(one, False) for one in prepared.fine]
-    steps = prepare(plant, prepared.fine, inputs, 1, 0.0, 0.1, [np.zeros(1)], False, 0.1)
+    steps = prepare_steps(plant, prepared.fine, inputs, 1, 0.0, 0.1, [np.zeros(1)], False, 0.1)
     beside = Simulated(fine.outputs[None, :-1], fine.outputs[None, 1:])
     one = jnp.asarray
     weight = one([3.0])
     sums, rows = run_pairs(plant, observer, steps, beside, one(plant.theta), weight, one(0.0))
     scores = np.einsum("rsj,rsja->ra", rows.error, rows.zeta)
     np.testing.assert_allclose(scores, 3.0 * np.asarray(sums.rhs)[:, 0], rtol=1e-9)
-    return together(sums)
+    return sum_over_runs(sums)
 
 
 def test_the_error_of_a_pair_is_that_of_the_output_and_instruments_are_its_sensitivities(clean):
@@ -198,7 +198,7 @@ def test_a_pass_in_parts_is_the_same_as_in_one_go(clean, monkeypatch):
     record = simulate(moved, clean.time, clean.inputs, hold="zero", substeps=4)
     whole = paired(TRUTH, record, clean, observer)
     count = 4 * (len(record) - 1)
-    monkeypatch.setattr(instrument_kernel, "_AT_ONCE", 300)
+    monkeypatch.setattr(instrument_kernel, "_MAX_STEPS_AT_ONCE", 300)
     assert count % -(-count // -(-count // 300))  # the last part is a shorter one
     in_parts = paired(TRUTH, record, clean, observer)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(in_parts), strict=True):
@@ -435,7 +435,7 @@ def test_runs_start_anew_in_windows_where_one_departs(standing):
     plain = identify(truth.with_parameters({"a": 13.0}), record, instruments=False)
     got = identify(truth.with_parameters({"a": 13.0}), record, instruments=True)
     reason = next(one for one in got.reasons if "instrumental" in one)
-    assert "runs starting anew" in reason
+    assert "runs restarted" in reason
     wrong = [np.abs(np.asarray(one.plant.theta) / truth.theta - 1.0) for one in (plain, got)]
     assert np.max(wrong[1]) < max(0.01, np.max(wrong[0]))
 
@@ -446,18 +446,18 @@ def test_the_plain_estimate_stays_where_the_free_run_departs_in_every_window(cle
     record = clean.with_outputs(y[:, None], "astray")
     got = identify(NOMINAL, record, instruments=True, substeps=2)
     plain = identify(NOMINAL, record, instruments=False, substeps=2)
-    assert any("no instruments, though as asked for: the free run" in one for one in got.reasons), (
-        got.reasons
-    )
+    assert any(
+        "no instrumental variables, though requested: the free run" in one for one in got.reasons
+    ), got.reasons
     assert got.parameters == plain.parameters
     assert got.standard_errors == plain.standard_errors
     assert not np.any(got.correction)
 
 
 def test_passes_that_do_not_settle_leave_the_plain_estimate(clean, monkeypatch):
-    monkeypatch.setattr(module, "_PASSES", 1)
+    monkeypatch.setattr(module, "_MAX_ITERATIONS", 1)
     got = identify(NOMINAL, noisy(clean, 1e-3, 0), instruments=True, substeps=2)
-    assert any("did not settle within 1" in one for one in got.reasons)
+    assert any("did not converge within 1" in one for one in got.reasons)
     assert not np.any(got.correction)
 
 

@@ -27,11 +27,11 @@ def sums(information) -> Sums:
 def test_a_lane_without_bound_is_not_settled_and_one_at_rest_is():
     theta, damping = np.array([[1.0, 2.0]]), np.zeros(1)
     rest = _solve(PLANT, theta, sums(np.eye(2)), damping)
-    np.testing.assert_array_equal(rest.settled, [True])
+    np.testing.assert_array_equal(rest.is_stationary, [True])
     lost = _solve(PLANT, theta, sums(np.diag([np.inf, 1.0])), damping)
     unbound = dataclasses.replace(lost, increment=np.zeros((1, 2)))
     for one in (lost, unbound):  # warnings are errors here
-        np.testing.assert_array_equal(one.settled, [False])
+        np.testing.assert_array_equal(one.is_stationary, [False])
         np.testing.assert_array_equal(one.cost, [np.inf])
 
 
@@ -73,7 +73,7 @@ def test_passes_that_fall_short_of_what_least_squares_promises_are_not_converged
 
     assert PLANT.is_affine
     found = iterate(run, PLANT, np.array([[1.0, 2.0]]), 10)
-    np.testing.assert_allclose(found.best.promise, 0.5)
+    np.testing.assert_allclose(found.best.predicted_reduction, 0.5)
     assert found.codes == ["stalled"]
 
 
@@ -88,7 +88,7 @@ def test_what_is_settled_does_not_depend_on_units():
         for share, settled in ((1e-3, False), (1e-12, True)):
             moved = np.full((1, 2), share * size) / weighed.solution.scale
             moved = dataclasses.replace(weighed, increment=moved)
-            np.testing.assert_array_equal(moved.settled, [settled])
+            np.testing.assert_array_equal(moved.is_stationary, [settled])
 
 
 def test_an_output_without_scored_samples_has_no_part_in_the_cost():

@@ -22,7 +22,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, SecondOrder
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.estimation.regression import least_squares, recursive_least_squares
 from eoi_jax.models.library import Plant, level_tank, mass_spring_damper
 
@@ -42,7 +42,7 @@ def steps_of(plant, records, observer, transient=0.2, memory=0.1, taper=0.02) ->
     explicit = observer.scheme == "explicit"
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
     inputs = [step_inputs(record, explicit) for record in records]
-    return prepare(plant, records, inputs, taps, transient, memory, noise, explicit, taper)
+    return prepare_steps(plant, records, inputs, taps, transient, memory, noise, explicit, taper)
 
 
 def filters_of(records, lowpass=LOWPASS):

@@ -5,7 +5,7 @@ import pytest
 from problems import SWAY, grid
 
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.preparation import moving, prepare, step_inputs
+from eoi_jax.estimation.preparation import moving, prepare_steps, step_inputs
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
 
@@ -16,7 +16,9 @@ ROUGH, SMOOTH = pendulum(), mass_spring_damper()
 def made(plant, records, taps=2, transient=0.0, memory=1.0, noise=0.0, explicit=False, taper=0.0):
     velocity_noise = [np.full(len(plant.outputs), noise)] * len(records)
     inputs = [step_inputs(record, explicit) for record in records]
-    return prepare(plant, records, inputs, taps, transient, memory, velocity_noise, explicit, taper)
+    return prepare_steps(
+        plant, records, inputs, taps, transient, memory, velocity_noise, explicit, taper
+    )
 
 
 def record_of(y, hold="linear", u=None, **kwargs):

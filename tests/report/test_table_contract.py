@@ -21,7 +21,7 @@ from eoi_jax._status import Status
 from eoi_jax.comparison.compare import Comparison, Entry
 from eoi_jax.data.inspection import Channel, Inspection
 from eoi_jax.data.time_axis import Clock
-from eoi_jax.estimation.covariance import Certainty, settled
+from eoi_jax.estimation.covariance import Certainty, computed
 from eoi_jax.models.augmented import place
 from eoi_jax.refinement.remaining import Remaining, Trial
 from eoi_jax.refinement.score_test import Candidate
@@ -330,7 +330,7 @@ def discovered() -> eoi.Discovery:
             index=numbers(70 + i, *one.index.shape),
             best_pass=1,
             certainty=replace(
-                settled(one.certainty),
+                computed(one.certainty),
                 standard_errors={
                     name: float(value)
                     for name, value in zip(

@@ -10,7 +10,7 @@ from eoi_jax.discovery.cosine_modes import integrated
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.models.library import Plant
 from eoi_jax.simulation.simulate import simulate
 
@@ -40,8 +40,8 @@ def regressors_of_a_pass(h):
     record = Record.from_period(h, np.ones(samples), y, hold="zero")
     # So quick a filter that nothing of earlier steps is left in it.
     lowpass = jax.tree.map(lambda leaf: np.asarray(leaf)[None], LowPass(200.0 / h).discretise(h))
-    steps = prepare(SATURATING, [record], [step_inputs(record, False)], 1, 0.0, 0.1, [np.zeros(1)],
-                    False, 0.0)  # fmt: skip
+    steps = prepare_steps(SATURATING, [record], [step_inputs(record, False)], 1, 0.0, 0.1,
+                          [np.zeros(1)], False, 0.0)  # fmt: skip
     theta = jnp.asarray(SATURATING.theta)
     _, trace = run_pass(SATURATING, FirstOrder(1e3), lowpass, steps, theta, store="signals")
     assert trace is not None

@@ -1,4 +1,4 @@
-"""Methods that `eoi_jax.compare` puts beside each other, and what one of your own must be."""
+"""The methods of `eoi_jax.compare`, and the interface of your own."""
 
 from eoi_jax.comparison.methods.comparator import AbstractComparator as AbstractComparator
 from eoi_jax.comparison.methods.comparator import Estimate as Estimate

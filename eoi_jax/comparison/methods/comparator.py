@@ -1,4 +1,4 @@
-"""What a comparator is: one way to estimate a plant's parameters from records, with a name."""
+"""The interface of comparators: named methods that estimate a plant's parameters from records."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from eoi_jax.models.plant import Plant
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a comparator says.
+    """Answer of a comparator.
 
     Attributes:
-        parameters: estimate by name; None where there is no answer.
-        standard_errors: by name; None where the method has none.
+        parameters: estimate by name; None without an answer.
+        standard_errors: by name; None if the method gives none.
         status: how it ended.
     """
 
@@ -29,7 +29,7 @@ class Estimate:
 
 
 class AbstractComparator(ABC):
-    """Interface of every method that `compare` puts beside others.
+    """Interface of the methods of `compare`.
 
     Attributes:
         name: one word for tables.
@@ -48,20 +48,20 @@ class AbstractComparator(ABC):
             records: one or several, checked against the plant; all enter one estimate.
 
         Returns:
-            The estimate; without parameters where the method has no answer, or is not made for
-            such a plant. It may raise: `compare` makes a status of that.
+            The estimate; without parameters where the method has no answer, or does not apply to
+            the plant. It may raise: `compare` turns exceptions into a status.
         """
 
 
 def not_applicable(reason: str) -> Estimate:
-    """No answer, because the method is not made for such a plant or record.
+    """No answer, because the method does not apply to the plant or the records.
 
     Args:
-        reason: in a sentence, without a full stop.
+        reason: a sentence without a full stop.
     """
     return Estimate(None, None, Status("not_applicable", reason))
 
 
 def named(plant: Plant, values: Float[np.ndarray, " np"]) -> dict[str, float]:
     """Values in the order of the plant's parameters, by name."""
-    return {name: float(one) for name, one in zip(plant.names, values, strict=True)}
+    return {name: float(value) for name, value in zip(plant.names, values, strict=True)}

@@ -1,14 +1,14 @@
-r"""The model's equation between filtered signals: what a state-variable filter makes of a record.
+r"""The model's equation between filtered signals, for state-variable filter methods.
 
-Offline a filter needs no phase, so that derivatives stay aligned with y. Two of them are used:
+Offline a filter can have zero phase, so that derivatives stay aligned with y. Two are used:
 
 1. a wide one, W, on y and u alike; splines through W[y] give y, ẏ, …, y^(r), the arguments of f;
 2. a narrow one, L, on both sides of the equation: L[m y^(r)] = L[m f(W y, …; θ)].
 
 For a plant that is linear in y and u, W commutes with it and nothing is lost; for any other W must
-be wide against the plant's own motion. m is 0 where the equation says nothing (gaps, ends of a
-segment, dry friction near rest), and rises smoothly beside: any m that stands on both sides of a
-regression keeps it exact. L is a zero-phase Butterworth filter, or the plant itself, linearised
+be wide against the plant's motion. m is 0 where the equation does not hold (gaps, ends of a
+segment, dry friction near rest), and rises smoothly from there: a factor m on both sides keeps the
+regression exact. L is a zero-phase Butterworth filter, or the plant itself, linearised
 (Young's refined method): residuals are then those of y.
 
 Source: H. Garnier, P. Young (eds), *Identification of Continuous-time Models from Sampled Data*,
@@ -32,21 +32,21 @@ from eoi_jax.estimation.preparation import TAPER, constant, moving, tapered
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
 
-_WIDE = 5.0  # cut-off of W over that of L: there it is flat to 1e-5
-_MOST = 0.5  # of the Nyquist frequency, with sub-steps, for W
-_ENDS = 4.0  # time constants of W beside the ends of a segment, where it sees no data
-_DECAY = 5.0  # the linearised plant must forget by so many factors of e over a record
+_WIDE = 5.0  # cut-off of W over that of L, in whose band W is flat to 1e-5
+_MAX_SHARE = 0.5  # largest cut-off of W over the Nyquist frequency, with sub-steps
+_ENDS = 4.0  # margin at the ends of a segment in time constants of W, where it lacks data
+_DECAY = 5.0  # smallest decay of the linearised plant over a record, in time constants
 
 Samples = Float[np.ndarray, "time ny"]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One record behind W.
+    """One record, filtered by W.
 
     Attributes:
         time: of the samples [s].
-        y: outputs and derivatives below their own degree, the arguments of f.
+        y: outputs and their derivatives below the relative degree, the arguments of f.
         highest: y^(r) of each output.
         u: inputs.
     """
@@ -59,7 +59,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Filters:
-    """Cut-offs of L and W [rad/s], and steps a sample that W needs, chosen from the records."""
+    """Cut-offs of L and W [rad/s], and steps per sample that W needs, chosen from the records."""
 
     narrow: float
     wide: float
@@ -67,20 +67,20 @@ class Filters:
 
 
 def default_filters(plant: Plant, records: Sequence[Record]) -> Filters:
-    """L as the paper's F would be chosen, W five times as wide.
+    """L with the default cut-off of the paper's F, W five times as wide.
 
     Records that are too coarse for W get sub-steps: harmonics of a nonlinear motion lie beyond
-    their own Nyquist frequency, and a filter that cuts them off bends f.
+    their Nyquist frequency, and a filter that removes them distorts f.
     """
     check_runs_of_samples(records)
     narrow = default_lowpass(plant, records)[0].cutoff
     wide = _WIDE * narrow
     nyquist = np.pi / max(record.sample_period for record in records)
-    return Filters(narrow, wide, int(np.ceil(wide / (_MOST * nyquist))))
+    return Filters(narrow, wide, int(np.ceil(wide / (_MAX_SHARE * nyquist))))
 
 
 def motion(plant: Plant, record: Record, wide: float) -> Motion:
-    """Outputs with their derivatives, and inputs, behind the zero-phase filter W.
+    """Outputs with their derivatives, and inputs, filtered by the zero-phase filter W.
 
     Args:
         plant: whose relative degrees count.
@@ -107,11 +107,11 @@ def motion(plant: Plant, record: Record, wide: float) -> Motion:
     return Motion(np.asarray(record.time), y, highest, np.asarray(smooth.inputs))
 
 
-def usable(plant: Plant, record: Record, now: Motion, filters: Filters) -> Samples:
+def usable(plant: Plant, record: Record, signals: Motion, filters: Filters) -> Samples:
     """m: 1 where the equation holds, 0 where not, with smooth edges."""
     h = record.sample_period
     noise = velocity_noise(plant.degrees, record, filters.wide)
-    resting = ~moving(plant.degrees, now.y[:, 0], h, noise)
+    resting = ~moving(plant.degrees, signals.y[:, 0], h, noise)
     resting = np.concatenate([resting[:1], resting]) | np.concatenate([resting, resting[-1:]])
     good = np.repeat(record.valid[:, None], record.outputs.shape[1], axis=1)
     good &= ~(resting @ plant.jumps.T) & ~constant(record)
@@ -122,17 +122,17 @@ def usable(plant: Plant, record: Record, now: Motion, filters: Filters) -> Sampl
 
 
 @jit
-def along(
+def model_and_slopes(
     plant: Plant,
     time: Float[Array, " time"],
     y: Float[Array, "time r ny"],
     u: Float[Array, "time nu"],
     theta: Float[Array, " np"],
 ) -> tuple[Float[Array, "time ny"], Float[Array, "time ny np"]]:
-    """f and ∂f/∂θ at every sample; internal states are not known here.
+    """f and ∂f/∂θ at every sample, for plants without internal states.
 
     Args:
-        plant: the equations; its own parameter values are not used.
+        plant: the equations; its parameter values are not used.
         time: of the samples [s].
         y: outputs and their derivatives.
         u: inputs, before any actuator.
@@ -141,10 +141,10 @@ def along(
 
     def f(theta: Float[Array, " np"]) -> Float[Array, "time ny"]:
         driven = plant.driven(time, u, theta)
-        none = jnp.zeros(0, theta.dtype)
-        return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, none), u, theta))(
-            time, y, driven
-        )
+        no_internal_states = jnp.zeros(0, theta.dtype)
+        return jax.vmap(
+            lambda t, y, u: plant.derivative(t, State(y, no_internal_states), u, theta)
+        )(time, y, driven)
 
     return f(theta), jax.jacfwd(f)(theta)
 
@@ -169,7 +169,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Equation:
-    """A plant's equation along records with sub-steps; what θ does not change is made once."""
+    """A plant's equation along records with sub-steps; what does not depend on θ is stored."""
 
     plant: Plant
     records: tuple[Record, ...]
@@ -179,7 +179,7 @@ class Equation:
 
     @property
     def memory(self) -> float:
-        """Time after which L has forgotten [s]."""
+        """Memory of L [s]."""
         return 10.0 / self.filters.narrow
 
     def rows(
@@ -192,15 +192,15 @@ class Equation:
 
         Args:
             theta: parameter values.
-            motions: of each record; of the measured ones if left out.
-            response: in place of the narrow filter.
+            motions: of each record; default: the measured ones.
+            response: to use in place of the narrow filter.
         """
         phi, error, highest = [], [], []
-        for i, now in enumerate(motions or self.motions):
-            arrays = (jnp.asarray(one) for one in (now.time, now.y, now.u, theta))
-            f, slope = (np.asarray(one) for one in along(self.plant, *arrays))
+        for i, signals in enumerate(motions or self.motions):
+            arrays = (jnp.asarray(array) for array in (signals.time, signals.y, signals.u, theta))
+            f, slope = (np.asarray(array) for array in model_and_slopes(self.plant, *arrays))
             sides = np.concatenate(
-                [slope, (now.highest - f)[..., None], now.highest[..., None]], axis=2
+                [slope, (signals.highest - f)[..., None], signals.highest[..., None]], axis=2
             )
             sides = self._filtered(i, self.masks[i][:, :, None] * sides, response)
             phi.append(sides[..., :-2])
@@ -231,7 +231,8 @@ def equation(plant: Plant, records: Sequence[Record]) -> Equation:
     records = [record.resample(filters.substeps) for record in records]
     motions = [motion(plant, record, filters.wide) for record in records]
     masks = [
-        usable(plant, record, now, filters) for record, now in zip(records, motions, strict=True)
+        usable(plant, record, signals, filters)
+        for record, signals in zip(records, motions, strict=True)
     ]
     return Equation(plant, tuple(records), filters, motions, masks)
 
@@ -254,7 +255,7 @@ class Response:
     def applied(
         self, sides: Float[np.ndarray, "time ny columns"], sample_period: float
     ) -> Float[np.ndarray, "time ny columns"]:
-        """Causal, from rest, without the wrap of the Fourier transform."""
+        """Signals filtered causally from rest, without circular wrap-around."""
         from scipy.fft import next_fast_len
 
         count, n = len(sides), len(self.transition)
@@ -282,7 +283,7 @@ def linearised(
         duration: of the shortest record [s].
 
     Returns:
-        None where it does not forget within a record: an integrator would add up offsets.
+        None where it does not decay within a record: an integrator would sum up offsets.
     """
     model = plant.with_parameters(theta)
     slopes = [np.mean(state_slopes(model, m.time, m.y, m.u), axis=0) for m in motions]

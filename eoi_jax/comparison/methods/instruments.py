@@ -1,4 +1,4 @@
-"""The passes of the paper, then passes by instrumental variables."""
+"""The iteration of the paper, then instrumental variables."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from eoi_jax.models.plant import Plant
 
 
 class Instruments(AbstractComparator):
-    """`identify` with instruments, whatever the noise."""
+    """`identify` with instrumental variables, whatever the noise."""
 
     name = "instruments"
     description = "the paper's passes, then instrumental variables of a simulated record"

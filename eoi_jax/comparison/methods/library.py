@@ -1,4 +1,4 @@
-"""The methods that `compare` knows."""
+"""The methods that `compare` runs by default."""
 
 from eoi_jax.comparison.methods.comparator import AbstractComparator
 from eoi_jax.comparison.methods.instruments import Instruments
@@ -11,7 +11,7 @@ from eoi_jax.comparison.methods.vss_direct import VSSDirect
 
 
 def standard() -> tuple[AbstractComparator, ...]:
-    """Every method of the library, one of each kind: the paper's, its refinement, then others.
+    """One instance of every method: the paper's, its refinement, then others.
 
     Returns:
         Comparators in the order of a table.

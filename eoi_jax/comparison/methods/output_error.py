@@ -1,4 +1,4 @@
-"""Output error straight from the nominal values: what toolboxes do with a grey-box model."""
+"""Output error from the nominal values, as toolboxes fit a grey-box model."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ class OutputError(AbstractComparator):
     description = "output error (free runs fitted) straight from the nominal values"
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
-        """`refine` with nothing before it."""
+        """`refine` from the nominal parameters."""
         return refinement_answer(refine(plant, records))
 
 

@@ -1,4 +1,4 @@
-"""The method of the paper as it stands: `identify`, with the observer in either form."""
+"""The method of the paper: `identify` without instrumental variables, either observer form."""
 
 from collections.abc import Sequence
 
@@ -12,28 +12,28 @@ from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, Secon
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant
 
-_RELAY = 2.0  # gain over the largest injection, or rate of it, that the explicit relay has to cover
-_APART = 4.0  # frequency of its limit cycle over the cut-off of F; 4.6 in the paper
+_RELAY = 2.0  # gain of the explicit relay over the largest injection, or its largest rate
+_MIN_RATIO = 4.0  # frequency of the relay's limit cycle over the cut-off of F; 4.6 in the paper
 
 
 class PlainImplicit(AbstractComparator):
-    """`identify` as it chooses for itself: implicit observer, filter and sub-steps by default."""
+    """`identify` with the default implicit observer, filter and sub-steps."""
 
     name = "plain_implicit"
     description = "the paper's passes, observer in implicit form, gains and filter by default"
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
-        """`identify` with nothing chosen."""
+        """`identify` with its defaults."""
         return answer(plain(plant, records))
 
 
 class PlainExplicit(AbstractComparator):
     """`identify` with the observer discretised by Euler's rule, as published.
 
-    A relay that is set high only adds chatter in this form. It is set to twice the largest filtered
-    injection that a first pass of the implicit form shows at the nominal parameters; for an output
-    of relative degree one, twice the fastest change of that. The sampled relay of degree two cycles
-    at √(c₁/h), c₁ being 1.4 cut-offs: the cut-off is a quarter of that at most.
+    In this form a large relay adds chatter. It is set to twice the largest filtered injection of a
+    first pass of the implicit form at the nominal parameters; for an output of relative degree one,
+    to twice the fastest change of that injection. The sampled relay of degree two has a limit cycle
+    at √(c₁/h), with c₁ equal to 1.4 cut-offs; the cut-off is at most a quarter of that frequency.
     """
 
     name = "plain_explicit"
@@ -43,14 +43,14 @@ class PlainExplicit(AbstractComparator):
         """A first pass sets the gains, then `identify`."""
         first = plain(plant, records, passes=1)
         period = max(record.sample_period for record in records)
-        cutoff = 1.4 / (_APART**2 * period)
+        cutoff = 1.4 / (_MIN_RATIO**2 * period)
         if plant.relative_degree > 1 and first.lowpass.cutoff > cutoff:
             first = plain(plant, records, None, LowPass(cutoff, first.lowpass.order), passes=1)
         if not first.status.ok:
             return answer(first)
         observer = explicit_form(first)
         if observer is None:
-            degrees = ", ".join(str(one) for one in plant.degrees)
+            degrees = ", ".join(str(degree) for degree in plant.degrees)
             reason = "there is no explicit observer for outputs of relative degree three or more"
             return not_applicable(f"{reason}, and the plant has {degrees}")
         return answer(plain(plant, records, observer, first.lowpass))
@@ -63,14 +63,14 @@ def plain(
     lowpass: LowPass | None = None,
     passes: int = 10,
 ) -> Identification:
-    """`identify` as the paper has it: the one place to switch off what is added to that.
+    """`identify` as in the paper, without later additions.
 
     Args:
         plant: with its nominal parameters.
         records: of the estimate.
-        observer: chosen if left out.
-        lowpass: F, chosen if left out.
-        passes: how many at most.
+        observer: chosen by default.
+        lowpass: F; chosen by default.
+        passes: largest number of iterations.
     """
     return identify(plant, records, observer, lowpass, passes, instruments=False)
 
@@ -83,26 +83,26 @@ def answer(result: Identification) -> Estimate:
 
 
 def explicit_form(first: Identification) -> AbstractObserver | None:
-    """The observer of a first pass in explicit form, with gains for the injection that it showed.
+    """The observer of a first pass in explicit form, with gains for its injection.
 
     None if one of its parts has no explicit form.
     """
     size, speed = _largest(first)
 
-    def one(part: AbstractObserver, which: slice) -> AbstractObserver | None:
+    def convert(part: AbstractObserver, outputs: slice) -> AbstractObserver | None:
         if isinstance(part, FirstOrder):
-            return FirstOrder(_RELAY * speed[which], part.leak, "explicit")
+            return FirstOrder(_RELAY * speed[outputs], part.leak, "explicit")
         if isinstance(part, SecondOrder):
-            return SecondOrder(part.c1, part.c2, _RELAY * size[which], "explicit")
+            return SecondOrder(part.c1, part.c2, _RELAY * size[outputs], "explicit")
         assert isinstance(part, HighOrder)
         return None
 
     observer = first.observer
     if not isinstance(observer, PerOutput):
-        return one(observer, slice(None))
-    parts = [one(part, slice(j, j + 1)) for j, part in enumerate(observer.observers)]
-    known = [part for part in parts if part is not None]
-    return PerOutput(tuple(known)) if len(known) == len(parts) else None
+        return convert(observer, slice(None))
+    parts = [convert(part, slice(j, j + 1)) for j, part in enumerate(observer.observers)]
+    converted = [part for part in parts if part is not None]
+    return PerOutput(tuple(converted)) if len(converted) == len(parts) else None
 
 
 def _largest(first: Identification) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The passes of the paper, then output error from where they end: nobody guesses a start."""
+"""The iteration of the paper, then output error from its estimate."""
 
 from collections.abc import Sequence
 
@@ -18,8 +18,8 @@ class Refined(AbstractComparator):
     description = "the paper's passes, then output error from their estimate"
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
-        """A start by `identify`, polished by `refine`."""
-        first = identify(plant, records, instruments=False)  # needs no better start
+        """`identify` for the start, then `refine`."""
+        first = identify(plant, records, instruments=False)  # sufficient as a start
         if not first.status.ok:
             return answer(first)
         return refinement_answer(refine(first, records))

@@ -1,4 +1,4 @@
-"""State-variable filter and least squares: the plain regression on filtered derivatives."""
+"""State-variable filter and least squares: regression on filtered derivatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from eoi_jax.comparison.methods.comparator import (
     not_applicable,
 )
 from eoi_jax.comparison.methods.filtered import Equation, Rows, equation
-from eoi_jax.comparison.methods.weighed import Solved, covariance, solve
+from eoi_jax.comparison.methods.weighed import WeightedSolution, covariance, solve
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
 
 _STEPS = 30
-_SETTLED = 1e-8  # rms effect of a step over that of y^(r), below which it is none
-_DAMPING = 0.1  # first, after a Gauss-Newton step that went wrong
+_SETTLED = 1e-8  # rms effect of a step over that of y^(r), below which the iteration has converged
+_DAMPING = 0.1  # first damping after a Gauss-Newton step that increased the residuals
 
 
 class StateVariableFilter(AbstractComparator):
@@ -40,62 +40,62 @@ class StateVariableFilter(AbstractComparator):
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """Least squares on filtered signals."""
         if plant.internal is not None:
-            return hidden(plant)
-        one = equation(plant, records)
-        found = least_squares_on(one)
-        if not found.status.ok:
-            return Estimate(None, None, found.status)
-        memory = round(one.memory / one.records[0].sample_period)
-        errors = np.sqrt(np.diagonal(covariance(found.solved, found.rows, found.rows, memory)))
-        return Estimate(named(plant, found.theta), named(plant, errors), found.status)
+            return hidden_states_answer(plant)
+        filtered = equation(plant, records)
+        fit = least_squares_on(filtered)
+        if not fit.status.ok:
+            return Estimate(None, None, fit.status)
+        memory = round(filtered.memory / filtered.records[0].sample_period)
+        errors = np.sqrt(np.diagonal(covariance(fit.solved, fit.rows, fit.rows, memory)))
+        return Estimate(named(plant, fit.theta), named(plant, errors), fit.status)
 
 
-def hidden(plant: Plant) -> Estimate:
-    """No answer for internal states."""
+def hidden_states_answer(plant: Plant) -> Estimate:
+    """No answer, for a plant with internal states."""
     del plant
-    reason = "the plant has internal states that nobody measures, and a regression needs them"
+    reason = "the plant has internal states that are not measured, and a regression needs them"
     return not_applicable(reason)
 
 
 @dataclass(frozen=True)
-class Found:
-    """Where least squares ended: θ, the rows and the solution there, and how."""
+class Fit:
+    """Result of the least squares: θ, its rows and solution, and the status."""
 
     theta: Float[np.ndarray, " np"]
     rows: Rows
-    solved: Solved
+    solved: WeightedSolution
     status: Status
 
 
-def least_squares_on(one: Equation) -> Found:
+def least_squares_on(filtered: Equation) -> Fit:
     """Gauss-Newton, damped where a step does not lower the residuals (Levenberg)."""
-    plant = one.plant
+    plant = filtered.plant
     theta = np.asarray(plant.theta, dtype=float)
-    rows = one.rows(theta)
+    rows = filtered.rows(theta)
     solved = solve(rows, rows, plant.free)
-    if not any(np.any(mask > 0) for mask in one.masks):
-        return Found(theta, rows, solved, Status("no_data", _NO_DATA))
+    if not any(np.any(mask > 0) for mask in filtered.masks):
+        return Fit(theta, rows, solved, Status("no_data", _NO_DATA))
     if not np.isfinite(solved.cost):
-        return Found(theta, rows, solved, Status("diverged", _DIVERGED))
+        return Fit(theta, rows, solved, Status("diverged", _DIVERGED))
     damping = 0.0
     for number in range(1, _STEPS + 1):
-        again = solve(rows, rows, plant.free, damping) if damping else solved
-        trial = np.clip(theta + again.increment, plant.lower, plant.upper)
-        new_rows = one.rows(trial)
+        damped = solve(rows, rows, plant.free, damping) if damping else solved
+        trial = np.clip(theta + damped.increment, plant.lower, plant.upper)
+        new_rows = filtered.rows(trial)
         new = solve(new_rows, new_rows, plant.free)
         if new.cost <= solved.cost:
             change = _change(rows, trial - theta)
             theta, rows, solved = trial, new_rows, new
             damping *= 0.1 if damping > _DAMPING else 0.0
             if change < _SETTLED:
-                return Found(theta, rows, solved, _identified(plant, solved, number))
+                return Fit(theta, rows, solved, _identified(plant, solved, number))
         elif _change(rows, trial - theta) < _SETTLED:  # rounding
-            return Found(theta, rows, solved, _identified(plant, solved, number))
+            return Fit(theta, rows, solved, _identified(plant, solved, number))
         else:
             damping = max(10.0 * damping, _DAMPING)
     code = Status("passes_exhausted", f"residuals still fell after {_STEPS} Gauss-Newton steps")
-    lost = _identified(plant, solved, _STEPS)
-    return Found(theta, rows, solved, code if lost.ok else lost)
+    final = _identified(plant, solved, _STEPS)
+    return Fit(theta, rows, solved, code if final.ok else final)
 
 
 def _change(rows: Rows, step: Float[np.ndarray, " np"]) -> float:
@@ -103,7 +103,7 @@ def _change(rows: Rows, step: Float[np.ndarray, " np"]) -> float:
     return float(np.max(np.sqrt(moved) / np.where(rows.highest > 0, rows.highest, 1.0)))
 
 
-def _identified(plant: Plant, solved: Solved, number: int) -> Status:
+def _identified(plant: Plant, solved: WeightedSolution, number: int) -> Status:
     lost = untraced(solved.solution, plant.names, plant.free)
     if lost:
         return Status("unidentifiable", UNTRACED.format("; ".join(lost)))
@@ -111,7 +111,7 @@ def _identified(plant: Plant, solved: Solved, number: int) -> Status:
 
 
 def rest_note(plant: Plant) -> str:
-    """What was left out for dry friction, to end a sentence with."""
+    """End of a sentence that says which samples were left out for dry friction."""
     return "; samples near rest were left out" if any(plant.dry_friction) else ""
 
 

@@ -1,4 +1,4 @@
-"""Instrumental variables on filtered signals, refined: SRIVC for plants in chain form."""
+"""Refined instrumental variables on filtered signals: SRIVC for plants in chain form."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,12 @@ from eoi_jax.comparison.methods.filtered import (
     linearised,
     motion,
 )
-from eoi_jax.comparison.methods.svf import UNTRACED, hidden, least_squares_on, rest_note
+from eoi_jax.comparison.methods.svf import (
+    UNTRACED,
+    hidden_states_answer,
+    least_squares_on,
+    rest_note,
+)
 from eoi_jax.comparison.methods.weighed import covariance, solve
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import untraced
@@ -23,18 +28,18 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
 
 _ROUNDS = 20
-_SETTLED = 0.01  # standard errors that a round moves a parameter by, below which it is settled
+_SETTLED = 0.01  # change of a parameter in standard errors, below which it has converged
 
 
 class StateVariableInstruments(AbstractComparator):
-    r"""Least squares on filtered signals cured of the noise in its regressors.
+    r"""Least squares on filtered signals, corrected for the noise in its regressors.
 
     From the estimate of `svf`, each round simulates the plant at θ from fitted initial states,
-    takes as instruments Ψ the regressors of that noise-free run behind the same filters, and solves
+    takes as instruments Ψ the regressors of that noise-free run with the same filters, and solves
     Σ Ψᵀ(e - ΦΔθ) = 0. The narrow filter is then the plant itself, linearised at the mean of its
-    slopes along the run, whose residuals are those of y: for a linear plant with white measurement
-    noise the estimate is statistically efficient (SRIVC). Where that filter does not forget within
-    a record (integrators, unstable plants), the fixed one stays.
+    slopes along the run, so that residuals are those of y: for a linear plant with white
+    measurement noise the estimate is statistically efficient (SRIVC). Where that filter does not
+    decay within a record (integrators, unstable plants), the fixed filter is used.
 
     Source: P. Young, A. Jakeman, Int. J. Control 31 (1980) 741; H. Garnier, P. Young (eds),
     *Identification of Continuous-time Models from Sampled Data*, 2008, chapter 4.
@@ -46,25 +51,25 @@ class StateVariableInstruments(AbstractComparator):
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """Rounds of instruments from the estimate of least squares."""
         if plant.internal is not None:
-            return hidden(plant)
-        one = equation(plant, records)
-        start = least_squares_on(one)
+            return hidden_states_answer(plant)
+        filtered = equation(plant, records)
+        start = least_squares_on(filtered)
         if not start.status.ok:
             return Estimate(None, None, start.status)
-        return _rounds(one, start.theta)
+        return _rounds(filtered, start.theta)
 
 
-def _rounds(one: Equation, theta: Float[np.ndarray, " np"]) -> Estimate:
-    plant, record = one.plant, one.records[0]
-    memory = round(one.memory / record.sample_period)
+def _rounds(filtered: Equation, theta: Float[np.ndarray, " np"]) -> Estimate:
+    plant, record = filtered.plant, filtered.records[0]
+    memory = round(filtered.memory / record.sample_period)
     errors = np.zeros_like(theta)
     for number in range(1, _ROUNDS + 1):
-        simulated = _instruments(one, theta)
+        simulated = _instruments(filtered, theta)
         if simulated is None:
             return Estimate(None, None, Status("diverged", _DIVERGED.format(number)))
-        response = _refilter(one, theta, simulated)
-        rows = one.rows(theta, response=response)
-        instruments = one.rows(theta, simulated, response)
+        response = _refilter(filtered, theta, simulated)
+        rows = filtered.rows(theta, response=response)
+        instruments = filtered.rows(theta, simulated, response)
         solved = solve(rows, instruments, plant.free)
         lost = untraced(solved.solution, plant.names, plant.free)
         if lost or not np.isfinite(solved.cost):
@@ -81,22 +86,22 @@ def _rounds(one: Equation, theta: Float[np.ndarray, " np"]) -> Estimate:
     return Estimate(named(plant, theta), named(plant, errors), status)
 
 
-def _instruments(one: Equation, theta: Float[np.ndarray, " np"]) -> list[Motion] | None:
-    """The simulated plant behind W, a motion per record; None if it does not stay finite."""
-    runs = validate(one.plant.with_parameters(theta), one.records, substeps=1)
+def _instruments(filtered: Equation, theta: Float[np.ndarray, " np"]) -> list[Motion] | None:
+    """The simulated plant filtered by W, a motion per record; None if it does not stay finite."""
+    runs = validate(filtered.plant.with_parameters(theta), filtered.records, substeps=1)
     if not np.all(np.isfinite(runs.rmse)):
         return None
     return [
-        motion(one.plant, measured.with_outputs(run.outputs, run.name), one.filters.wide)
-        for measured, run in zip(one.records, runs.predictions, strict=True)
+        motion(filtered.plant, measured.with_outputs(run.outputs, run.name), filtered.filters.wide)
+        for measured, run in zip(filtered.records, runs.predictions, strict=True)
     ]
 
 
 def _refilter(
-    one: Equation, theta: Float[np.ndarray, " np"], simulated: Sequence[Motion]
+    filtered: Equation, theta: Float[np.ndarray, " np"], simulated: Sequence[Motion]
 ) -> Response | None:
-    duration = min(len(record) * record.sample_period for record in one.records)
-    return linearised(one.plant, theta, simulated, duration)
+    duration = min(len(record) * record.sample_period for record in filtered.records)
+    return linearised(filtered.plant, theta, simulated, duration)
 
 
 _DIVERGED = (

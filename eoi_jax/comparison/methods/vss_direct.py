@@ -9,15 +9,15 @@ slides on σ = 0, where v_v is (α - α̂₀)ᵀζ in the mean. With u_eq = v be
 
     ω = u_eq - v_c + (α̂₀ - α̂)ᵀζ      α̂' = Γ ζ ω        (22)
 
-(the paper prints α̂ for its rate, and |v| for |u| in |ζ|: slips, for neither could work). The filter
-delays u_eq but not ζ, so that α̂ ends off by what a lag of τ turns of (α - α̂₀): that is the method
-as published, and nothing is mended here. Integrated with the sampling step: the relay by Euler's
-rule, x̂₁ by the trapezoid and the model at the middle of the step, because half a step of delay
-between them would be taken for friction.
+(the paper prints α̂ for its rate, and |v| for |u| in |ζ|: misprints, since neither could work). The
+filter delays u_eq but not ζ, so that α̂ has a bias, by the effect of a lag τ on (α - α̂₀); this is
+the method as published, and it is not corrected here. Integrated with the sampling step: the relay
+by Euler's rule, x̂₁ by the trapezoid and the model at the middle of the step, because half a step of
+delay between them would be identified as friction.
 
-What the paper does not say is chosen in favour of the method: the velocity is the derivative of
+What the paper leaves open is chosen in favour of the method: the velocity is the derivative of
 the zero-phase filtered output (`filtered.motion`), α̂₀ the middle of the intervals that bound the
-parameters, Γ = [mean ζζᵀ]⁻¹/T, so that every direction settles with the time constant T, a tenth
+parameters, Γ = [mean ζζᵀ]⁻¹/T, so that every direction converges with the time constant T, a tenth
 of the records. For an output of relative degree one v_c is zero and σ = x₁ - x̂₁.
 
 Source: J.-X. Xu, H. Hashimoto, Int. J. Control 57 (1993) 1413; IEEE Trans. Industrial Electronics
@@ -40,7 +40,7 @@ from eoi_jax.comparison.methods.comparator import (
     named,
     not_applicable,
 )
-from eoi_jax.comparison.methods.filtered import Equation, along, equation
+from eoi_jax.comparison.methods.filtered import Equation, equation, model_and_slopes
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import least_squares, untraced
@@ -51,7 +51,7 @@ from eoi_jax.models.plant import Plant
 _INTERVALS = {"alpha": (100.0, 500.0), "beta": (5.0, 20.0), "rho": (1.0, 5.0)}
 _RATE, _LAG = 20.0, 0.02
 _LAST = 0.1  # share of the records over which α̂ is averaged, and time constant of its adaptation
-_STEADY = 0.02  # relative change of α̂ within that share that counts as none
+_STEADY = 0.02  # largest relative change of α̂ within that share of a converged estimate
 
 
 class VSSDirect(AbstractComparator):
@@ -68,7 +68,7 @@ class VSSDirect(AbstractComparator):
     description = "VSS-based direct identification of Xu and Hashimoto, eq. (22)"
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
-        """α̂ at the end of the records, one after the other."""
+        """α̂ at the end of all records, run one after the other."""
         if not plant.is_affine:
             reason = "the method takes a plant that is affine in its parameters, without internal"
             return not_applicable(f"{reason} states or lags of its inputs")
@@ -77,10 +77,10 @@ class VSSDirect(AbstractComparator):
                 f"the method takes outputs of relative degree one or two, and the plant has "
                 f"{plant.relative_degree}"
             )
-        one = equation(plant, records)
-        signals, gains, lost = _prepared(one)
-        if lost:
-            text = f"no trace in the records of {'; '.join(lost)}"
+        filtered = equation(plant, records)
+        signals, gains, unidentified = _prepared(filtered)
+        if unidentified:
+            text = f"no trace in the records of {'; '.join(unidentified)}"
             return Estimate(None, None, Status("unidentifiable", text))
         return _answer(plant, np.asarray(_identifier(signals, gains)))
 
@@ -91,8 +91,8 @@ def _answer(plant: Plant, history: Float[np.ndarray, "time np"]) -> Estimate:
     if not np.all(np.isfinite(history)):
         text = "the identifier does not stay finite: sampling too slow for its gains"
         return Estimate(None, None, Status("diverged", text))
-    half = len(last) // 2
-    moved = np.abs(np.mean(last[half:], axis=0) - np.mean(last[:half], axis=0))
+    middle = len(last) // 2
+    moved = np.abs(np.mean(last[middle:], axis=0) - np.mean(last[:middle], axis=0))
     drift = float(np.max(moved / np.maximum(np.abs(theta), np.finfo(float).tiny)))
     text = f"mean over the last tenth of the records, in which it drifts by {drift:.2g} at most"
     code = "converged" if drift < _STEADY else "passes_exhausted"
@@ -101,11 +101,16 @@ def _answer(plant: Plant, history: Float[np.ndarray, "time np"]) -> Estimate:
 
 
 class _Gains(eqx.Module):
-    """Of the identifier.
+    """Gains of the identifier.
 
     Attributes:
-        middle: α̂₀. width: d. rate: h₁ [1/s]. lag: τ [s]. adaptation: Γ.
-        weights: of the outputs. second: which of them have relative degree two.
+        middle: α̂₀.
+        width: d.
+        rate: h₁ [1/s].
+        lag: τ [s].
+        adaptation: Γ.
+        weights: of the outputs.
+        second: whether each output has relative degree two.
     """
 
     middle: Float[Array, " np"]
@@ -120,59 +125,70 @@ class _Gains(eqx.Module):
 Signals = tuple[Array, Array, Array, Array, Array, Array, Array]
 
 
-def _prepared(one: Equation) -> tuple[Signals, _Gains, list[str]]:
-    """What each step of the identifier reads, its gains, and combinations without a trace."""
-    plant, paper = one.plant, one.plant.dynamics is mass_spring_damper_dynamics
+def _prepared(filtered: Equation) -> tuple[Signals, _Gains, list[str]]:
+    """Signals and gains of the identifier, and combinations that the data do not determine."""
+    plant, is_paper_plant = filtered.plant, filtered.plant.dynamics is mass_spring_damper_dynamics
     theta, parts = np.asarray(plant.theta, dtype=float), []
-    for record, now, mask in zip(one.records, one.motions, one.masks, strict=True):
-        f, phi = (np.asarray(a) for a in along(
-            plant, *(jnp.asarray(a) for a in (now.time, now.y, now.u, theta)))
+    for record, signals, mask in zip(
+        filtered.records, filtered.motions, filtered.masks, strict=True
+    ):
+        f, phi = (np.asarray(a) for a in model_and_slopes(
+            plant, *(jnp.asarray(a) for a in (signals.time, signals.y, signals.u, theta)))
         )  # fmt: skip
-        inside = record.valid
-        begins = inside & ~np.concatenate([[False], inside[:-1]])
-        velocity = now.y[:, 1] if plant.relative_degree > 1 else np.zeros_like(now.y[:, 0])
+        valid = record.valid
+        begins = valid & ~np.concatenate([[False], valid[:-1]])
+        velocity = signals.y[:, 1] if plant.relative_degree > 1 else np.zeros_like(signals.y[:, 0])
         period = np.full(len(record), record.sample_period)
-        row = (now.y[:, 0], velocity, f - phi @ theta, phi, mask, begins, period, now.highest)
-        parts.append([values[inside] for values in row])
-    y, velocity, rest, phi, mask, begins, period, highest = (
+        row = (
+            signals.y[:, 0],
+            velocity,
+            f - phi @ theta,
+            phi,
+            mask,
+            begins,
+            period,
+            signals.highest,
+        )
+        parts.append([values[valid] for values in row])
+    y, velocity, offset, phi, mask, begins, period, highest = (
         np.concatenate(values) for values in zip(*parts, strict=True)
     )
     size = np.mean(highest**2, axis=0)
     weights = 1.0 / np.where(size > 0, size, 1.0)
-    middle, width = _intervals(plant, paper, phi, weights)
+    middle, width = _intervals(plant, is_paper_plant, phi, weights)
     moments = np.einsum("kj,j,kja,kjb->ab", mask, weights, phi, phi) / len(phi)
     solution = least_squares(jnp.asarray(moments), jnp.zeros(len(theta)), jnp.asarray(plant.free))
-    lost = untraced(solution, plant.names, plant.free)
-    lag = _LAG if paper else 1.0 / one.filters.narrow
+    unidentified = untraced(solution, plant.names, plant.free)
+    lag = _LAG if is_paper_plant else 1.0 / filtered.filters.narrow
     settling = _LAST * float(np.sum(period))
     gains = _Gains(
         jnp.asarray(middle),
         jnp.asarray(width),
-        jnp.asarray(_RATE if paper else _RATE * _LAG / lag),
+        jnp.asarray(_RATE if is_paper_plant else _RATE * _LAG / lag),
         jnp.asarray(lag),
         solution.inverse / settling,
         jnp.asarray(weights),
         jnp.asarray(np.asarray(plant.degrees) == 2),
     )
-    drift = rest + phi @ middle
+    drift = offset + phi @ middle
     drift[:-1] = 0.5 * (drift[:-1] + drift[1:])
     arrays = (y, velocity, drift, phi, mask, begins, period)
-    return tuple(jnp.asarray(one) for one in arrays), gains, lost  # type: ignore[return-value]
+    return tuple(jnp.asarray(array) for array in arrays), gains, unidentified  # type: ignore[return-value]
 
 
 def _intervals(
-    plant: Plant, paper: bool, phi: np.ndarray, weights: np.ndarray
+    plant: Plant, is_paper_plant: bool, phi: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and width of the interval of each parameter; a fixed one has no width."""
+    """Middle and width of the interval of each parameter; width 0 for a fixed one."""
     theta = np.asarray(plant.theta, dtype=float)
-    if paper:
+    if is_paper_plant:
         low, high = (np.array([_INTERVALS[name][i] for name in plant.names]) for i in (0, 1))
     else:
         term = np.sqrt(np.mean(np.sum(weights[:, None] * phi**2, axis=1), axis=0))
         reach = np.maximum(np.abs(theta), 1.0 / np.where(term > 0, term, np.inf))
-        known = np.isfinite(plant.lower) & np.isfinite(plant.upper)
-        low = np.where(known, plant.lower, theta - reach)
-        high = np.where(known, plant.upper, theta + reach)
+        has_bounds = np.isfinite(plant.lower) & np.isfinite(plant.upper)
+        low = np.where(has_bounds, plant.lower, theta - reach)
+        high = np.where(has_bounds, plant.upper, theta + reach)
     free = np.asarray(plant.free) > 0
     return np.where(free, 0.5 * (low + high), theta), np.where(free, high - low, 0.0)
 
@@ -183,9 +199,9 @@ def _identifier(signals: Signals, gains: _Gains) -> Float[Array, "time np"]:
     middle, width, rate, lag = gains.middle, gains.width, gains.rate, gains.lag
     second = gains.second
 
-    def step(carry: tuple[Array, Array, Array, Array], now: Signals) -> tuple[tuple, Array]:
+    def step(carry: tuple[Array, Array, Array, Array], row: Signals) -> tuple[tuple, Array]:
         x1, x2, filtered, alpha = carry
-        y, velocity, drift, phi, mask, begins, h = now
+        y, velocity, drift, phi, mask, begins, h = row
         x1, x2 = jnp.where(begins, y, x1), jnp.where(begins, velocity, x2)
         filtered = jnp.where(begins, 0.0, filtered)
         sigma = jnp.where(second, rate * (y - x1) + (velocity - x2), y - x1)

@@ -1,12 +1,12 @@
 r"""Least squares and instrumental variables from filtered rows, with standard errors.
 
-With instruments Ψ (the regressors Φ themselves for plain least squares) and outputs weighed by the
+With instruments Ψ (the regressors Φ themselves for least squares) and outputs weighted by the
 inverse power w of their residuals:
 
     A = Σ w ΨᵀΦ      B = Σ w ΨᵀΨ      Δθ = [Aᵀ B⁻¹ A]⁻¹ Aᵀ B⁻¹ Σ w Ψᵀ e
 
-which for Ψ = Φ is eq. (11). The covariance is a sandwich over blocks of samples that are longer
-than the filter remembers, because residuals are coloured.
+which for Ψ = Φ is eq. (11). Residuals are coloured: the covariance is a sandwich over blocks of
+samples that are longer than the memory of the filter.
 
 Source: T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identification*, 1983.
 """
@@ -20,24 +20,24 @@ from jaxtyping import Float
 from eoi_jax.comparison.methods.filtered import Rows
 from eoi_jax.estimation.regression.least_squares import Solution, least_squares
 
-_BLOCKS, _FEWEST = 50, 3  # of scores: wanted, and below which nothing is said
+_BLOCKS, _FEWEST = 50, 3  # blocks of scores: desired number, and the smallest
 
 
 @dataclass(frozen=True)
-class Solved:
-    """One solution.
+class WeightedSolution:
+    """Solution of the weighted normal equations.
 
     Attributes:
         increment: Δθ, shape (np,).
-        solution: what the data tell, by direction.
-        half: Aᵀ B⁻¹, which turns scores into right-hand sides.
+        solution: with the identified directions.
+        projection: Aᵀ B⁻¹, from scores to right-hand sides.
         weights: of the outputs, shape (ny,).
         power: of the residuals before the step, shape (ny,).
     """
 
     increment: Float[np.ndarray, " np"]
     solution: Solution
-    half: Float[np.ndarray, "np np"]
+    projection: Float[np.ndarray, "np np"]
     weights: Float[np.ndarray, " ny"]
     power: Float[np.ndarray, " ny"]
 
@@ -49,7 +49,7 @@ class Solved:
 
 def solve(
     rows: Rows, instruments: Rows, free: Float[np.ndarray, " np"], damping: float = 0.0
-) -> Solved:
+) -> WeightedSolution:
     """Δθ of rows at some θ.
 
     Args:
@@ -59,7 +59,7 @@ def solve(
         damping: Levenberg's, of columns scaled to one.
     """
     power = np.mean(np.concatenate(rows.error) ** 2, axis=0)
-    # Rounding bounds how small a residual can mean anything.
+    # A residual below rounding errors has no meaning.
     floor = np.maximum(1e-24 * rows.highest**2, np.finfo(float).tiny)
     weights = 1.0 / np.maximum(power, floor)
     weights = weights / np.max(weights)
@@ -73,19 +73,19 @@ def solve(
     scale = np.sqrt(np.diagonal(b))
     scale = np.where(scale > 0, scale, 1.0)
     inverse = np.linalg.pinv(b / np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    half = a.T @ (inverse / np.outer(scale, scale))
-    information = half @ a
+    projection = a.T @ (inverse / np.outer(scale, scale))
+    information = projection @ a
     solution = least_squares(
         jnp.asarray(0.5 * (information + information.T)),
-        jnp.asarray(half @ rhs),
+        jnp.asarray(projection @ rhs),
         jnp.asarray(free),
         damping,
     )
-    return Solved(np.asarray(solution.increment), solution, half, weights, power)
+    return WeightedSolution(np.asarray(solution.increment), solution, projection, weights, power)
 
 
 def covariance(
-    solved: Solved, rows: Rows, instruments: Rows, memory: int
+    solved: WeightedSolution, rows: Rows, instruments: Rows, memory: int
 ) -> Float[np.ndarray, "np np"]:
     """Sandwich over blocks of scores; NaN where the records are too short for three blocks.
 
@@ -93,16 +93,16 @@ def covariance(
         solved: at the estimate.
         rows: there.
         instruments: there.
-        memory: samples after which residuals have forgotten.
+        memory: of the filter [samples].
     """
     total = sum(len(error) for error in rows.error)
     length = max(total // _BLOCKS, memory, 1)
     scores = []
     for error, psi, phi in zip(rows.error, instruments.phi, rows.phi, strict=True):
         count = len(error) // length
-        left = error - phi @ solved.increment
-        score = np.einsum("kj,j,kja->ka", left, solved.weights, psi)[: count * length]
-        # Windowed (Hann, mean square one): differences of white noise leak in over sharp edges.
+        residual = error - phi @ solved.increment
+        score = np.einsum("kj,j,kja->ka", residual, solved.weights, psi)[: count * length]
+        # Hann window (mean square one): differences of white noise would leak over sharp edges.
         phase = (np.arange(length) + 0.5) / length
         window = np.sqrt(8.0 / 3.0) * np.sin(np.pi * phase) ** 2
         scores.append(np.einsum("bka,k->ba", score.reshape(count, length, score.shape[1]), window))
@@ -111,4 +111,4 @@ def covariance(
     if len(blocks) < _FEWEST:
         return np.where(inverse != 0, np.nan, 0.0)
     meat = blocks.T @ blocks * total / (len(blocks) * length) * len(blocks) / (len(blocks) - 1)
-    return inverse @ solved.half @ meat @ solved.half.T @ inverse
+    return inverse @ solved.projection @ meat @ solved.projection.T @ inverse

@@ -12,7 +12,7 @@ e₊ + h ω₁ |e₊|^½ s + κ s = b for s ∈ Sign(e₊):
     |b| ≤ κ:  s = b/κ, r = 0        else:  s = sign b,  r² + h ω₁ r + κ = |b|,   e₊ = r² s
     p₊ = (p + h s)/(1 + hT),        v = ω₁ r s + ω₂ p₊,        x̂₊ = y₊ - e₊
 
-In sliding v = (y₊ - y)/h - f: the mean of what the model lacks over the step.
+In sliding mode v = (y₊ - y)/h - f: the mean of the model's error over the step.
 """
 
 from typing import Any
@@ -94,8 +94,8 @@ class FirstOrder(AbstractObserver):
         b = y_next - state.x - h * (drift + omega2 * state.p * decay)
         sliding = jnp.abs(b) <= kappa
         s = jnp.where(sliding, b / kappa, jnp.sign(b))
-        outside = jnp.maximum(jnp.abs(b) - kappa, 0.0)
-        r = 0.5 * (jnp.sqrt((h * omega1) ** 2 + 4.0 * outside) - h * omega1)
+        excess = jnp.maximum(jnp.abs(b) - kappa, 0.0)
+        r = 0.5 * (jnp.sqrt((h * omega1) ** 2 + 4.0 * excess) - h * omega1)
         p = (state.p + h * s) * decay
         return FirstOrderState(y_next - r**2 * s, p), omega1 * r * s + omega2 * p, sliding
 

@@ -29,10 +29,10 @@ class GainSets:
     def __len__(self) -> int:
         return len(next(iter(self.labels.values())))
 
-    def __getitem__(self, which: Any) -> "GainSets":
-        """Some of the sets, by slice or indices."""
-        labels = {name: value[which] for name, value in self.labels.items()}
-        return GainSets(jax.tree.map(lambda leaf: leaf[which], self.observer), labels)
+    def __getitem__(self, selection: Any) -> "GainSets":
+        """Selected sets, by slice or indices."""
+        labels = {name: value[selection] for name, value in self.labels.items()}
+        return GainSets(jax.tree.map(lambda leaf: leaf[selection], self.observer), labels)
 
     @property
     def kind(self) -> str:
@@ -42,11 +42,11 @@ class GainSets:
     @property
     def valid(self) -> Bool[np.ndarray, " sets"]:
         """Which sets have gains that are positive and finite."""
-        each = [
+        conditions = [
             np.all(np.isfinite(value) & (value > 0), axis=tuple(range(1, value.ndim)))
             for value in self.labels.values()
         ]
-        return np.all(each, axis=0)
+        return np.all(conditions, axis=0)
 
 
 def gains(
@@ -59,13 +59,13 @@ def gains(
 
     Args:
         kind: the observer's class, or a `functools.partial` of it, e.g. ``SecondOrder``.
-        values: of each gain: a number, or (sets,), or (sets, ny) for one value an output. A value
-            that is not positive is kept: its lanes end as ``"invalid_gains"``.
-        scheme: ``"implicit"`` or ``"explicit"``; the observer's own default if left out.
-        grid: try every combination of the values, instead of the first of each, the second, ….
+        values: of each gain: a number, or (sets,), or (sets, ny) for one value per output. Lanes
+            with a value that is not positive end as ``"invalid_gains"``.
+        scheme: ``"implicit"`` or ``"explicit"``; default: that of the observer.
+        grid: whether to take every combination of the values, rather than pair them in order.
 
     Returns:
-        The sets, in the order of the values; of a grid the last gain runs fastest.
+        The sets, in the order of the values; in a grid the last gain varies fastest.
 
     Raises:
         ValueError: no such gain, lengths that differ without `grid`, no value at all.
@@ -73,17 +73,17 @@ def gains(
     Example:
         >>> gains(SecondOrder, {"c1": 50.0, "c2": [1e2, 1e3], "c3": [10.0, 30.0]}, grid=True)
     """
-    known = [name for name in inspect.signature(kind).parameters if name != "scheme"]
+    names = [name for name in inspect.signature(kind).parameters if name != "scheme"]
     arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     for name, array in arrays.items():
-        check(name in known, name, f"must be a gain of the observer ({', '.join(known)})", name)
+        check(name in names, name, f"must be a gain of the observer ({', '.join(names)})", name)
         check(array.ndim <= 2, name, "must be a number, (sets,) or (sets, ny)", array.shape)
         check(array.size > 0, name, "must hold at least one value", "none: that is no lane")
-    missing = [name for name in known if _required(kind, name) and name not in arrays]
-    check(not missing, "gains", f"must give {', '.join(known)}", f"no {', '.join(missing)}")
+    missing = [name for name in names if _required(kind, name) and name not in arrays]
+    check(not missing, "gains", f"must give {', '.join(names)}", f"no {', '.join(missing)}")
     arrays = _combined(arrays) if grid else _side_by_side(arrays)
     extra = {} if scheme is None else {"scheme": scheme}
-    build = jax.vmap(lambda each: kind(**each, **extra))
+    build = jax.vmap(lambda gain_values: kind(**gain_values, **extra))
     observer = jax.tree.map(np.asarray, build({k: jnp.asarray(v) for k, v in arrays.items()}))
     return GainSets(observer, arrays)
 
@@ -92,31 +92,30 @@ _OBSERVERS = "observers with their gains, or `observers.gains(…)`"
 
 
 def gain_sets(observers: Any, outputs: int) -> tuple[GainSets, ...]:
-    """Observers as they may be given to a sweep, in order, as groups that can be stacked.
+    """The observers of a sweep, in order, as groups that can be stacked.
 
     Args:
         observers: one observer, `GainSets`, or a sequence of either.
-        outputs: ny; gains are spread to one an output where a group mixes both forms.
-
+        outputs: ny; gains are broadcast to one per output where a group mixes both forms.
     """
-    alone = isinstance(observers, AbstractObserver | GainSets)
-    given = (observers,) if alone else () if observers is None else observers
-    check_kind("observers", given, Iterable, _OBSERVERS)
-    given = list(given)
-    check(len(given) > 0, "observers", "must hold at least one observer", "none: that is no lane")
+    is_single = isinstance(observers, AbstractObserver | GainSets)
+    items = (observers,) if is_single else () if observers is None else observers
+    check_kind("observers", items, Iterable, _OBSERVERS)
+    items = list(items)
+    check(len(items) > 0, "observers", "must hold at least one observer", "none: that is no lane")
     groups: list[GainSets] = []
-    alike: list[AbstractObserver] = []
-    for one in given:
-        check_kind("observers", one, (AbstractObserver, GainSets), _OBSERVERS)
-        if alike and (isinstance(one, GainSets) or _form(one) != _form(alike[0])):
-            groups.append(_stacked(alike, outputs))
-            alike = []
-        if isinstance(one, GainSets):
-            groups.append(one)
+    pending: list[AbstractObserver] = []
+    for item in items:
+        check_kind("observers", item, (AbstractObserver, GainSets), _OBSERVERS)
+        if pending and (isinstance(item, GainSets) or _form(item) != _form(pending[0])):
+            groups.append(_stacked(pending, outputs))
+            pending = []
+        if isinstance(item, GainSets):
+            groups.append(item)
         else:
-            alike.append(one)
-    if alike:
-        groups.append(_stacked(alike, outputs))
+            pending.append(item)
+    if pending:
+        groups.append(_stacked(pending, outputs))
     return tuple(groups)
 
 
@@ -125,16 +124,16 @@ def _required(kind: Callable, name: str) -> bool:
 
 
 def _combined(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    lengths = [len(np.atleast_1d(one)) for one in arrays.values()]
+    lengths = [len(np.atleast_1d(values)) for values in arrays.values()]
     picks = np.indices(lengths).reshape(len(lengths), -1)
     return {
-        name: np.atleast_1d(one)[pick]
-        for (name, one), pick in zip(arrays.items(), picks, strict=True)
+        name: np.atleast_1d(values)[pick]
+        for (name, values), pick in zip(arrays.items(), picks, strict=True)
     }
 
 
 def _side_by_side(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    lengths = {name: len(one) for name, one in arrays.items() if one.ndim}
+    lengths = {name: len(values) for name, values in arrays.items() if values.ndim}
     check(
         len(set(lengths.values())) <= 1,
         "gains",
@@ -143,19 +142,22 @@ def _side_by_side(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "For every combination of them, say `grid=True`.",
     )
     sets = max(lengths.values(), default=1)
-    return {name: one if one.ndim else np.full(sets, float(one)) for name, one in arrays.items()}
+    return {
+        name: values if values.ndim else np.full(sets, float(values))
+        for name, values in arrays.items()
+    }
 
 
 def _form(observer: AbstractObserver) -> Any:
-    """What observers must share to be stacked: class, scheme, everything that is no array."""
+    """Structure that stacked observers share: class, scheme, and all that is not an array."""
     return jax.tree.structure(observer)
 
 
 def _stacked(observers: Sequence[AbstractObserver], outputs: int) -> GainSets:
     def leaf(*values: Any) -> np.ndarray:
-        arrays = [np.asarray(one, dtype=float) for one in values]
-        if len({one.shape for one in arrays}) > 1:
-            arrays = [np.broadcast_to(one, (outputs,)) for one in arrays]
+        arrays = [np.asarray(array, dtype=float) for array in values]
+        if len({array.shape for array in arrays}) > 1:
+            arrays = [np.broadcast_to(array, (outputs,)) for array in arrays]
         return np.stack(arrays)
 
     stacked = jax.tree.map(leaf, *observers)

@@ -9,7 +9,8 @@ r = 2 is the super-twisting observer. Implicit form: the whole chain at the end 
     else:          ρ^r + h k₁ ρ^(r-1) + … + h^(r-1) kᵣ₋₁ ρ + h^r kᵣ = |b|,  s = sign b
 
 The polynomial is convex and increasing for ρ ≥ 0, so Newton's method from ρ = |b|^(1/r), which
-lies above the root, descends to it without fail. In sliding xᵢ₊₁ = ∇ⁱy/hⁱ, i backward differences.
+lies above the root, converges to it from above. In sliding mode xᵢ₊₁ = ∇ⁱy/hⁱ, i backward
+differences.
 """
 
 import math
@@ -41,7 +42,7 @@ class HighOrder(AbstractObserver):
     Args:
         bound: L, above the model's error [unit of y^(r)].
         degree: r.
-        lambdas: λ₁ … λᵣ; Levant's for r ≤ 5 if left out.
+        lambdas: λ₁ … λᵣ; default for r ≤ 5: Levant's.
 
     Raises:
         ValueError: a gain that is not positive and finite, a degree below 1, not r gains λ.
@@ -132,7 +133,7 @@ class HighOrder(AbstractObserver):
         return jax.lax.fori_loop(0, _NEWTON_STEPS, newton, start)
 
     def _middle(self, new: Float[Array, "r ny"], observed: Output, h: Scalar) -> Rates:
-        """∇ⁱy/hⁱ lags the middle of the step by (i-1)h/2: brought there by its own rate."""
+        """∇ⁱy/hⁱ lags the middle of the step by (i-1)h/2, and is extrapolated by its rate."""
         rows = jnp.concatenate([new, observed[None]])
         lag = 0.5 * h * jnp.arange(self.degree - 1)[:, None]
         return rows[1:-1] + lag * rows[2:]

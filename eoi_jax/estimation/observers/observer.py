@@ -1,13 +1,14 @@
-r"""What an observer is: it follows the measurement, and what it must inject is the model's error.
+r"""The interface of the sliding-mode observers, section 3 of the paper.
 
-Every observer here is a recursion over the steps k → k+1 of a record, written for all outputs at
-once (arrays of shape (ny,); gains are scalars or one value per output).
+An observer follows the measured output; the injection that this takes is the model's error. Every
+observer is a recursion over the steps k → k+1 of a record, written for all outputs at once (arrays
+of shape (ny,); gains are scalars or one value per output).
 
-**Time alignment.** In sliding, an implicit observer of relative degree r reproduces the measured
-output exactly, and its injection plus the model it carried is a moving average of y^(r) over the
-last r steps: the r-th backward difference ∇^r y / h^r, whose weights per step are those of the
-B-spline of degree r - 1, (1), (½, ½), (⅙, ⅔, ⅙), … (`kernel`). The pass gives the model and the
-regressors the same average, so that both sides of the regression belong to the same instant.
+**Time alignment.** In sliding mode, an implicit observer of relative degree r reproduces the
+measured output exactly, and its injection plus its model is a moving average of y^(r) over the last
+r steps: the r-th backward difference ∇^r y / h^r, whose weights per step are those of the B-spline
+of degree r - 1, (1), (½, ½), (⅙, ⅔, ⅙), … (`kernel`). The pass applies the same average to the
+model and the regressors, so that both sides of the regression belong to the same instant.
 """
 
 import abc
@@ -26,12 +27,12 @@ SCHEMES = ("implicit", "explicit")
 
 
 class Observation(eqx.Module):
-    """What one step of an observer shows.
+    """Output of one step of an observer.
 
     Attributes:
-        injection: what was added to the model to follow the measurement [unit of y^(r)].
-        observed: injection plus the model it was added to: the observer's estimate of y^(r),
-            averaged over the last steps with the weights of `kernel`.
+        injection: added to the model to follow the measurement [unit of y^(r)].
+        observed: injection plus model: the observer's estimate of y^(r), averaged over the last
+            steps with the weights of `kernel`.
         rates: ẏ, …, y^(r-1) in the middle of the step.
         sliding: whether the relay is inside its set-valued part (implicit), or its error inside
             the band of the sampled relay (explicit).
@@ -51,14 +52,14 @@ class AbstractObserver(eqx.Module):
     @property
     @abc.abstractmethod
     def relative_degree(self) -> int | tuple[int, ...]:
-        """The relative degree r of the outputs that it can follow, one or one an output."""
+        """Relative degree r of the outputs: one number, or one per output."""
 
     @property
     @abc.abstractmethod
     def kernel(self) -> tuple[Any, ...]:
         """Weights, newest step first, of the average in `Observation.observed`.
 
-        One tuple for all outputs, or a tuple of them, one an output.
+        One tuple for all outputs, or a tuple of tuples, one per output.
         """
 
     @abc.abstractmethod
@@ -73,7 +74,7 @@ class AbstractObserver(eqx.Module):
     def step(
         self, state: Any, y: Output, y_next: Output, drift: Output, sample_period: Scalar
     ) -> tuple[Any, Observation]:
-        """From sample k to k+1.
+        """Step from sample k to k+1.
 
         Args:
             state: of sample k.

@@ -2,17 +2,18 @@ r"""Discontinuous second-order observer, eq. (9), for outputs of relative degree
 
     x̂₁' = x̂₂ + c₁ e,    x̂₂' = f + c₂ e + c₃ sign e,    e = y - x̂₁        (9)
 
-In sliding the mean of c₃ sign e is the model's error, eq. (10) and below; a low-pass recovers it.
+In sliding mode the mean of c₃ sign e is the model's error, eq. (10) and below; a low-pass filter
+recovers it.
 
 Implicit form, e = y[k] - x₁ at the start of the step, relay at its end:
 
     A   = f + c₂ e            x₁⁻ = x₁ + h x₂ + ½ h² A + h c₁ e        x₂⁻ = x₂ + h A
-    w   = clip((y[k+1] - x₁⁻)/h², -c₃, c₃)             |w| < c₃  ⇔  in sliding
+    w   = clip((y[k+1] - x₁⁻)/h², -c₃, c₃)             |w| < c₃  ⇔  in sliding mode
     x₁ ← x₁⁻ + h² w                                     x₂ ← x₂⁻ + h w
 
-In sliding x₁ = y exactly. With γ = ÿ - f the model's error, ẏ - x₂ = ½ h γ follows after one step
-and so w[k] = ½ (γ[k] + γ[k-1]): hence `kernel`, and a middle velocity x₂[k+1] - ½ h A, which is
-the measured increment (y[k+1] - y[k])/h, free of that bias.
+In sliding mode x₁ = y exactly. With γ = ÿ - f the model's error, ẏ - x₂ = ½ h γ follows after one
+step and so w[k] = ½ (γ[k] + γ[k-1]): hence `kernel`, and a middle velocity x₂[k+1] - ½ h A, which
+is the measured increment (y[k+1] - y[k])/h, free of that bias.
 """
 
 from typing import Any
@@ -106,7 +107,7 @@ class SecondOrder(AbstractObserver):
         x1 = state.x1 + h * (state.x2 + self.c1 * e)
         x2 = state.x2 + h * (drift + self.c2 * e + injection)
         # The sampled relay ends in a limit cycle at ω² = c₁/h, where its delay h cancels the
-        # damping: amplitude 4 c₃/(π ω²). Within twice that it follows.
+        # damping: amplitude 4 c₃/(π ω²). An error within twice that counts as sliding.
         sliding = jnp.abs(e) <= 8.0 / np.pi * self.c3 * h / self.c1
         new = SecondOrderState(x1, x2, drift)
         return new, Observation(injection, injection + drift, state.x2[None], sliding)

@@ -7,7 +7,8 @@ Implicit form: with s = y[k+1] - x₁ - h (x₂ + h f) and T = h² α, solve for
     |s| ≤ T:  ξ = s/T, e₊ = 0      else:  ξ = sign s,  r² + h λ₁ r + T = |s|,  e₊ = r² ξ
     x₂ ← x₂ + h (f + α ξ)          x₁ ← y[k+1] - e₊          injection α ξ
 
-In sliding x₂ is the measured increment (y[k+1] - y[k])/h, and f + α ξ the second difference of y.
+In sliding mode x₂ is the measured increment (y[k+1] - y[k])/h, and f + α ξ the second difference of
+y.
 """
 
 from typing import Any
@@ -31,7 +32,7 @@ class SuperTwisting(AbstractObserver):
 
     Args:
         alpha: α, relay of the velocity [unit of ÿ]; must exceed the model's error.
-        lambda1: λ₁ [√(unit of ÿ)]; 1.5 √α if left out.
+        lambda1: λ₁ [√(unit of ÿ)]; default: 1.5 √α.
         scheme: ``"implicit"``, or ``"explicit"`` (Euler) as published.
 
     Raises:
@@ -87,8 +88,8 @@ class SuperTwisting(AbstractObserver):
         width = h**2 * self.alpha
         sliding = jnp.abs(s) <= width
         xi = jnp.where(sliding, s / width, jnp.sign(s))
-        outside = jnp.maximum(jnp.abs(s) - width, 0.0)
-        r = 0.5 * (jnp.sqrt((h * self.lambda1) ** 2 + 4.0 * outside) - h * self.lambda1)
+        excess = jnp.maximum(jnp.abs(s) - width, 0.0)
+        r = 0.5 * (jnp.sqrt((h * self.lambda1) ** 2 + 4.0 * excess) - h * self.lambda1)
         injection = self.alpha * xi
         x2 = state.x2 + h * (drift + injection)
         new = SuperTwistingState(y_next - r**2 * xi, x2)

@@ -1,11 +1,12 @@
-r"""Least squares within bounds, from normal equations: what would leave its bounds lies on them.
+r"""Least squares within bounds, from normal equations, by block principal pivoting.
 
     min ½ Δθᵀ A Δθ − bᵀΔθ   subject to   low ≤ Δθ ≤ high
 
-Sets of parameters on their bounds are exchanged until the rest, solved anew, lies inside, and the
-cost would fall only beyond each bound that holds one (Karush-Kuhn-Tucker). All that is wrong is
-exchanged at once, which takes two or three turns as a rule. Where that cycles, only the last one
-is, which cannot; but for directions that left no trace: in the end nothing is let go any more.
+The set of parameters on their bounds is changed until the others, solved for again, lie inside and
+the cost would fall only beyond each active bound (Karush-Kuhn-Tucker). All violations are exchanged
+at once, which usually takes two or three turns. Where that cycles, only the last violation is
+exchanged, which cannot cycle except in directions without information: after `_RELEASE_TURNS` no
+parameter is released from its bound any more.
 
 Source: L. Portugal, J. Júdice, L. Vicente, Mathematics of Computation 63 (1994) 625 (block
 principal pivoting; one at a time by K. Murty).
@@ -16,14 +17,15 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-_TURNS, _MOST = 10, 100  # with all exchanged at once; in which what is on a bound may leave it
+# Turns in which all violations are exchanged at once, and in which bounds may be released.
+_BLOCK_TURNS, _RELEASE_TURNS = 10, 100
 
 Rows = Float[np.ndarray, "lanes np"]
-# Δθ of right-hand sides, with only the parameters of the mask free.
+# Returns Δθ for right-hand sides, with only the parameters of the mask free.
 Solve = Callable[[Rows, Bool[np.ndarray, "lanes np"]], Rows]
 
 
-def outside(increment: Rows, room: tuple[Rows, Rows]) -> bool:
+def leaves_bounds(increment: Rows, room: tuple[Rows, Rows]) -> bool:
     """Whether some Δθ leaves its room, down and up."""
     return bool(np.any((increment < room[0]) | (increment > room[1])))
 
@@ -50,17 +52,17 @@ def bounded(
     low, high = room
     side, turn = np.zeros(increment.shape, int), 0
     while True:
-        with np.errstate(invalid="ignore"):  # a lane without an answer
+        with np.errstate(invalid="ignore"):  # a lane that is not finite
             slope = rhs - np.einsum("lab,lb->la", information, increment)
-        inward = (side * slope < 0.0) & (turn < _MOST)
+        inward = (side * slope < 0.0) & (turn < _RELEASE_TURNS)
         leaves = (side == 0) & ((increment < low) | (increment > high))
         if not np.any(inward | leaves):
             return increment, side
-        if turn >= _TURNS:
+        if turn >= _BLOCK_TURNS:
             last = np.cumsum((inward | leaves)[:, ::-1], axis=1)[:, ::-1] == 1
             inward, leaves = inward & last, leaves & last
         side = np.where(leaves, np.where(increment > high, 1, -1), np.where(inward, 0, side))
         moved = np.where(side > 0, high, np.where(side < 0, low, 0.0))
         with np.errstate(invalid="ignore"):
-            left = rhs - np.einsum("lab,lb->la", information, moved)
-        increment, turn = moved + solve(left, side == 0), turn + 1
+            remainder = rhs - np.einsum("lab,lb->la", information, moved)
+        increment, turn = moved + solve(remainder, side == 0), turn + 1

@@ -1,4 +1,4 @@
-r"""Instrumental variables: the normal equations of (11) with weights that noise does not reach.
+r"""Instrumental variables: the normal equations of (11) with instruments free of noise.
 
     Δθ = [Σ ζᵀψ]⁻¹ Σ ζᵀe
 
@@ -9,7 +9,7 @@ T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identifica
 import numpy as np
 from jaxtyping import Float
 
-_ROUNDING = 1e-12  # an eigenvalue of the scaled Σ ζᵀζ below it is no information
+_ROUNDING = 1e-12  # relative size of an eigenvalue of the scaled Σ ζᵀζ that is zero
 
 
 def instrumental_variables(
@@ -24,20 +24,20 @@ def instrumental_variables(
         cross: Σ ζᵀψ, instruments by rows.
         information: Σ ζᵀζ.
         rhs: Σ ζᵀe.
-        free: 1 for an estimated parameter, 0 for one that stays.
+        free: 1 for an estimated parameter, 0 for a fixed one.
 
     Returns:
-        Δθ, and [Σ ζᵀψ]⁻¹ in the identified directions; zero for what stays. Not finite where the
-        instruments do not determine Δθ.
+        Δθ, and [Σ ζᵀψ]⁻¹ in the identified directions; zero for fixed parameters. Not finite where
+        the instruments do not determine Δθ.
     """
     length = np.sqrt(np.maximum(np.diagonal(information), 0.0)) * free
     active = length > 0
     unscale = active / np.where(active, length, 1.0)
     values, directions = np.linalg.eigh(information * np.outer(unscale, unscale))
-    kept = directions[:, values > _ROUNDING * max(float(values[-1]), 0.0)] * unscale[:, None]
-    inner = kept.T @ cross @ kept
+    basis = directions[:, values > _ROUNDING * max(float(values[-1]), 0.0)] * unscale[:, None]
+    inner = basis.T @ cross @ basis
     try:
-        inverse = kept @ np.linalg.inv(inner) @ kept.T
+        inverse = basis @ np.linalg.inv(inner) @ basis.T
     except np.linalg.LinAlgError:
         inverse = np.full_like(cross, np.nan)
     return inverse @ rhs, inverse
@@ -50,23 +50,23 @@ def within_bounds(
     free: Float[np.ndarray, " np"],
     room: tuple[Float[np.ndarray, " np"], Float[np.ndarray, " np"]],
 ) -> tuple[Float[np.ndarray, " np"], Float[np.ndarray, "np np"]]:
-    """`instrumental_variables` with what would leave its bounds put on them, the rest solved anew.
+    """`instrumental_variables` within bounds: parameters beyond a bound are fixed on it.
 
     Args:
         cross: Σ ζᵀψ.
         information: Σ ζᵀζ.
         rhs: Σ ζᵀe.
-        free: 1 for an estimated parameter, 0 for one that stays.
+        free: 1 for an estimated parameter, 0 for a fixed one.
         room: smallest and largest Δθ, each (np,).
 
     Returns:
         Δθ, and [Σ ζᵀψ]⁻¹ of the parameters inside their bounds.
     """
-    moved, open_ = np.zeros_like(rhs), free.copy()
-    while True:  # each round closes at least one parameter
-        increment, inverse = instrumental_variables(cross, information, rhs - cross @ moved, open_)
-        out = (open_ > 0) & ((increment < room[0]) | (increment > room[1]))
-        if not np.any(out):
+    moved, active = np.zeros_like(rhs), free.copy()
+    while True:  # each round fixes at least one parameter
+        increment, inverse = instrumental_variables(cross, information, rhs - cross @ moved, active)
+        violated = (active > 0) & ((increment < room[0]) | (increment > room[1]))
+        if not np.any(violated):
             return moved + increment, inverse
-        moved = np.where(out, np.clip(increment, *room), moved)
-        open_ = np.where(out, 0.0, open_)
+        moved = np.where(violated, np.clip(increment, *room), moved)
+        active = np.where(violated, 0.0, active)

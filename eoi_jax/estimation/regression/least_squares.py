@@ -1,9 +1,9 @@
-r"""Least squares from normal equations, eq. (11), with an honest answer where data say nothing.
+r"""Least squares from normal equations, eq. (11), also where the data do not determine all of Δθ.
 
     Δθ = [∫ φᵀφ]⁻¹ ∫ φᵀ u_eq        (11)
 
-Columns are scaled to unit length first, so that parameters of different size and unit weigh
-alike. Directions without information keep their nominal value (the smallest Δθ), and are named.
+Columns are scaled to unit length first, so that parameters of different size and unit have equal
+weight. θ does not move in directions without information (the smallest Δθ), which are reported.
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.programs import jit
 
-# An eigenvalue of the scaled information matrix below this many rounding errors is no information.
+# Eigenvalues of the scaled information matrix below this many rounding errors count as zero.
 _ROUNDING = 100.0
 
 
 class Solution(eqx.Module):
-    """Δθ and what is known about it.
+    """Δθ and the directions in which the data determine it.
 
     Attributes:
         increment: Δθ, shape (np,); zero for fixed parameters.
@@ -57,7 +57,7 @@ def least_squares(
             small (Levenberg); for a model that is not affine in θ.
 
     Returns:
-        Δθ, and which directions of θ the data say something about.
+        Δθ, and the directions of θ that the data determine.
     """
     length = jnp.sqrt(jnp.maximum(jnp.diagonal(information), 0.0)) * free
     scale = jnp.where(length > 0, length, 1.0)
@@ -65,11 +65,11 @@ def least_squares(
     scaled = information / jnp.outer(scale, scale) * jnp.outer(active, active)
     scaled = scaled + jnp.diag(1.0 - free)  # fixed parameters: directions of their own
     eigenvalues, directions = jnp.linalg.eigh(scaled)
-    least = _ROUNDING * information.shape[0] * jnp.finfo(information.dtype).eps
-    identified = eigenvalues > least * jnp.maximum(eigenvalues[-1], 0.0)
+    threshold = _ROUNDING * information.shape[0] * jnp.finfo(information.dtype).eps
+    identified = eigenvalues > threshold * jnp.maximum(eigenvalues[-1], 0.0)
     identified &= eigenvalues > 0
     safe = jnp.where(identified, eigenvalues, 1.0)
-    # A parameter without any trace is in no direction that has one, but for rounding.
+    # Only rounding puts a parameter without information into an identified direction.
     unscale = jnp.outer(active, active) / jnp.outer(scale, scale)
 
     def inverted(values: Float[Array, " np"]) -> Float[Array, "np np"]:
@@ -110,22 +110,22 @@ def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, "
     return combinations
 
 
-def traceless(
+def unidentified_directions(
     information: Float[np.ndarray, "np np"], free: Float[np.ndarray, " np"]
 ) -> Float[np.ndarray, "np k"]:
-    """Directions of θ without information, each of length one in its largest part.
+    """Directions of θ without information, each with a largest component of 1.
 
     Args:
         information: Σ φᵀφ.
         free: 1 for an estimated parameter, 0 for a fixed one.
 
     Returns:
-        One a column.
+        One direction a column.
     """
     solution = least_squares(information, np.zeros(len(free)), free)
-    lost = ~np.asarray(solution.identified)
-    scaled = np.asarray(solution.directions)[:, lost]
-    # Rounding is no part of a direction.
+    unidentified = ~np.asarray(solution.identified)
+    scaled = np.asarray(solution.directions)[:, unidentified]
+    # Remove rounding errors.
     scaled = np.where(np.abs(scaled) > 1e-6, scaled, 0.0)
     directions = scaled / np.asarray(solution.scale)[:, None] * free[:, None]
     return directions / np.max(np.abs(directions), axis=0, initial=1e-300)
@@ -136,14 +136,14 @@ def standard_errors(
     information: Float[np.ndarray, "np np"],
     free: Float[np.ndarray, " np"],
 ) -> Float[np.ndarray, " np"]:
-    """Roots of the variances; infinite for what a direction without a trace leaves open.
+    """Square roots of the variances; infinite for parameters that the data do not determine.
 
     Args:
-        covariance: in the directions that left a trace.
+        covariance: in the identified directions.
         information: Σ φᵀφ.
         free: 1 for an estimated parameter, 0 for a fixed one, or one on its bound.
     """
     errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     if not np.all(np.isfinite(information)):
         return errors
-    return np.where(np.any(traceless(information, free) != 0, axis=1), np.inf, errors)
+    return np.where(np.any(unidentified_directions(information, free) != 0, axis=1), np.inf, errors)

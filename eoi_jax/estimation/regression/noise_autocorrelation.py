@@ -1,6 +1,6 @@
-r"""Tests of coloured residuals: they are whitened by a known spectrum, then tested as white.
+r"""Tests of coloured residuals: whitened by a known spectrum, then tested as white noise.
 
-Samples that are not there are NaN, and take with them only what needs them.
+Missing samples are NaN; only results that need them are missing too.
 
 **Sources.** Ljung and Box, Biometrika 65 (1978) 297; Box and Jenkins, *Time Series Analysis*
 (whitening before cross-correlation); Newey and West, Econometrica 55 (1987) 703 (errors of means).
@@ -43,8 +43,8 @@ def whitened(
 def whitened_inputs(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     """An input less its linear prediction from its own past, by least squares.
 
-    Thirty decibels of white noise are assumed beside it: a few sines can be foretold exactly, and
-    what is left of them would be rounding.
+    White noise 30 dB below the input is assumed: a few sines can be predicted exactly, and the
+    remainder would be rounding.
     """
     parts = [part - np.mean(part) for part in parts]
     rows = [
@@ -65,7 +65,7 @@ def whitened_inputs(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
 def correlations(
     pairs: Sequence[tuple[np.ndarray, np.ndarray]], lags: Sequence[int]
 ) -> tuple[Float[np.ndarray, " lag"], Float[np.ndarray, " lag"]]:
-    """Mean of a(t) b(t - lag) over all records, over the root of both powers; and its samples."""
+    """Mean of a(t) b(t - lag) over all records, normalised, and its number of samples."""
     sums, counts = np.zeros(len(lags)), np.zeros(len(lags))
     powers = [
         sum(float(np.nansum(pair[i] ** 2)) for pair in pairs)
@@ -114,7 +114,7 @@ def largest(rho: np.ndarray, counts: np.ndarray, tested: np.ndarray) -> tuple[fl
 def wald(
     mean: Float[np.ndarray, " bin"], covariance: Float[np.ndarray, "bin bin"], freedom: float
 ) -> tuple[float, float]:
-    """Statistic, over its degrees of freedom, and p-value that all means are alike."""
+    """Statistic over its degrees of freedom, and p-value for equal means."""
     from scipy.special import chdtrc, fdtrc
 
     weights = np.linalg.pinv(covariance, rcond=1e-10, hermitian=True)
@@ -124,16 +124,16 @@ def wald(
     wald = float((mean - level) @ weights @ (mean - level))
     if np.isinf(freedom):
         return wald / count, float(chdtrc(count, wald))
-    left = max(freedom - count + 1.0, 1.0)
-    return wald / count, float(fdtrc(count, left, wald / count * left / freedom))
+    remaining = max(freedom - count + 1.0, 1.0)
+    return wald / count, float(fdtrc(count, remaining, wald / count * remaining / freedom))
 
 
 class Means(NamedTuple):
     """Means by label, and two covariances of them.
 
     `coloured` is estimated from the values (Newey and West, Bartlett weights), `null` is that of
-    noise alone, whose autocovariance is known. What is found must be beyond both: the first knows
-    of slow discrepancies, the second is exact if there is none.
+    noise alone, whose autocovariance is known. A finding must be significant under both: the first
+    allows for slow discrepancies, the second is exact if there is none.
     """
 
     mean: np.ndarray
@@ -156,27 +156,27 @@ def coloured_means(
         bins: how many labels there are.
         null: autocovariance of noise alone for each record, at lags from 0.
     """
-    inside = [one[:, None] == np.arange(bins) for one in labels]
-    values = [np.nan_to_num(one) for one in values]
-    counts = np.sum([np.sum(one, axis=0) for one in inside], axis=0)
-    mean = np.sum([e @ one for e, one in zip(values, inside, strict=True)], axis=0)
+    members = [label[:, None] == np.arange(bins) for label in labels]
+    values = [np.nan_to_num(record_values) for record_values in values]
+    counts = np.sum([np.sum(flags, axis=0) for flags in members], axis=0)
+    mean = np.sum([e @ flags for e, flags in zip(values, members, strict=True)], axis=0)
     mean = mean / np.maximum(counts, 1)
-    far = reach(int(np.sum(counts)))
+    lags = max_lag(int(np.sum(counts)))
     coloured, noise = np.zeros((2, bins, bins))
-    for e, flags, known in zip(values, inside, null, strict=True):
-        one = flags.astype(float)
-        rows = one * (e[:, None] - mean)
-        for lag in range(min(far, len(rows) - 1) + 1):
+    for record_values, flags, autocovariance in zip(values, members, null, strict=True):
+        flagged = flags.astype(float)
+        rows = flagged * (record_values[:, None] - mean)
+        for lag in range(min(lags, len(rows) - 1) + 1):
             ends = len(rows) - lag
-            part = (1.0 - lag / (far + 1.0)) * rows[lag:].T @ rows[:ends]
+            part = (1.0 - lag / (lags + 1.0)) * rows[lag:].T @ rows[:ends]
             coloured += part if lag == 0 else part + part.T
-            if lag < len(known):
-                part = known[lag] * one[lag:].T @ one[:ends]
+            if lag < len(autocovariance):
+                part = autocovariance[lag] * flagged[lag:].T @ flagged[:ends]
                 noise += part if lag == 0 else part + part.T
     size = np.maximum(np.outer(counts, counts), 1)
     return Means(mean, coloured / size, noise / size, counts)
 
 
-def reach(total: int) -> int:
-    """Lags over which values may be alike: those of the noise, more for slower discrepancies."""
+def max_lag(total: int) -> int:
+    """Largest lag of correlated values: that of the noise, or of slower discrepancies."""
     return max(ORDER, round(0.5 * np.sqrt(total)))

@@ -23,7 +23,7 @@ class RecursiveState(eqx.Module):
 
 
 def init(size: int, covariance: float = 1e12) -> RecursiveState:
-    """Nothing known: Δ̂ = 0 and a large Γ.
+    """Initial state without information: Δ̂ = 0 and a large Γ.
 
     Args:
         size: number of parameters.
@@ -40,8 +40,8 @@ def step(state: RecursiveState, phi: Regressor, target: Output) -> tuple[Recursi
         jnp.eye(phi.shape[0]) + phi @ state.covariance @ phi.T, phi @ state.covariance
     ).T
     # Joseph form: stays symmetric and positive when Γ falls by many orders of magnitude.
-    kept = jnp.eye(phi.shape[1]) - gain @ phi
-    covariance = kept @ state.covariance @ kept.T + gain @ gain.T
+    complement = jnp.eye(phi.shape[1]) - gain @ phi
+    covariance = complement @ state.covariance @ complement.T + gain @ gain.T
     return RecursiveState(state.increment + gain @ innovation, covariance), innovation
 
 

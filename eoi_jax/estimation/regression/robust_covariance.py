@@ -19,10 +19,10 @@ as regressor and residual near a resonance are, half of the product lies at zero
 twice the frequency on either side. Of short records the constant is all that counts: the sum of
 their scores.
 
-**What the estimate has taken.** The sum of all scores is zero, so that the constant of a single
-record says nothing. Nor is that all: the estimate has made the residual e = Mε smaller than the
-noise ε, by all that the regressors can follow: M = 1 - ΦI⁻¹Φᵀ. With regressors as slow as the
-cosines that takes a good part of c_i = ΦᵀD_i e, i = (r, j), D_i the cosine, zero outside its
+**Correction for the fit.** The sum of all scores is zero, so that the constant of a single record
+carries no information. Further, the fit has made the residual e = Mε smaller than the noise ε, by
+the part that the regressors can follow: M = 1 - ΦI⁻¹Φᵀ. With regressors as slow as the cosines
+that removes a good part of c_i = ΦᵀD_i e, i = (r, j), D_i the cosine, zero outside its
 record. Were ε white of variance one, then with Φ made orthonormal, and O_i = ΦᵀD_iΦ the cosine sums
 of its squares,
 
@@ -30,9 +30,9 @@ $$E[c_i c_k^\top] = \Phi^\top D_i M D_k \Phi = \Phi^\top D_i D_k \Phi - O_i O_k,
 \Phi^\top D_{rj} D_{rk} \Phi = \frac{a_j a_k}{2}
 \left(\frac{O_{r,j+k}}{a_{j+k}} + \frac{O_{r,|j-k|}}{a_{j-k}}\right)$$
 
-in place of δ_ik times the share of record r in I. So S is multiplied from both sides by G^(-1/2),
+instead of δ_ik times the share of record r in I. So S is multiplied from both sides by G^(-1/2),
 $G = E[S]$, and the variance of an estimate a'θ is a quadratic form in ε: with κ the eigenvalues of
-its matrix K_ik, it has (Σκ)²/Σκ² degrees of freedom. Regressors that never repeat leave few.
+its matrix K_ik, it has (Σκ)²/Σκ² degrees of freedom. Few remain for regressors that do not repeat.
 
 **Sources.** E. Lazarus, D. Lewis, J. Stock, M. Watson, Journal of Business & Economic Statistics 36
 (2018) 541 (equal-weighted cosines, and B); R. Bell, D. McCaffrey, Survey Methodology 28 (2002) 169
@@ -47,12 +47,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-_FEWEST = 2  # cosines: with fewer there are no errors to speak of
-_PEAKS = 8.0 / 3.0  # ((1/2)² + (1/4)² + (1/4)²)⁻¹: of the width of all peaks over that of one
-_LEFT = 0.05  # of a score, below which what the estimate left of it is not scaled up any more
-_MANY = 1000  # cosines, from which on all degrees of freedom are alike
-_TOGETHER = 100_000  # samples of records that are treated at once, about
-_ROUNDING = 1e-12  # an eigenvalue of the scaled information below it is none
+_FEWEST = 2  # smallest number of cosines
+_PEAKS = 8.0 / 3.0  # ((1/2)² + (1/4)² + (1/4)²)⁻¹: width of all peaks over that of one peak
+_MIN_SHARE = 0.05  # smallest share of a score left by the estimate for which it is scaled up
+_MANY_COSINES = 1000  # from this number on all variances have the same degrees of freedom
+_SAMPLES_AT_ONCE = 100_000  # approximate number of samples in a group of records
+_ROUNDING = 1e-12  # relative size of an eigenvalue of the scaled information that is zero
 
 
 def long_run(
@@ -66,11 +66,11 @@ def long_run(
     Args:
         scores: s = Σ_j φ_jᵀ e_j of each sample over all outputs, in order of time, one record
             after the other; zero where not scored. At the estimate they sum to zero.
-        rows: φ_j, or ζ_j of instrumental variables, times the root of the weights that are in the
-            scores; all those that a sample's score is the sum of.
+        rows: φ_j, or ζ_j of instrumental variables, times the square root of the weights of the
+            scores; all rows whose products make up a sample's score.
         inverse: I⁻¹ = [Σ φᵀφ]⁻¹ with these weights; of instrumental variables [Σ ζᵀψ]⁻¹, which is
-            not symmetric. Zero for what was not estimated.
-        lengths: samples of each record; a single one if left out.
+            not symmetric. Zero for parameters that were not estimated.
+        lengths: samples of each record; a single record by default.
 
     Returns:
         C, and the degrees of freedom. Infinite ones, with C = 0, where all scores are zero.
@@ -78,7 +78,9 @@ def long_run(
     size = len(inverse)
     if not np.any(scores):
         return np.zeros_like(inverse), np.full(size, np.inf)
-    lengths = [len(scores)] if lengths is None else [int(one) for one in lengths if one > 0]
+    lengths = (
+        [len(scores)] if lengths is None else [int(length) for length in lengths if length > 0]
+    )
     independent = len(scores) / (_PEAKS * correlation_time(scores, lengths))
     count = max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST)
     estimated = np.any(inverse != 0, axis=0)
@@ -90,12 +92,12 @@ def long_run(
         _sums(projected[places], rows[places], unit, count / len(scores))
         for places in _of_one_length(lengths)
     ]
-    spread = np.sum([one.spread for one in groups], axis=0)
-    values, vectors = np.linalg.eigh(np.sum([one.expected for one in groups], axis=0))
-    restored = vectors / np.sqrt(np.maximum(values, _LEFT)) @ vectors.T
+    spread = np.sum([group.spread for group in groups], axis=0)
+    values, vectors = np.linalg.eigh(np.sum([group.expected for group in groups], axis=0))
+    restored = vectors / np.sqrt(np.maximum(values, _MIN_SHARE)) @ vectors.T
     # θ moves by `inverse` times the sum of the scores: unit⁻ᵀ times those made orthonormal.
     moved = inverse @ np.linalg.pinv(unit).T @ restored
-    return moved @ spread @ moved.T, _freedom(groups, moved)
+    return moved @ spread @ moved.T, _degrees_of_freedom(groups, moved)
 
 
 def _of_one_length(lengths: Sequence[int]) -> list[Any]:
@@ -103,30 +105,30 @@ def _of_one_length(lengths: Sequence[int]) -> list[Any]:
     if len(lengths) == 1:
         return [None]  # a new axis, without a copy
     ends, groups = np.cumsum(lengths), []
-    for one in np.unique(lengths):
-        first = ends[np.asarray(lengths) == one] - one
-        places = first[:, None] + np.arange(one)
-        groups += np.array_split(places, -(-places.size // _TOGETHER))
+    for length in np.unique(lengths):
+        first = ends[np.asarray(lengths) == length] - length
+        places = first[:, None] + np.arange(length)
+        groups += np.array_split(places, -(-places.size // _SAMPLES_AT_ONCE))
     return groups
 
 
 def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"]:
-    """U such that the columns of `rows` @ U are orthonormal; those without information are gone."""
+    """U such that the columns of `rows` @ U are orthonormal; without columns of no information."""
     information = rows.T @ rows
     length = np.sqrt(np.diagonal(information))
     length = np.where(length > 0, length, 1.0)
     values, vectors = np.linalg.eigh(information / np.outer(length, length))
-    kept = values > _ROUNDING * values[-1]
-    return vectors[:, kept] / np.sqrt(values[kept]) / length[:, None]
+    informative = values > _ROUNDING * values[-1]
+    return vectors[:, informative] / np.sqrt(values[informative]) / length[:, None]
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Of all records of one length, each with the functions j = 0 … B.
+    """Sums over all records of one length, each with the functions j = 0 … B.
 
     Attributes:
-        spread: their part of S.
-        expected: their part of G.
+        spread: part of S.
+        expected: part of G.
         squares: O_rj without the factor a_j, j = 0 … 2B, shape (records, 2B + 1, k, k).
     """
 
@@ -142,17 +144,19 @@ class _Sums:
     def forms(
         self, m: Float[np.ndarray, " k"]
     ) -> Iterator[tuple[Float[np.ndarray, "j j"], Float[np.ndarray, "j k"]]]:
-        """Of each record m'ΦᵀD_jD_kΦm, and O_j m, both times the root of 1/(B + 1)."""
+        """For each record m'ΦᵀD_jD_kΦm and O_j m, both times the square root of 1/(B + 1)."""
         a = _factors(self.functions) / np.sqrt(self.functions)
-        for along in self.squares @ m:
-            own = along @ m
-            mirrored = np.concatenate([own[self.functions - 1 : 0 : -1], own[: self.functions]])
-            at_sum = sliding_window_view(own, self.functions)  # O at j + k
+        for rows in self.squares @ m:
+            diagonal = rows @ m
+            mirrored = np.concatenate(
+                [diagonal[self.functions - 1 : 0 : -1], diagonal[: self.functions]]
+            )
+            at_sum = sliding_window_view(diagonal, self.functions)  # O at j + k
             at_difference = sliding_window_view(mirrored, self.functions)[::-1]  # at |j - k|
-            both = at_sum + at_difference
-            both *= 0.5 * a
-            both *= a[:, None]
-            yield both, a[:, None] * along[: self.functions]
+            form = at_sum + at_difference
+            form *= 0.5 * a
+            form *= a[:, None]
+            yield form, a[:, None] * rows[: self.functions]
 
 
 def _sums(
@@ -161,25 +165,25 @@ def _sums(
     unit: Float[np.ndarray, "np k"],
     bandwidth: float,
 ) -> _Sums:
-    """Of records of one length, regressors made orthonormal; cosines per sample are given."""
+    """Sums over records of one length; `bandwidth` is the number of cosines per sample."""
     (count, length, outputs, _), size = rows.shape, unit.shape[1]
     functions = min(round(bandwidth * length), length - 1) + 1
     a = _factors(functions)
     sums = a * _cosine_sums(np.moveaxis(scores, 1, 2), functions)
-    # Time last: transforms and products then run along the memory, in half the time.
-    along = np.empty((count, outputs, size, length))
+    # Time last: transforms and products along contiguous memory take half the time.
+    projected = np.empty((count, outputs, size, length))
     for j in range(outputs):
-        np.matmul(unit.T, np.swapaxes(rows[:, :, j], 1, 2), out=along[:, j])
+        np.matmul(unit.T, np.swapaxes(rows[:, :, j], 1, 2), out=projected[:, j])
     squares = np.zeros((len(rows), 2 * functions - 1, size, size))
     for i in range(size):
-        products = np.einsum("rjt,rjbt->rbt", along[:, :, i], along[:, :, i:])
-        of_each = np.moveaxis(_cosine_sums(products, 2 * functions - 1), 1, 2)
-        squares[:, :, i, i:] = squares[:, :, i:, i] = of_each
-    even, first = squares[:, 0 : 2 * functions - 1 : 2], squares[:, :functions]
-    whole = 0.5 * np.sum(a[:, None, None] ** 2 * (even + squares[:, :1]), axis=(0, 1))
-    taken = np.sum(a[:, None, None] ** 2 * (first @ first), axis=(0, 1))
+        products = np.einsum("rjt,rjbt->rbt", projected[:, :, i], projected[:, :, i:])
+        cosine_sums = np.moveaxis(_cosine_sums(products, 2 * functions - 1), 1, 2)
+        squares[:, :, i, i:] = squares[:, :, i:, i] = cosine_sums
+    doubled, first = squares[:, 0 : 2 * functions - 1 : 2], squares[:, :functions]
+    full = 0.5 * np.sum(a[:, None, None] ** 2 * (doubled + squares[:, :1]), axis=(0, 1))
+    explained = np.sum(a[:, None, None] ** 2 * (first @ first), axis=(0, 1))
     spread = np.sum(sums @ np.moveaxis(sums, 1, 2), axis=0)
-    return _Sums(spread / functions, (whole - taken) / functions, squares)
+    return _Sums(spread / functions, (full - explained) / functions, squares)
 
 
 def _factors(functions: int) -> Float[np.ndarray, " j"]:
@@ -207,21 +211,23 @@ def _rounded_up(count: int) -> int:
     return int(next_fast_len(count, real=True) or count)
 
 
-def _freedom(groups: Sequence[_Sums], moved: Float[np.ndarray, "np k"]) -> Float[np.ndarray, " np"]:
-    """(tr K)²/tr(K²) for each parameter; infinite for what has no variance."""
-    count = sum(len(one.squares) * one.functions for one in groups)
+def _degrees_of_freedom(
+    groups: Sequence[_Sums], moved: Float[np.ndarray, "np k"]
+) -> Float[np.ndarray, " np"]:
+    """(tr K)²/tr(K²) for each parameter; infinite for a parameter without variance."""
+    count = sum(len(group.squares) * group.functions for group in groups)
     varies = np.any(moved != 0, axis=1)
-    if count > _MANY:
+    if count > _MANY_COSINES:
         return np.where(varies, float(count - 1), np.inf)
     freedom = np.full(len(moved), np.inf)
     for i in np.flatnonzero(varies):
         # K = W - TTᵀ, W within records alone, so that tr K² = tr W² - 2 tr TᵀWT + tr (TᵀT)².
-        trace, square, taken = 0.0, 0.0, 0.0
-        for within, out in (form for one in groups for form in one.forms(moved[i])):
-            trace += np.trace(within)
-            square += np.vdot(within, within) - 2.0 * np.vdot(out, within @ out)
-            taken = taken + out.T @ out
-        freedom[i] = (trace - np.trace(taken)) ** 2 / (square + np.vdot(taken, taken))
+        trace, square, explained = 0.0, 0.0, 0.0
+        for form, rows in (pair for group in groups for pair in group.forms(moved[i])):
+            trace += np.trace(form)
+            square += np.vdot(form, form) - 2.0 * np.vdot(rows, form @ rows)
+            explained = explained + rows.T @ rows
+        freedom[i] = (trace - np.trace(explained)) ** 2 / (square + np.vdot(explained, explained))
     return freedom
 
 
@@ -236,17 +242,17 @@ def correlation_time(
 
     Args:
         scores: one record after the other.
-        lengths: of each record; a single one if left out.
+        lengths: of each record; a single record by default.
     """
     lengths = [len(scores)] if lengths is None else list(lengths)
-    # Periodograms add up on a common grid: of records that differ, all have that of the longest.
+    # Periodograms are summed on a common grid of frequencies, that of the longest record.
     count = _rounded_up(max(lengths))
     size = scores.shape[1]
     total, squares = np.zeros(((count + 1) // 2 - 1, size)), np.zeros(size)
     for places in _of_one_length(lengths):
-        for one in scores[places]:
-            # The constant and the highest frequency, which have no pair, are left out.
-            waves = np.fft.rfft(one, count, axis=0)[1 : (count + 1) // 2]
+        for record_scores in scores[places]:
+            # Without the constant and the highest frequency, which have no conjugate.
+            waves = np.fft.rfft(record_scores, count, axis=0)[1 : (count + 1) // 2]
             power = waves.real**2
             power += waves.imag**2
             total += power

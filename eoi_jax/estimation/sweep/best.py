@@ -1,11 +1,10 @@
-r"""The best gains of a sweep, by a criterion that is fair to all of them.
+r"""The best gains of a sweep, by a criterion that compares all of them.
 
-The index of a pass depends on its filter: a lower cut-off lets less of the model's error through,
-and less noise. So it cannot say which filter, or which observer, is the better one. Two things can:
-the index of the *estimates* under one observer and one filter for all lanes (`common_index`: those
-that `identify` would choose for the record), and the free run on records that were held out. The
-second is the better judge and the dearer one; it is asked of the lanes that the first puts in
-front.
+The index of a lane depends on its filter: a lower cut-off passes less of the model's error, and
+less noise. So it cannot compare filters or observers. Two criteria can: the index of the
+*estimates* under one observer and one filter for all lanes (`common_index`: those that `identify`
+would choose for the record), and the error of a free-run simulation on hold-out records. The second
+is better and costs more; it is computed for the lanes that are best by the first.
 """
 
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
 
-_ALONG = ("lowpass", "observer", "start")
+_LANE_DIMENSIONS = ("lowpass", "observer", "start")
 
 
 def best(
@@ -27,17 +26,17 @@ def best(
     validation: Record | Sequence[Record] | None = None,
     shortlist: int = 16,
 ) -> Any:
-    """The filter, observer and start that serve all records of a sweep best.
+    """The filter, observer and start that are best for all records of a sweep.
 
     Args:
         sweep: of `eoi_jax.sweep`.
         plant: that was swept; needed with `validation`.
-        validation: held-out records for a free run. Left out: the common index decides.
-        shortlist: how many lanes, best common index first, take part in the free run.
+        validation: hold-out records for free runs. Default: the common index decides.
+        shortlist: number of lanes, best common index first, that are simulated.
 
     Returns:
-        The sweep at that lane, with every record (and resample) that it has; ``score`` is what
-        decided, the attribute ``criterion`` says what that is.
+        The sweep at that lane, with all records and resamples; ``score`` is the value of the
+        criterion, which the attribute ``criterion`` describes.
 
     Raises:
         ValueError: no lane has an answer for every record; `validation` without a plant.
@@ -52,7 +51,7 @@ def best(
     as_measured = sweep.sel(resample=0)
     logs = np.log(as_measured["common_index"]).sum("output", skipna=False)
     logs = logs.where(as_measured["ok"])
-    score = logs.mean("record", skipna=False).transpose(*_ALONG)
+    score = logs.mean("record", skipna=False).transpose(*_LANE_DIMENSIONS)
     count = int(np.isfinite(score).sum())
     check(
         count > 0,
@@ -62,18 +61,18 @@ def best(
         "Its `status` says why: `flag_meanings` names the numbers.",
     )
     order = np.argsort(np.where(np.isfinite(score), score, np.inf), axis=None, kind="stable")
-    lanes = [np.unravel_index(one, score.shape) for one in order[:count]]
+    lanes = [np.unravel_index(lane, score.shape) for lane in order[:count]]
     if plant is None or validation is None:
         chosen, value = lanes[0], float(score.values[lanes[0]])
         criterion = "log of the common index, summed over outputs, mean over records"
     else:
-        values = [_free_run(as_measured, plant, validation, one) for one in lanes[:shortlist]]
+        values = [_free_run(as_measured, plant, validation, lane) for lane in lanes[:shortlist]]
         chosen, value = lanes[int(np.argmin(values))], float(np.min(values))
         criterion = (
             "log of the held-out free run's NRMSE, summed over outputs, mean over records; "
             f"of the {len(values)} lanes with the smallest common index"
         )
-    picked = sweep.isel(dict(zip(_ALONG, (int(i) for i in chosen), strict=True)))
+    picked = sweep.isel(dict(zip(_LANE_DIMENSIONS, (int(i) for i in chosen), strict=True)))
     return picked.assign(score=value).assign_attrs(criterion=criterion)
 
 
@@ -81,7 +80,9 @@ def _free_run(
     sweep: Any, plant: Plant, validation: Record | Sequence[Record], lane: tuple
 ) -> float:
     """Σ_j log NRMSE_j of one lane's estimates, mean over its records; inf if one diverges."""
-    estimates: Any = sweep["parameters"].isel(dict(zip(_ALONG, map(int, lane), strict=True)))
+    estimates: Any = sweep["parameters"].isel(
+        dict(zip(_LANE_DIMENSIONS, map(int, lane), strict=True))
+    )
     scores = []
     for theta in estimates.values:
         error = np.atleast_1d(validate(plant.with_parameters(theta), validation).nrmse)

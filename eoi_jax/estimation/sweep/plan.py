@@ -1,7 +1,7 @@
-"""The plan of a sweep: its dimensions, their labels, and the chunks that it is cut into.
+"""The plan of a sweep: its dimensions, their labels, and its chunks.
 
 Dimensions, in this order: record × lowpass × observer × start × resample. A lane is one point of
-them: one estimate. A chunk holds lanes of one record and one filter.
+this grid: one estimate. A chunk holds lanes of one record and one filter.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ PRECISIONS = ("float64", "float32")
 
 @dataclass(frozen=True)
 class Group:
-    """Records that one estimate is made from.
+    """Records of one estimate.
 
     Attributes:
         name: label.
@@ -46,29 +46,29 @@ class Group:
 
     @cached_property
     def data_hash(self) -> str:
-        """Of all values (of a long record: of its length and a part of them)."""
+        """Hash of all values (of a long record: of its length and some of its values)."""
         if isinstance(self.records, LongRecord):
             return self.records.data_hash
-        return "-".join(one.data_hash for one in self.records)
+        return "-".join(record.data_hash for record in self.records)
 
     @cached_property
     def content_hash(self) -> str:
-        """The same of all that an estimate reads: hold, burn-in and noise too."""
+        """Hash of everything that an estimate reads: also input hold, burn-in and noise."""
         if isinstance(self.records, LongRecord):
             return self.records.content_hash
-        return "-".join(one.content_hash for one in self.records)
+        return "-".join(record.content_hash for record in self.records)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How all lanes of a sweep run.
+    """Settings of all lanes of a sweep.
 
     Attributes:
-        resamples: bootstrap resamples along ``resample``, beside the data as they are (number 0).
-        passes: how many at most.
+        resamples: bootstrap resamples along ``resample``, after the data as measured (number 0).
+        passes: largest number of iterations.
         precision: of the loop.
         seed: of the resamples.
-        chunk: lanes at a time, at most; a chunk holds at least one.
+        chunk: largest number of lanes that run at a time.
     """
 
     resamples: int
@@ -88,7 +88,7 @@ class Plan:
         choices: along ``lowpass``.
         observers: along ``observer``, in groups that stack; None: one, chosen for each record.
         starts: θ_0, shape (starts, np).
-        settings: how they run.
+        settings: of all lanes.
     """
 
     plant: Plant
@@ -104,14 +104,14 @@ class Plan:
         return (
             len(self.groups),
             len(self.choices),
-            1 if self.observers is None else sum(len(one) for one in self.observers),
+            1 if self.observers is None else sum(len(group) for group in self.observers),
             len(self.starts),
             1 + self.settings.resamples,
         )
 
     @property
     def lanes(self) -> int:
-        """How many estimates."""
+        """Number of estimates."""
         return int(np.prod(self.shape))
 
     @cached_property
@@ -129,18 +129,18 @@ class Plan:
         return tuple(-(-n // step) for n, step in zip(self.shape, self.steps, strict=True))
 
     def chunks(self) -> Iterator[tuple[int, ...]]:
-        """Their places in `grid`."""
+        """Places of the chunks in `grid`."""
         return itertools.product(*(range(n) for n in self.grid))
 
     def region(self, place: tuple[int, ...]) -> tuple[slice, ...]:
-        """What a chunk covers of each dimension."""
+        """Range of a chunk along each dimension."""
         return tuple(
             slice(i * step, min((i + 1) * step, n))
             for i, step, n in zip(place, self.steps, self.shape, strict=True)
         )
 
-    def only(self, place: tuple[int, ...]) -> "Part":
-        """What a worker needs for one chunk."""
+    def part_at(self, place: tuple[int, ...]) -> "Part":
+        """The part of the plan that a worker needs for one chunk."""
         region = self.region(place)
         return Part(
             self.plant,
@@ -157,19 +157,22 @@ class Plan:
         assert self.observers is not None
         parts, first = [], 0
         for group in self.observers:
-            inside = group[max(span.start - first, 0) : max(span.stop - first, 0)]
-            parts += [inside] if len(inside) else []
+            members = group[max(span.start - first, 0) : max(span.stop - first, 0)]
+            parts += [members] if len(members) else []
             first += len(group)
         return tuple(parts)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Sixteen digits that change with anything that changes a number of the result."""
+        """Sixteen digits of a hash of everything that affects a number of the result."""
         digest = hashlib.sha256()
         for part in (
             _equation(self.plant),
-            [(one.name, one.content_hash) for one in self.groups],
-            [(one.lowpass, one.transient, one.substeps, one.smoothing) for one in self.choices],
+            [(entry.name, entry.content_hash) for entry in self.groups],
+            [
+                (entry.lowpass, entry.transient, entry.substeps, entry.smoothing)
+                for entry in self.choices
+            ],
             (self.starts.tolist(), self.settings),
         ):
             digest.update(repr(part).encode())
@@ -182,7 +185,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Part:
-    """One chunk of a plan, on its own: small enough to be sent to another machine.
+    """One chunk of a plan, small enough to be sent to another machine.
 
     Attributes:
         plant, settings: of the plan.
@@ -191,7 +194,7 @@ class Part:
         choices: filter and preparation.
         observers: in groups that stack; None: chosen for the record.
         starts: θ_0, shape (starts, np).
-        resamples: which; 0 stands for the data as they are.
+        resamples: range of numbers; 0 is the data as measured.
     """
 
     plant: Plant
@@ -204,7 +207,7 @@ class Part:
     settings: Settings
 
     def sample(self, sets: int, precision: str) -> "Part":
-        """A few of its gain sets at the first start, on the data as they are."""
+        """The first gain sets at the first start, on the data as measured."""
         observers = None if self.observers is None else (self.observers[0][:sets],)
         settings = replace(self.settings, precision=precision)
         starts, measured = self.starts[:1], slice(0, 1)
@@ -213,7 +216,7 @@ class Part:
         )
 
 
-def plan(
+def make_plan(
     plant: Plant,
     records: Any,
     observers: Any,
@@ -222,13 +225,15 @@ def plan(
     choices: Choices,
     settings: Settings,
 ) -> Plan:
-    """A checked plan from what a caller gave `sweep`.
+    """A checked plan from the arguments of `sweep`.
 
     Raises:
-        ValueError: whatever does not fit, before any work starts.
+        ValueError: invalid arguments.
     """
-    least = {"passes": 1, "resamples": 0, "chunk": 1, "seed": 0}
-    counts = {key: check_count(key, getattr(settings, key), few) for key, few in least.items()}
+    minima = {"passes": 1, "resamples": 0, "chunk": 1, "seed": 0}
+    counts = {
+        key: check_count(key, getattr(settings, key), minimum) for key, minimum in minima.items()
+    }
     settings = replace(settings, **counts)
     check_choice("precision", settings.precision, PRECISIONS)
     check_preparation(choices.transient, choices.substeps, choices.smoothing)
@@ -239,7 +244,7 @@ def plan(
     return Plan(
         plant,
         _groups(plant, records),
-        tuple(replace(choices, lowpass=one) for one in filters),
+        tuple(replace(choices, lowpass=lowpass_choice) for lowpass_choice in filters),
         groups,
         starting_points(plant, starts),
         settings,
@@ -251,59 +256,59 @@ def _groups(plant: Plant, records: Any) -> tuple[Group, ...]:
         records = [records]
     check(bool(records), "records", "must hold at least one record", "none: that is no lane")
     if isinstance(records, Mapping):
-        named = [(str(name), one) for name, one in records.items()]
+        named = [(str(name), item) for name, item in records.items()]
     else:
-        named = [(getattr(one, "name", ""), one) for one in records]
+        named = [(getattr(item, "name", ""), item) for item in records]
     groups = []
-    for i, (name, one) in enumerate(named):
-        if isinstance(one, LongRecord):
-            check_records(plant, one[0])
-            groups.append(Group(name or f"record {i}", one))
+    for i, (name, item) in enumerate(named):
+        if isinstance(item, LongRecord):
+            check_records(plant, item[0])
+            groups.append(Group(name or f"record {i}", item))
         else:
-            several = check_records(plant, one)
-            groups.append(Group(name or "+".join(part.name for part in several), several))
-    names = [one.name for one in groups]
-    if len(set(names)) < len(names):  # labels must tell them apart
-        groups = [Group(f"{one.name} ({i})", one.records) for i, one in enumerate(groups)]
+            checked = check_records(plant, item)
+            groups.append(Group(name or "+".join(part.name for part in checked), checked))
+    names = [item.name for item in groups]
+    if len(set(names)) < len(names):  # labels must be unique
+        groups = [Group(f"{item.name} ({i})", item.records) for i, item in enumerate(groups)]
     return tuple(groups)
 
 
-_FILTERS = "filters `LowPass(cutoff, order)`, or left out"
+_FILTERS = "filters `LowPass(cutoff, order)`, or None"
 
 
 def _filters(lowpass: Any) -> tuple[LowPass | None, ...]:
-    several = (lowpass,) if lowpass is None or isinstance(lowpass, LowPass) else lowpass
-    check_kind("lowpass", several, Iterable, _FILTERS)
-    several = tuple(several)
-    check(len(several) > 0, "lowpass", "must hold at least one filter", "none: that is no lane")
-    for one in several:
-        check_kind("lowpass", one, (LowPass, NoneType), _FILTERS)
-    return several
+    filters = (lowpass,) if lowpass is None or isinstance(lowpass, LowPass) else lowpass
+    check_kind("lowpass", filters, Iterable, _FILTERS)
+    filters = tuple(filters)
+    check(len(filters) > 0, "lowpass", "must hold at least one filter", "none: that is no lane")
+    for entry in filters:
+        check_kind("lowpass", entry, (LowPass, NoneType), _FILTERS)
+    return filters
 
 
 def _equation(plant: Plant) -> str:
-    """The model as text that changes with its mathematics: traced, not the name of a function."""
+    """The model as text that changes with its mathematics: its traced program, not its name."""
     theta = jnp.asarray(plant.theta)
     z = plant.internal_start(theta)
     y = jnp.ones((plant.relative_degree, len(plant.outputs)))
     u = jnp.ones(len(plant.inputs))
 
-    def whole(t: Any, y: Any, z: Any, u: Any, theta: Any) -> Any:
+    def equations(t: Any, y: Any, z: Any, u: Any, theta: Any) -> Any:
         x = State(y, z)
         rate = () if plant.internal is None else plant.internal_rate(t, x, u, theta)
         start = plant.internal_start(theta)
         return plant.derivative(t, x, u, theta), rate, start
 
-    line = jnp.arange(3.0), jnp.ones((3, len(plant.inputs)))  # what an actuator gets: a record
-    traced = _traced(whole, 0.0, y, z, u, theta), _traced(plant.driven, *line, theta)
+    line = jnp.arange(3.0), jnp.ones((3, len(plant.inputs)))  # an actuator reads a whole record
+    traced = _traced(equations, 0.0, y, z, u, theta), _traced(plant.driven, *line, theta)
     limits = (plant.theta, plant.lower, plant.upper)
-    own = (plant.names, plant.inputs, plant.outputs, plant.fixed, plant.degrees)
-    numbers = [np.asarray(one).tolist() for one in limits]
-    return repr((own, numbers, traced))
+    structure = (plant.names, plant.inputs, plant.outputs, plant.fixed, plant.degrees)
+    numbers = [np.asarray(limit).tolist() for limit in limits]
+    return repr((structure, numbers, traced))
 
 
 def _traced(function: Callable, *arguments: Any) -> tuple[str, str]:
-    """A function's jaxpr as text, and a digest of the arrays that it holds: the text has none."""
+    """A function's jaxpr as text, and a digest of its constant arrays, which the text lacks."""
     closed = jax.make_jaxpr(function)(*arguments)
     digest = hashlib.sha256()
     for array in _captured(closed):
@@ -312,7 +317,7 @@ def _traced(function: Callable, *arguments: Any) -> tuple[str, str]:
 
 
 def _captured(jaxpr: Any) -> Iterator[Any]:
-    """Arrays that a jaxpr holds, and those of the jaxprs inside it."""
+    """Constant arrays of a jaxpr, and of the jaxprs inside it."""
     yield from getattr(jaxpr, "consts", ())
     for equation in jaxpr.eqns:
         for part in jaxprs_within(equation):

@@ -1,7 +1,7 @@
 """The steps of the records of one estimate, one record after the other.
 
-Short records are made ready once; those of a `LongRecord` are read, made ready and dropped piece by
-piece in every pass, so that memory does not grow with the record.
+Short records are prepared once; a `LongRecord` is read and prepared piece by piece in every pass,
+so that memory does not grow with its length.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,20 +13,20 @@ import numpy as np
 from eoi_jax.data.long_record import LongRecord
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import default_observer, default_transient
-from eoi_jax.estimation.iteration import Tally
+from eoi_jax.estimation.iteration import BlockCounts
 from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.estimation.preparation import TAPER, Ready, prepare, ready
+from eoi_jax.estimation.preparation import TAPER, PreparedRecords, prepare_records, prepare_steps
 from eoi_jax.models.plant import Plant
 
-# Steps of a source that are kept for the next pass; above it they are made again each time.
-_KEPT = 1_000_000
+# Number of steps up to which a source stores them for the next pass.
+_MAX_STORED_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
 class Choices:
-    """How records are made ready, the same for all of one estimate; None where it is chosen.
+    """Preparation of the records of one estimate; None where it is chosen from them.
 
     Attributes:
         lowpass: F.
@@ -42,13 +42,13 @@ class Choices:
 
 
 @dataclass
-class Source:
+class StepSource:
     """Records of one estimate, as steps for observers of one kind.
 
     Attributes:
         plant: the model; its parameters do not matter.
         records: one or several, or a `LongRecord`.
-        choices: how they are made ready.
+        choices: how the records are prepared.
         taps: length of the observers' moving average [steps].
         explicit: the observers' form.
     """
@@ -58,19 +58,19 @@ class Source:
     choices: Choices
     taps: int
     explicit: bool
-    _first: Ready = field(init=False, repr=False)
-    _tally: Tally | None = field(init=False, default=None, repr=False)
-    _blocks_of: tuple[int, ...] | None = field(init=False, default=None, repr=False)
-    _kept: list[tuple[Steps, DiscreteFilter]] | None = field(init=False, default=None, repr=False)
+    _first: PreparedRecords = field(init=False, repr=False)
+    _counts: BlockCounts | None = field(init=False, default=None, repr=False)
+    _block_counts: tuple[int, ...] | None = field(init=False, default=None, repr=False)
+    _stored: list[tuple[Steps, DiscreteFilter]] | None = field(init=False, default=None, repr=False)
 
     def __post_init__(self) -> None:
-        # A long record is judged by its first piece, others by all that they hold.
+        # Choices for a long record depend on its first piece, for others on all of their samples.
         head = self.records[:1] if isinstance(self.records, LongRecord) else self.records
-        self._first = self._ready(tuple(head), self.choices)
+        self._first = self._prepare(tuple(head), self.choices)
 
     @property
     def lowpass(self) -> LowPass:
-        """F, as given or chosen."""
+        """F, as in `choices` or chosen from the records."""
         return self._first.lowpass
 
     @property
@@ -81,54 +81,56 @@ class Source:
         return default_transient(self._first.records, self.lowpass, self.explicit)
 
     def observer(self, plant: Plant) -> AbstractObserver:
-        """The observer that would be chosen, with the plant's own parameters."""
-        one = self._first
-        return default_observer(plant, one.fine, one.inputs, one.lowpass.cutoff, one.substeps)[0]
+        """The default observer at the nominal parameters of a plant."""
+        prepared = self._first
+        return default_observer(
+            plant, prepared.fine, prepared.inputs, prepared.lowpass.cutoff, prepared.substeps
+        )[0]
 
     def __iter__(self) -> Iterator[tuple[Steps, DiscreteFilter]]:
         """Steps of each record, and F sampled at its rate."""
-        if self._kept is not None:
-            yield from self._kept
+        if self._stored is not None:
+            yield from self._stored
             return
-        kept, count, tally, blocks = [], 0, Tally(), []
-        for steps in self._made():
+        stored, count, counts, blocks = [], 0, BlockCounts(), []
+        for steps in self._make_steps():
             count += len(steps[0].time)
-            kept = [*kept, steps] if count <= _KEPT else []
-            tally, blocks = tally.plus(steps[0]), [*blocks, _blocks(steps[0])]
+            stored = [*stored, steps] if count <= _MAX_STORED_STEPS else []
+            counts, blocks = counts.plus(steps[0]), [*blocks, _blocks(steps[0])]
             yield steps
-        self._kept, self._tally, self._blocks_of = kept or None, tally, tuple(blocks)
+        self._stored, self._counts, self._block_counts = stored or None, counts, tuple(blocks)
 
     @property
-    def tally(self) -> Tally:
+    def block_counts(self) -> BlockCounts:
         """Steps and blocks of all records."""
-        return self._counted()[0]
+        return self._count_blocks()[0]
 
     @property
     def blocks(self) -> tuple[int, ...]:
-        """Blocks of each record, an incomplete last one counted."""
-        return self._counted()[1]
+        """Number of blocks of each record, including an incomplete last one."""
+        return self._count_blocks()[1]
 
-    def _counted(self) -> tuple[Tally, tuple[int, ...]]:
-        if self._tally is None or self._blocks_of is None:
+    def _count_blocks(self) -> tuple[BlockCounts, tuple[int, ...]]:
+        if self._counts is None or self._block_counts is None:
             for _ in self:
                 pass
-        assert self._tally is not None
-        assert self._blocks_of is not None
-        return self._tally, self._blocks_of
+        assert self._counts is not None
+        assert self._block_counts is not None
+        return self._counts, self._block_counts
 
-    def _made(self) -> Iterator[tuple[Steps, DiscreteFilter]]:
+    def _make_steps(self) -> Iterator[tuple[Steps, DiscreteFilter]]:
         if not isinstance(self.records, LongRecord):
-            duration = sum(len(one) * one.sample_period for one in self._first.fine)
+            duration = sum(len(record) * record.sample_period for record in self._first.fine)
             for i in range(len(self.records)):
                 yield self._steps(self._first, i, duration)
             return
         first = self._first
-        settled = Choices(first.lowpass, self.transient, first.substeps, first.smoothing)
+        choices = Choices(first.lowpass, self.transient, first.substeps, first.smoothing)
         for piece in self.records:
-            yield self._steps(self._ready((piece,), settled), 0, self.records.duration)
+            yield self._steps(self._prepare((piece,), choices), 0, self.records.duration)
 
-    def _ready(self, records: tuple[Record, ...], choices: Choices) -> Ready:
-        return ready(
+    def _prepare(self, records: tuple[Record, ...], choices: Choices) -> PreparedRecords:
+        return prepare_records(
             self.plant,
             records,
             choices.lowpass,
@@ -137,21 +139,23 @@ class Source:
             self.explicit,
         )
 
-    def _steps(self, one: Ready, i: int, duration: float) -> tuple[Steps, DiscreteFilter]:
-        steps = prepare(
+    def _steps(
+        self, prepared: PreparedRecords, i: int, duration: float
+    ) -> tuple[Steps, DiscreteFilter]:
+        steps = prepare_steps(
             self.plant,
-            one.fine[i : i + 1],
-            one.inputs[i : i + 1],
+            prepared.fine[i : i + 1],
+            prepared.inputs[i : i + 1],
             self.taps,
             self.transient,
-            one.lowpass.memory,
-            one.velocity_noise[i : i + 1],
+            prepared.lowpass.memory,
+            prepared.velocity_noise[i : i + 1],
             self.explicit,
-            TAPER / one.lowpass.cutoff,
+            TAPER / prepared.lowpass.cutoff,
             duration,
         )
-        period = one.fine[i].sample_period
-        return jax.tree.map(lambda leaf: leaf[0], steps), one.lowpass.discretise(period)
+        period = prepared.fine[i].sample_period
+        return jax.tree.map(lambda leaf: leaf[0], steps), prepared.lowpass.discretise(period)
 
 
 def _blocks(steps: Steps) -> int:

@@ -1,8 +1,8 @@
-"""Where the chunks of a sweep land: a Zarr store, on disk or in memory.
+"""The store of a sweep's chunks: Zarr, on disk or in memory.
 
 A chunk of a sweep is one chunk of every array, with Zarr's checksum. Its mark in ``done``
-(`marks.py`) is written last, when the arrays are on the disk. A store belongs to one sweep, whose
-fingerprint it bears; whatever of it does not read is made anew from the plan, and said.
+(`marks.py`) is written last, when the arrays are on the disk. A store belongs to one sweep, by its
+fingerprint; metadata that cannot be read are written again from the plan, with a warning.
 """
 
 import json
@@ -24,8 +24,8 @@ from eoi_jax.estimation.sweep.plan import DIMENSIONS, Plan
 
 _FORMAT = 4
 _LABELS = "eoi_jax"
-_SAME = "The same sweep with this store computes what is missing."
-_LEFT = {"f": np.nan, "i": 0}  # what a lane shows that has not run
+_RESUME = "The same sweep with this store computes what is missing."
+_NOT_RUN = {"f": np.nan, "i": 0}  # values of a lane that has not run
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Labels:
     Attributes:
         texts: dimension and values by name.
         numbers: dimensions and array by name.
-        kinds: what the numbers of the coordinate ``kind`` stand for; empty without it.
-        attributes: as JSON can hold them.
+        kinds: names for the numbers of the coordinate ``kind``; empty without it.
+        attributes: that JSON can hold.
     """
 
     texts: dict[str, tuple[str, list[str]]]
@@ -61,7 +61,7 @@ class Store:
     def __init__(self, plan: Plan, path: str | Path | None, labels: Labels):
         self._plan = plan
         self._path = None if path is None else Path(path)
-        import zarr.storage  # like xarray below, slow to import and needed by nothing else
+        import zarr.storage  # slow to import, like xarray below, and only needed here
 
         if self._path is None:
             self._store: Any = zarr.storage.MemoryStore()
@@ -76,30 +76,32 @@ class Store:
         self._chunks = Chunks(self._root, list(_ARRAYS), plan.fingerprint, self._path)
 
     def unfinished(self, places: Iterable[Place]) -> list[Place]:
-        """Which of some chunks are to be computed.
+        """Chunks that have to be computed.
 
-        Leftovers in them, of a process that was killed or of a damage, are removed.
+        Files that a killed process left in them, and damaged files, are removed.
 
         Warns:
-            StoreWarning: how many were damaged.
+            StoreWarning: how many chunks were damaged.
         """
         places = list(places)
         if self._path is None:
             return places
         sweep_up(self._path.parent)
         conditions = {place: self._chunks.condition(place) for place in places}
-        left = [place for place, found in conditions.items() if found is not Condition.WHOLE]
-        damaged = [place for place in left if conditions[place] is Condition.DAMAGED]
-        for place in left:
+        unfinished = [
+            place for place, condition in conditions.items() if condition is not Condition.INTACT
+        ]
+        damaged = [place for place in unfinished if conditions[place] is Condition.DAMAGED]
+        for place in unfinished:
             self._clear(place, place in damaged)
         if damaged:
             number = f"{len(damaged)} of {len(places)} chunks"
-            said = f"{number} of the store {self._path} were damaged, and are computed again"
-            warnings.warn(said, StoreWarning, stacklevel=3)
-        return left
+            message = f"{number} of the store {self._path} were damaged, and are computed again"
+            warnings.warn(message, StoreWarning, stacklevel=3)
+        return unfinished
 
     def write(self, place: Place, arrays: Arrays) -> None:
-        """One chunk, then its mark."""
+        """Write a chunk, then its mark."""
         region = self._plan.region(place)
         stored = {name: arrays[name].astype(_ARRAYS[name][0]) for name in _ARRAYS}
         for name, values in stored.items():
@@ -109,22 +111,22 @@ class Store:
         self._settle(place, ["done"])
 
     def mark_lost(self, place: Place) -> None:
-        """A chunk whose workers failed; it is not marked as done, so that a resumed sweep tries."""
+        """Give the lanes of a chunk the status ``lost``; a resumed sweep computes it again."""
         self._root["status"][self._plan.region(place)] = CODES.index("lost")
 
     def _settle(self, place: Place, names: Iterable[str]) -> None:
-        """Have chunks of arrays on the disk; one that holds nothing but the fill has no file."""
+        """Flush the files of a chunk to the disk; a chunk of fill values only has no file."""
         files = self._chunks.files(place)
         for path in (files[name] for name in names if name in files):
             fsync(path)
             fsync(path.parent)
 
     def _clear(self, place: Place, damaged: bool) -> None:
-        """Remove what a killed process left beside a chunk's files; damaged files too."""
+        """Remove files that a killed process left beside those of a chunk, and damaged files."""
         for path in self._chunks.files(place).values():
             if damaged:
                 _remove(path)
-            # As Zarr names what it has not yet put in place; none but this job writes the chunk.
+            # Zarr's name for a file that is not yet in place; only this job writes the chunk.
             for leftover in path.parent.glob(f"{path.name}.*.partial"):
                 _remove(leftover)
             for folder in path.parents:  # a file in the place of a folder
@@ -134,7 +136,7 @@ class Store:
                     folder.unlink()
 
     def dataset(self, outcome: dict[str, Any] | None = None) -> Any:
-        """What is there, labelled; read from disk only when it is used.
+        """The labelled dataset; values are read from disk when they are used.
 
         Args:
             outcome: more attributes.
@@ -147,29 +149,31 @@ class Store:
 def open_sweep(path: Any) -> Any:
     """A sweep's store as a labelled dataset; values are read when they are used.
 
-    Every chunk is read once here, and compared with its mark.
+    Every chunk is read once and compared with its mark.
 
     Args:
         path: of the store.
 
     Returns:
-        The `xarray.Dataset` that `eoi_jax.sweep` gave, or would give by now. Chunks that are
-        damaged are ``not_run``; `eoi_jax.sweep` with this store computes them again.
+        The `xarray.Dataset` that `eoi_jax.sweep` returned, or would return now. Damaged chunks are
+        ``not_run``; `eoi_jax.sweep` with this store computes them again.
 
     Raises:
-        ValueError: it is not there, no sweep's, or damaged in more than its chunks.
+        ValueError: the store does not exist, is not of a sweep, or its metadata are damaged.
 
     Warns:
         StoreWarning: how many chunks are damaged.
     """
     if isinstance(path, str | Path):
         check(Path(path).exists(), "store", "must exist", path)
-        check(_labels(Path(path)) is not None, "store", "must be the store of a sweep", path, _SAME)
+        check(
+            _labels(Path(path)) is not None, "store", "must be the store of a sweep", path, _RESUME
+        )
     try:
         return _labelled(path)
-    except Exception as error:  # of the disk, of a codec, of Zarr: they have no class in common
+    except Exception as error:  # of the disk, a codec or Zarr: they have no common class
         reason = f"{path}, which does not read: {error}"
-        check(False, "store", "must be whole", reason, _SAME)
+        check(False, "store", "must be whole", reason, _RESUME)
         raise
 
 
@@ -181,7 +185,7 @@ def _labelled(path: Any) -> Any:
     labels = json.loads(raw.attrs[_LABELS])
     raw = raw.assign(_without_damage(zarr.open_group(path, mode="r"), labels["sweep"], path))
     lanes = raw[list(_ARRAYS)].drop_vars(labels["numbers"], errors="ignore")
-    # One by one, for a store lists its arrays in an order of its own.
+    # One by one: a store lists its arrays in arbitrary order.
     coordinates = {name: raw[name].variable.load() for name in labels["numbers"]}
     lanes = lanes.assign_coords(coordinates)
     if labels["kinds"]:
@@ -198,18 +202,18 @@ def _labelled(path: Any) -> Any:
 
 
 def _without_damage(root: Any, sweep: str, path: Any) -> dict[str, Any]:
-    """Arrays, in memory, whose damaged chunks hold what a lane shows that has not run."""
+    """Arrays in memory, with damaged chunks filled as if not run; empty without damage."""
     folder = Path(path) if isinstance(path, str | Path) else None
     chunks = Chunks(root, list(_ARRAYS), sweep, folder)
     places = list(chunks)
-    sound = [one for one in places if chunks.condition(one) is not Condition.DAMAGED]
+    sound = [place for place in places if chunks.condition(place) is not Condition.DAMAGED]
     if len(sound) == len(places):
         return {}
     number = f"{len(places) - len(sound)} of {len(places)} chunks"
-    said = f"{number} of the store {path} are damaged, and shown as not_run. {_SAME}"
-    warnings.warn(said, StoreWarning, stacklevel=4)
+    message = f"{number} of the store {path} are damaged, and shown as not_run. {_RESUME}"
+    warnings.warn(message, StoreWarning, stacklevel=4)
     arrays = {
-        name: np.full(root[name].shape, _LEFT[kind[0]], kind)
+        name: np.full(root[name].shape, _NOT_RUN[kind[0]], kind)
         for name, (kind, _, _) in _ARRAYS.items()
     }
     for place in sound:
@@ -230,17 +234,17 @@ def _create(store: Any, plan: Plan, labels: Labels) -> None:
     checked = (ZstdCodec(), Crc32cCodec())
     sizes = {"pass": plan.settings.passes, "output": len(plan.plant.outputs)}
     sizes["parameter"] = len(plan.plant.names)
-    for name, (kind, extra, about) in _ARRAYS.items():
-        tail = tuple(sizes[one] for one in extra)
+    for name, (kind, extra, long_name) in _ARRAYS.items():
+        tail = tuple(sizes[dimension] for dimension in extra)
         root.create_array(
             name,
             shape=plan.shape + tail,
             chunks=plan.steps + tail,
             dtype=kind,
-            fill_value=_LEFT[kind[0]],
+            fill_value=_NOT_RUN[kind[0]],
             compressors=checked,
             dimension_names=DIMENSIONS + extra,
-            attributes={"long_name": about},
+            attributes={"long_name": long_name},
         )
     identity = {"format": _FORMAT, "sweep": plan.fingerprint, "version": _version()}
     root.create_array(
@@ -250,7 +254,7 @@ def _create(store: Any, plan: Plan, labels: Labels) -> None:
         dtype="u8",
         fill_value=0,
         compressors=checked,
-        dimension_names=tuple(f"{one}_chunk" for one in DIMENSIONS),
+        dimension_names=tuple(f"{dimension}_chunk" for dimension in DIMENSIONS),
         attributes={_LABELS: json.dumps(identity)},  # again, should those of the group be lost
     )
     for name, (dims, values) in labels.numbers.items():
@@ -281,12 +285,12 @@ _ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
 
 
 def _labels(path: Path) -> dict[str, Any] | None:
-    """What the group says of itself; None where it cannot be read, or is no sweep's."""
+    """Labels of the group of a store; None if they cannot be read, or are not of a sweep."""
     import zarr
 
     try:
         return _identified(zarr.open_group(str(path), mode="r"))
-    except Exception:  # of the disk, of JSON, of Zarr: they have no class in common
+    except Exception:  # of the disk, JSON or Zarr: they have no common class
         return None
 
 
@@ -297,7 +301,7 @@ def _identified(node: Any) -> dict[str, Any]:
 
 
 def _identity(path: Path) -> dict[str, Any] | None:
-    """Format, version and sweep of a store, though the group's own attributes may be lost."""
+    """Format, version and sweep of a store, from ``done`` if the group's attributes are lost."""
     import zarr
 
     try:
@@ -307,7 +311,7 @@ def _identity(path: Path) -> dict[str, Any] | None:
 
 
 def _mend(path: Path, plan: Plan, labels: Labels) -> None:
-    """Write anew what the plan says and the store does not: attributes, metadata, coordinates.
+    """Write damaged attributes, metadata and coordinates again from the plan.
 
     Warns:
         StoreWarning: what was damaged.
@@ -320,41 +324,44 @@ def _mend(path: Path, plan: Plan, labels: Labels) -> None:
     damaged = [
         name
         for name in ("", "done", *_ARRAYS, *labels.numbers)
-        if not _alike(path / name, sound, name, name in labels.numbers)
+        if not _is_intact(path / name, sound, name, name in labels.numbers)
     ]
     for name in damaged:
         sweep_up(path / name)
-        own = f"{name}/zarr.json".lstrip("/")
-        for key in [one for one in contents if one.startswith(f"{name}/")] or [own]:
-            if key == own or name in labels.numbers:
+        metadata = f"{name}/zarr.json".lstrip("/")
+        for key in [key for key in contents if key.startswith(f"{name}/")] or [metadata]:
+            if key == metadata or name in labels.numbers:
                 _replace(path, Path(key), contents[key].to_bytes())
     if damaged:
         names = ", ".join(f"`{name}`" if name else "attributes" for name in damaged)
-        said = f"{names} of the store {path} were damaged, and are written anew"
-        warnings.warn(said, StoreWarning, stacklevel=4)
+        message = f"{names} of the store {path} were damaged, and are written anew"
+        warnings.warn(message, StoreWarning, stacklevel=4)
 
 
-def _alike(node: Path, sound: Any, name: str, values: bool) -> bool:
-    """Whether a group or an array reads, and says the same as another; holds the same `values`."""
+def _is_intact(node: Path, sound: Any, name: str, values: bool) -> bool:
+    """Whether a group or an array can be read and has the expected metadata, and `values`."""
     import zarr
 
     try:
-        one = zarr.open(str(node), mode="r")
-        other = zarr.open(sound, path=name, mode="r")
-        if isinstance(other, zarr.Group):
-            return isinstance(one, zarr.Group) and dict(one.attrs) == dict(other.attrs)
-        if not isinstance(one, zarr.Array) or one.metadata.to_dict() != other.metadata.to_dict():
+        stored = zarr.open(str(node), mode="r")
+        expected = zarr.open(sound, path=name, mode="r")
+        if isinstance(expected, zarr.Group):
+            return isinstance(stored, zarr.Group) and dict(stored.attrs) == dict(expected.attrs)
+        if (
+            not isinstance(stored, zarr.Array)
+            or stored.metadata.to_dict() != expected.metadata.to_dict()
+        ):
             return False
         if not values:
             return True
-        a, b = np.asarray(one[...]), np.asarray(other[...])
+        a, b = np.asarray(stored[...]), np.asarray(expected[...])
         return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-    except Exception:  # of the disk, of JSON, of a codec, of Zarr: they have no class in common
+    except Exception:  # of the disk, JSON, a codec or Zarr: they have no common class
         return False
 
 
 def _replace(path: Path, place: Path, content: bytes) -> None:
-    """Put a file into a store, whatever stands in its way."""
+    """Put a file into a store, replacing files and folders in its way."""
     for parent in reversed(place.parents):
         if (path / parent).is_file():
             (path / parent).unlink()
@@ -370,7 +377,7 @@ def _replace(path: Path, place: Path, content: bytes) -> None:
 
 
 def _remove(path: Path) -> None:
-    """A file or a folder, if it is there."""
+    """Remove a file or a folder, if it exists."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     elif not any(parent.is_file() for parent in path.parents):
@@ -378,27 +385,27 @@ def _remove(path: Path) -> None:
 
 
 def _check(path: Path, plan: Plan) -> None:
-    own = _identity(path)
-    check(own is not None, "store", "must be the store of a sweep, or not exist", path)
-    assert own is not None
+    identity = _identity(path)
+    check(identity is not None, "store", "must be the store of a sweep, or not exist", path)
+    assert identity is not None
     check(
-        own["format"] == _FORMAT,
+        identity["format"] == _FORMAT,
         "store",
         f"must have been written in format {_FORMAT}",
-        f"{path}: format {own['format']}, of eoi_jax {own['version']}",
+        f"{path}: format {identity['format']}, of eoi_jax {identity['version']}",
         "Give another folder, or resume with that version.",
     )
     check(
-        own["version"] == _version(),
+        identity["version"] == _version(),
         "store",
         f"must have been written by this version, {_version()}: its numbers would not compare",
-        f"{path}: of eoi_jax {own['version']}",
+        f"{path}: of eoi_jax {identity['version']}",
         "Give another folder, or resume with that version.",
     )
     check(
-        own["sweep"] == plan.fingerprint,
+        identity["sweep"] == plan.fingerprint,
         "store",
         "must belong to this very sweep (plant, data, gains, filters, starts, settings)",
-        f"{path}: of another, {own['sweep']} instead of {plan.fingerprint}",
+        f"{path}: of another, {identity['sweep']} instead of {plan.fingerprint}",
         "Give another folder.",
     )

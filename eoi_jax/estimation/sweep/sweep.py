@@ -1,9 +1,9 @@
 r"""Many estimates in one call: gains × filters × starting points × records × resamples.
 
-Each lane is what `identify` gives for its observer, filter, start and record by plain passes
-(``instruments=False``): without instruments, which `identify` takes by itself on noisy records.
-Lanes run in chunks: here, or on the workers of any `concurrent.futures.Executor`, and land in a
-store from which an interrupted sweep goes on.
+Each lane is one estimate: what `identify` gives for its observer, filter, start and record with
+``instruments=False``. (By default `identify` adds instrumental variables on noisy records.) Lanes
+run in chunks, in this process or on the workers of any `concurrent.futures.Executor`. Finished
+chunks go to a store, from which an interrupted sweep resumes.
 """
 
 import warnings
@@ -21,14 +21,14 @@ from eoi_jax._checks import check, is_whole
 from eoi_jax.compiler.jax_setup import configure
 from eoi_jax.estimation.engines import AbstractEngine, Automatic
 from eoi_jax.estimation.sweep.chunk import Arrays, engines_used, precision_error, run_chunk
-from eoi_jax.estimation.sweep.plan import Part, Plan, Settings, plan
+from eoi_jax.estimation.sweep.plan import Part, Plan, Settings, make_plan
 from eoi_jax.estimation.sweep.source import Choices
 from eoi_jax.estimation.sweep.store import Labels, Store
 from eoi_jax.models.plant import Plant
 
-_AHEAD = 64  # chunks that an executor is given ahead of those that have landed
-_TRIES = 3  # of a chunk whose worker failed
-_CALIBRATED = 16  # gain sets that tell the error of single precision
+_MAX_QUEUED = 64  # unfinished chunks submitted to an executor at a time
+_MAX_TRIES = 3  # of a chunk whose worker failed
+_CALIBRATION_SETS = 16  # gain sets on which the error of single precision is measured
 
 Place = tuple[int, ...]
 
@@ -56,29 +56,29 @@ def sweep(
 ) -> Any:
     """Identify with every combination of gains, filters, starts, records and resamples.
 
-    By plain passes, as ``identify(…, instruments=False)`` does: what noise does to least squares it
-    does to every lane.
+    Every lane is a plain estimate, as of ``identify(…, instruments=False)``: measurement noise
+    biases it as it biases least squares.
 
     Args:
         plant: the model with its nominal parameters.
-        records: one, several, or ``{label: records}``; a list in place of a record is estimated
-            from jointly, a `LongRecord` piece by piece.
-        observers: an observer, `observers.gains(…)`, or a sequence of either; left out: one,
-            chosen for each record.
-        lowpass: a filter or several; left out: chosen for each record.
-        starts: θ_0: dicts of parameters, or rows (starts, np); left out: the nominal values.
-        resamples: block-bootstrap resamples, along ``resample`` beside the data as they are (0).
-        passes: how many at most.
+        records: one, several, or ``{label: records}``; a list in place of a record makes one joint
+            estimate, a `LongRecord` is read piece by piece.
+        observers: an observer, `observers.gains(…)`, or a sequence of either; default: one, chosen
+            for each record.
+        lowpass: a filter or several; default: chosen for each record.
+        starts: θ_0: dicts of parameters, or rows (starts, np); default: the nominal values.
+        resamples: block-bootstrap resamples, along ``resample`` after the data as measured (0).
+        passes: largest number of iterations.
         transient: time at the start of each record that is not scored [s].
         substeps: as of `identify`.
         smoothing: as of `identify` [rad/s].
         precision: of the loop, ``"float64"`` or ``"float32"``; attributes ``float32_error_of_…``
-            then tell what that costs, against double precision on some of the lanes.
+            then give the error against double precision, measured on some of the lanes.
         seed: of the resamples.
-        chunk: lanes at a time, at most.
-        store: folder of a Zarr store that keeps each chunk once it is done; a sweep that was
-            interrupted goes on from there. In memory if left out.
-        engine: that runs the passes, of `eoi_jax.engines`; left out: the fastest at hand.
+        chunk: largest number of lanes that run at a time.
+        store: folder of a Zarr store that keeps each finished chunk; an interrupted sweep resumes
+            from it. Default: in memory.
+        engine: that runs the passes, of `eoi_jax.engines`; default: the fastest available.
         executor: workers for the chunks, e.g. ``client.get_executor()`` of Dask.
         part: ``(i, n)``: only every n-th chunk from the i-th, for an array of n jobs, one store.
         progress: show a bar with rate and time left on a terminal.
@@ -86,24 +86,25 @@ def sweep(
     Returns:
         A dataset over (record, lowpass, observer, start, resample): ``parameters``,
         ``standard_error`` (from ``blocks`` of scores, rougher than that of `identify`; NaN on a
-        bound), ``index``
-        of each pass, ``common_index``, ``sliding_fraction``, ``status`` (`flag_meanings` says
-        which), ``ok``; attributes ``engine`` and ``engine_reason`` say which engine ran in this
-        call, and why where it is not the fast one. A lane that goes wrong ends with its status, the
-        others do not notice. After Ctrl-C: what is done, the rest ``not_run``.
+        bound), ``index`` of each iteration, ``common_index``, ``sliding_fraction``, ``status``
+        (named by `flag_meanings`), ``ok``; attributes ``engine`` and ``engine_reason`` say which
+        engine ran in this call, and why it was not the fastest. A lane that fails ends with its
+        status and does not affect the others. After Ctrl-C the unfinished lanes are ``not_run``.
 
     Raises:
-        ValueError: what does not fit, before any work; the message says what to do.
+        ValueError: invalid arguments, before any work; the message says what to do.
         OSError: the store cannot be written.
 
     Warns:
         StoreWarning: a part of the store was damaged, and is computed again.
     """
-    good = isinstance(part, Sequence) and len(part) == 2 and all(is_whole(one) for one in part)
+    good = (
+        isinstance(part, Sequence) and len(part) == 2 and all(is_whole(number) for number in part)
+    )
     check(good and 0 <= part[0] < part[1], "part", "must be (i, n) with 0 ≤ i < n", part)
     choices = Choices(None, transient, substeps, smoothing)
     settings = Settings(resamples, passes, precision, seed, chunk)
-    whole = plan(plant, records, observers, lowpass, starts, choices, settings)
+    plan = make_plan(plant, records, observers, lowpass, starts, choices, settings)
     double = _double()
     check(
         precision == "float32" or double,
@@ -113,40 +114,39 @@ def sweep(
         "Call `eoi_jax.configure()` first, or ask for float32.",
     )
     engine = engine or Automatic()
-    target = Store(whole, store, _labels(whole))
-    own = [place for i, place in enumerate(whole.chunks()) if i % part[1] == part[0]]
-    left = target.unfinished(own)
+    target = Store(plan, store, _labels(plan))
+    places = [place for i, place in enumerate(plan.chunks()) if i % part[1] == part[0]]
+    unfinished = target.unfinished(places)
     finished = True
-    with _shown(progress, whole, own, left) as done:
+    with _progress_bar(progress, plan, places, unfinished) as on_chunk:
         try:
-            for place, arrays in _results(whole, left, engine, executor):
+            for place, arrays in _results(plan, unfinished, engine, executor):
                 if arrays is None:
                     target.mark_lost(place)
                 else:
                     target.write(place, arrays)
-                done(place)
+                on_chunk(place)
         except KeyboardInterrupt:
             finished = False
-    outcome = {"finished": int(finished), **_engines(whole, own, left, engine)}
-    if precision == "float32" and double and finished and own:
-        errors = precision_error(whole.only(own[0]), engine, _CALIBRATED)
+    outcome = {"finished": int(finished), **_engines(plan, places, unfinished, engine)}
+    if precision == "float32" and double and finished and places:
+        errors = precision_error(plan.part_at(places[0]), engine, _CALIBRATION_SETS)
         outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
     return target.dataset(outcome)
 
 
 def _engines(
-    whole: Plan, own: list[Place], left: list[Place], engine: AbstractEngine
+    plan: Plan, places: list[Place], unfinished: list[Place], engine: AbstractEngine
 ) -> dict[str, str]:
-    """Names of the engines that lanes ran on, and why where that is not the fast one."""
-    used = engines_used(whole.only(left[0]), engine) if left else []
-    names = dict.fromkeys(one.name for one in used)
-    reasons = dict.fromkeys(one.reason for one in used if one.reason)
-    found = len(own) - len(left)
-    if found:
-        reasons[f"{found} of {len(own)} chunks were in the store, their engine is not recorded"] = (
-            None
-        )
-    return {"engine": ", ".join(names) or "none", "engine_reason": "; ".join(reasons)}
+    """Names of the engines of the lanes, and why they are not the fastest."""
+    used = engines_used(plan.part_at(unfinished[0]), engine) if unfinished else []
+    engine_names = dict.fromkeys(engine_used.name for engine_used in used)
+    reasons = dict.fromkeys(engine_used.reason for engine_used in used if engine_used.reason)
+    stored_count = len(places) - len(unfinished)
+    if stored_count:
+        share = f"{stored_count} of {len(places)} chunks"
+        reasons[f"{share} were in the store, their engine is not recorded"] = None
+    return {"engine": ", ".join(engine_names) or "none", "engine_reason": "; ".join(reasons)}
 
 
 def _double() -> bool:
@@ -155,27 +155,27 @@ def _double() -> bool:
 
 
 def _results(
-    whole: Plan, places: list[Place], engine: AbstractEngine, executor: Executor | None
+    plan: Plan, places: list[Place], engine: AbstractEngine, executor: Executor | None
 ) -> Iterator[tuple[Place, Arrays | None]]:
     if executor is None:
         for place in places:
-            yield place, run_chunk(whole.only(place), engine)
+            yield place, run_chunk(plan.part_at(place), engine)
         return
-    yield from _spread(whole, places, engine, executor)
+    yield from _spread(plan, places, engine, executor)
 
 
 def _spread(
-    whole: Plan, places: list[Place], engine: AbstractEngine, executor: Executor
+    plan: Plan, places: list[Place], engine: AbstractEngine, executor: Executor
 ) -> Iterator[tuple[Place, Arrays | None]]:
-    """Chunks on an executor's workers, as they come; None for one that failed again and again."""
-    waiting = deque((place, _TRIES) for place in places)
+    """Chunks from an executor's workers as they finish; None for a chunk that failed every time."""
+    waiting = deque((place, _MAX_TRIES) for place in places)
     running: dict[Future, tuple[Place, int]] = {}
     double = _double()
     try:
         while waiting or running:
-            while waiting and len(running) < _AHEAD:
+            while waiting and len(running) < _MAX_QUEUED:
                 place, tries = waiting.popleft()
-                future = executor.submit(remote_chunk, whole.only(place), engine, double)
+                future = executor.submit(remote_chunk, plan.part_at(place), engine, double)
                 running[future] = (place, tries)
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 place, tries = running.pop(future)
@@ -194,63 +194,63 @@ def _spread(
             future.cancel()
 
 
-def remote_chunk(one: Part, engine: AbstractEngine, double: bool) -> Arrays:
-    """`run_chunk` in a worker process, which sets up JAX first as the caller's is."""
+def remote_chunk(part: Part, engine: AbstractEngine, double: bool) -> Arrays:
+    """`run_chunk` in a worker process, with JAX set to the precision of the caller."""
     if _double() != double:
         configure(float64=double)
-    return run_chunk(one, engine)
+    return run_chunk(part, engine)
 
 
-def _labels(whole: Plan) -> Labels:
-    plant = whole.plant
+def _labels(plan: Plan) -> Labels:
+    plant = plan.plant
     texts = {
-        "record": ("record", [one.name for one in whole.groups]),
-        "data_hash": ("record", [one.data_hash for one in whole.groups]),
+        "record": ("record", [group.name for group in plan.groups]),
+        "data_hash": ("record", [group.data_hash for group in plan.groups]),
         "parameter": ("parameter", list(plant.names)),
         "output": ("output", list(plant.outputs)),
     }
     numbers = {
-        "pass": (("pass",), np.arange(1, whole.settings.passes + 1)),
-        "lowpass": (("lowpass",), np.arange(len(whole.choices))),
-        "observer": (("observer",), np.arange(whole.shape[2])),
-        "start": (("start",), np.arange(len(whole.starts))),
-        "resample": (("resample",), np.arange(1 + whole.settings.resamples)),
-        "theta_0": (("start", "parameter"), whole.starts),
-        **_filters(whole),
-        **_gains(whole),
+        "pass": (("pass",), np.arange(1, plan.settings.passes + 1)),
+        "lowpass": (("lowpass",), np.arange(len(plan.choices))),
+        "observer": (("observer",), np.arange(plan.shape[2])),
+        "start": (("start",), np.arange(len(plan.starts))),
+        "resample": (("resample",), np.arange(1 + plan.settings.resamples)),
+        "theta_0": (("start", "parameter"), plan.starts),
+        **_filters(plan),
+        **_gains(plan),
     }
     attributes = {
         "plant": plant.name,
-        "precision": whole.settings.precision,
-        "seed": whole.settings.seed,
+        "precision": plan.settings.precision,
+        "seed": plan.settings.seed,
         "common_index": "under the observer and the filter that would be chosen for the record",
     }
-    kinds = [one.kind for one in whole.observers or ()]
+    kinds = [group.kind for group in plan.observers or ()]
     return Labels(texts, numbers, kinds, attributes)
 
 
-def _filters(whole: Plan) -> dict[str, Any]:
-    given = [one.lowpass for one in whole.choices]
-    known = [one for one in given if one is not None]
-    if len(known) < len(given):
+def _filters(plan: Plan) -> dict[str, Any]:
+    filters = [choice.lowpass for choice in plan.choices]
+    chosen = [lowpass for lowpass in filters if lowpass is not None]
+    if len(chosen) < len(filters):
         return {}
     return {
-        "cutoff": (("lowpass",), np.asarray([one.cutoff for one in known])),
-        "order": (("lowpass",), np.asarray([one.order for one in known])),
+        "cutoff": (("lowpass",), np.asarray([lowpass.cutoff for lowpass in chosen])),
+        "order": (("lowpass",), np.asarray([lowpass.order for lowpass in chosen])),
     }
 
 
-def _gains(whole: Plan) -> dict[str, Any]:
-    """Every gain along ``observer``; NaN for observers that have no such gain."""
-    groups = whole.observers or ()
+def _gains(plan: Plan) -> dict[str, Any]:
+    """Every gain along ``observer``; NaN for observers without that gain."""
+    groups = plan.observers or ()
     labels: dict[str, Any] = {}
     if groups:
-        counts = [len(one) for one in groups]
+        counts = [len(group) for group in groups]
         labels["kind"] = (("observer",), np.repeat(np.arange(len(groups)), counts))
-    for name in dict.fromkeys(name for one in groups for name in one.labels):
-        parts = [one.labels.get(name, np.full(len(one), np.nan)) for one in groups]
+    for name in dict.fromkeys(name for group in groups for name in group.labels):
+        parts = [group.labels.get(name, np.full(len(group), np.nan)) for group in groups]
         if any(part.ndim > 1 for part in parts):
-            wide = len(whole.plant.outputs)
+            wide = len(plan.plant.outputs)
             parts = [np.broadcast_to(p.reshape(len(p), -1), (len(p), wide)) for p in parts]
         values = np.concatenate(parts)
         labels[name] = (("observer", "output")[: values.ndim], values)
@@ -258,10 +258,10 @@ def _gains(whole: Plan) -> dict[str, Any]:
 
 
 @contextmanager
-def _shown(
-    progress: bool, whole: Plan, own: Iterable[Place], left: list[Place]
+def _progress_bar(
+    progress: bool, plan: Plan, places: Iterable[Place], unfinished: list[Place]
 ) -> Iterator[Callable[[Place], None]]:
-    """A function that is told of each chunk that landed."""
+    """A function to call with each finished chunk, which advances a bar if `progress`."""
     if not progress:
         yield lambda _: None
         return
@@ -275,10 +275,10 @@ def _shown(
     )
 
     def lanes(place: Place) -> int:
-        return int(np.prod([one.stop - one.start for one in whole.region(place)]))
+        return int(np.prod([span.stop - span.start for span in plan.region(place)]))
 
-    total = sum(lanes(place) for place in own)
-    start = total - sum(lanes(place) for place in left)
+    total = sum(lanes(place) for place in places)
+    start = total - sum(lanes(place) for place in unfinished)
     columns = (
         TextColumn("sweep"),
         BarColumn(),

@@ -21,7 +21,7 @@ from eoi_jax.estimation.observers import (
     SecondOrder,
     SuperTwisting,
 )
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.models.library import Plant
 
 SAMPLES, PERIOD = 300, 5e-3
@@ -42,7 +42,7 @@ def steps_of(plant, observer, samples=SAMPLES, hole=slice(150, 156)) -> Any:
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
     noise = [np.zeros(len(plant.outputs))]
     inputs = [step_inputs(record, explicit)]
-    batch = prepare(plant, [record], inputs, taps, 0.1, 0.1, noise, explicit, 0.02)
+    batch = prepare_steps(plant, [record], inputs, taps, 0.1, 0.1, noise, explicit, 0.02)
     return jax.tree.map(lambda leaf: leaf[0], batch)
 
 

@@ -9,7 +9,7 @@ import eoi_jax as eoi
 from eoi_jax.estimation.engines import Lanes, Scan
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.observers import SecondOrder
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 
 H = 2e-3
 PLANT = eoi.plants.pendulum()
@@ -21,7 +21,7 @@ def steps():
     t = grid(500, H)
     u, y = moved_pendulum(t, {"a": 81.0, "b": 1.7, "c": 0.3, "d": 99.0})
     record = eoi.Record(t, u, y, hold="smooth")
-    made = prepare(PLANT, [record], [step_inputs(record, False)], 2, 0.2, LOWPASS.memory,
+    made = prepare_steps(PLANT, [record], [step_inputs(record, False)], 2, 0.2, LOWPASS.memory,
                    [np.zeros(1)], False, 0.1)  # fmt: skip
     return jax.tree.map(lambda leaf: leaf[0], made)
 

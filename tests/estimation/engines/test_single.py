@@ -14,7 +14,7 @@ from eoi_jax.estimation.engines.single import alone
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, SecondOrder, SuperTwisting
-from eoi_jax.estimation.preparation import prepare, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.models.augmented import augmented, place
 
 PERIOD = 5e-3
@@ -41,7 +41,7 @@ def batch(plant, observer, counts=(400, 250)) -> Any:
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
     inputs = [step_inputs(record, explicit) for record in records]
     noise = [np.zeros(len(plant.outputs))] * len(records)
-    steps = prepare(plant, records, inputs, taps, 0.1, 0.1, noise, explicit, 0.02)
+    steps = prepare_steps(plant, records, inputs, taps, 0.1, 0.1, noise, explicit, 0.02)
     one = LowPass(40.0).discretise(PERIOD)
     return steps, jax.tree.map(lambda leaf: np.stack([leaf] * len(records)), one)
 

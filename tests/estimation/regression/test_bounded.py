@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from eoi_jax.estimation.regression.bounded import bounded, outside
+from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 
 LANES, SIZE = 200, 5
 
@@ -36,7 +36,7 @@ def test_it_agrees_with_bounded_variable_least_squares():
     information, rhs = normal(matrices, targets)
     solve = solver(information)
     free = solve(rhs, np.ones((LANES, SIZE), bool))
-    assert outside(free, (low, high))
+    assert leaves_bounds(free, (low, high))
     found, side = bounded(solve, information, rhs, free, (low, high))
     pairs = zip(matrices, targets, low, high, strict=True)
     known = [lsq_linear(a, b, (lo, hi), method="bvls", tol=1e-14) for a, b, lo, hi in pairs]
@@ -64,5 +64,5 @@ def test_directions_without_a_trace_end_within_the_bounds(limit):
     free = solve(rhs, np.ones((1, 2), bool))
     room = (np.zeros((1, 2)), np.array([[limit, 1.5]]))
     found, _ = bounded(solve, information, rhs, free, room)
-    assert not outside(found, room)
+    assert not leaves_bounds(found, room)
     assert np.sum(found) == pytest.approx(min(2.0, limit + 1.5))

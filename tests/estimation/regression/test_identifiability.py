@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from eoi_jax.estimation.regression.identifiability import _product, in_weights, told
+from eoi_jax.estimation.regression.identifiability import (
+    _product,
+    format_direction,
+    identifiable_combinations,
+)
 
 THETA = np.asarray([3.7, 0.21, 58.0, -1.3])
 NAMES = ("a", "b", "c", "d")
@@ -32,7 +36,7 @@ def along(*exponents):
     ],
 )
 def test_products_and_sums_are_found(directions, involved, combinations):
-    assert told(directions, THETA, NAMES, EXACT) == (involved, combinations)
+    assert identifiable_combinations(directions, THETA, NAMES, EXACT) == (involved, combinations)
 
 
 def test_every_combination_named_is_constant_along_the_direction():
@@ -41,7 +45,7 @@ def test_every_combination_named_is_constant_along_the_direction():
         exponents = rng.integers(-2, 3, 4)
         if np.count_nonzero(exponents) < 2:
             continue
-        _, combinations = told(along(exponents), THETA, NAMES, EXACT)
+        _, combinations = identifiable_combinations(along(exponents), THETA, NAMES, EXACT)
         for text in combinations:
             python = text.replace("·", "*").replace("²", "**2").replace("³", "**3")
 
@@ -55,22 +59,30 @@ def test_every_combination_named_is_constant_along_the_direction():
 def test_any_basis_of_the_directions_says_the_same():
     directions = along((1, 1, 0, 0), (0, 1, 1, 0))
     mixed = directions @ np.asarray([[0.3, -2.0], [1.1, 0.4]])
-    assert told(mixed, THETA, NAMES, EXACT) == told(directions, THETA, NAMES, EXACT)
+    assert identifiable_combinations(mixed, THETA, NAMES, EXACT) == identifiable_combinations(
+        directions, THETA, NAMES, EXACT
+    )
 
 
 def test_where_a_product_and_a_sum_fit_alike_neither_is_named():
     """One point does not tell a + b from a·b if a = b."""
     equal = np.ones(2)
-    assert told(np.asarray([[1.0], [-1.0]]), equal, ("a", "b"), EXACT) == (("a", "b"), ())
+    assert identifiable_combinations(np.asarray([[1.0], [-1.0]]), equal, ("a", "b"), EXACT) == (
+        ("a", "b"),
+        (),
+    )
 
 
 def test_a_parameter_of_zero_takes_no_part_in_products():
     theta = np.asarray([0.0, 2.0])
-    assert told(np.asarray([[1.0], [-1.0]]), theta, ("a", "b"), EXACT) == (("a", "b"), ("a + b",))
+    assert identifiable_combinations(np.asarray([[1.0], [-1.0]]), theta, ("a", "b"), EXACT) == (
+        ("a", "b"),
+        ("a + b",),
+    )
 
 
 def test_a_direction_is_written_in_its_own_units():
-    assert in_weights(np.asarray([-2.0, 0.0, 1.0, 1e-9]), THETA, NAMES) == "+1·a -0.5·c"
+    assert format_direction(np.asarray([-2.0, 0.0, 1.0, 1e-9]), THETA, NAMES) == "+1·a -0.5·c"
 
 
 def test_a_product_is_written_with_its_first_name_above_the_line():
