@@ -28,6 +28,7 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import rate_of
 from eoi_jax.simulation.known_direction import turn
+from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
 _AT_ONCE = 100_000  # steps of all runs
 
@@ -273,23 +274,19 @@ class _Pair(eqx.Module):
         columns: Float[Array, "ny columns"],
         h: Scalar,
     ) -> Float[Array, "nx columns"]:
-        """L⁻¹ over one step: Runge–Kutta of order four, all of L held over the step."""
+        """L⁻¹ over a Runge–Kutta step, over which all of L is held."""
         ny = len(self.plant.outputs)
         size = self.plant.relative_degree * ny
         last = np.arange(self.plant.relative_degree)[:, None] == np.asarray(self.plant.degrees) - 1
         entry = jnp.where(last[:, :, None], columns[None], 0.0).reshape(size, -1)
         entry = jnp.pad(entry, ((0, len(filtered) - size), (0, 0)))
 
-        def rate(x: Array) -> Array:
+        def rate(x: Array, _: None) -> Array:
             # Not as a matrix product: a loop that calls a library for one is far slower.
             moved = sum(slopes[:, k, None] * x[k] for k in range(len(filtered)))
             return moved - self.leak * x + entry
 
-        first = rate(filtered)
-        second = rate(filtered + 0.5 * h * first)
-        third = rate(filtered + 0.5 * h * second)
-        fourth = rate(filtered + h * third)
-        return filtered + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        return runge_kutta_step(rate, filtered, h, (None, None, None))[0]
 
     def _add(
         self,

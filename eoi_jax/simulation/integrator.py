@@ -39,6 +39,7 @@ from eoi_jax._types import Flags, Input, Output, Scalar, Theta
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import REST, Plant, State, velocity_of, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
+from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
 _GRAIN = 3  # a length is rounded up by an eighth at most
 _PAIR = 2  # outputs whose frictions may act on each other
@@ -339,17 +340,17 @@ def _scaled(scale: Fraction, x: State) -> State:
 def _advance(
     problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
 ) -> State:
-    """One classical Runge-Kutta step between two fractions of the step, in fixed directions."""
+    """A Runge-Kutta step between two fractions of the step, in fixed directions."""
     fractions = (start, 0.5 * (start + end), end)
     t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
     u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
-    h = (end - start) * problem.step
-    k1 = problem.rate(t0, x, u0, direction)
-    k2 = problem.rate(t1, _add(x, 0.5 * h, k1), u1, direction)
-    k3 = problem.rate(t1, _add(x, 0.5 * h, k2), u1, direction)
-    k4 = problem.rate(t2, _add(x, h, k3), u2, direction)
-    slope = _add(_add(_add(k1, 2.0, k2), 2.0, k3), 1.0, k4)
-    return _add(x, h / 6.0, slope)
+
+    def rate(x: State, instant: tuple[Scalar, Input]) -> State:
+        time, inputs = instant
+        return problem.rate(time, x, inputs, direction)
+
+    instants = ((t0, u0), (t1, u1), (t2, u2))
+    return runge_kutta_step(rate, x, (end - start) * problem.step, instants)[0]
 
 
 def _smooth_step(problem: _Problem, x: State) -> State:
