@@ -18,6 +18,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check_count
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
+from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.covariance import Certainty, Deferred, settled
 from eoi_jax.estimation.defaults import brief_notes, default_observer, default_transient
@@ -32,7 +33,6 @@ from eoi_jax.estimation.preparation import (
     Ready,
     check_observer,
     check_preparation,
-    constant,
     prepare,
     ready,
 )

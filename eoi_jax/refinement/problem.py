@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.callback import on_host
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation import compiled_runs
@@ -57,8 +58,7 @@ def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
         pieces = 1 if window is None else max(round(length / window), 1)
         pieces = min(pieces, max((len(record) - 1) // _LEAST, 1))
         edges = np.round(np.linspace(0, len(record) - 1, pieces + 1)).astype(int)
-        scored = record.valid.copy()
-        scored[: round(record.burn_in / record.sample_period)] = False
+        scored = scored_samples(record)
         for first, last in itertools.pairwise(edges):
             use = scored[first : last + 1].copy()
             use[-1] &= last == edges[-1]  # else it is the first one of the next run

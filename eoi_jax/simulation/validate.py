@@ -19,6 +19,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import joined, late_starts, plan
 from eoi_jax.models.check_records import check_records
@@ -148,10 +149,10 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
         f"must exceed {unknowns}, the number of initial values of an output",
         initial_samples,
     )
-    skipped = max(initial_samples, round(record.burn_in / record.sample_period))
-    kept = int(np.sum(record.valid[skipped:]))
-    rule = f"must have valid samples after the first {skipped}, which are not scored"
-    check(kept > 0, f"record {record.name}", rule, f"{len(record)} samples",
+    unscored = max(initial_samples, transient_samples(record))
+    rule = f"must have valid samples after the first {unscored}, which are not scored"
+    good = bool(np.any(scored_samples(record, unscored)))
+    check(good, f"record {record.name}", rule, f"{len(record)} samples",
           "Lower `initial_samples`, or the record's burn-in.")  # fmt: skip
     if window is not None:
         check_positive("window", window)

@@ -9,8 +9,8 @@ from problems import SWAY, Motion, grid, moved_mass_spring
 
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
+from eoi_jax.data.spectrum import Spectrum, foreign_lines, spectrum
 from eoi_jax.estimation.defaults import (
-    Spectrum,
     brief_notes,
     check_runs_of_samples,
     default_lowpass,
@@ -18,8 +18,6 @@ from eoi_jax.estimation.defaults import (
     default_smoothing,
     default_substeps,
     default_transient,
-    foreign_lines,
-    spectrum,
     too_short,
 )
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
