@@ -25,10 +25,10 @@ from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation import compiled_runs
+from eoi_jax.simulation.initial_state import Run, initial_states, owned
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulation.simulate import behind, drive
-from eoi_jax.simulation.validate import Run, initial_states, owned
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
 PROMISE = 1e-6  # share of the cost below which a step is not worth taking
