@@ -48,9 +48,9 @@ class StateVariableInstruments(AbstractComparator):
         if plant.internal is not None:
             return hidden(plant)
         one = equation(plant, records)
-        start = least_squares_on(one)
-        if not start.status.ok:
-            return Estimate(None, None, start.status)
+        start, status = least_squares_on(one)
+        if not status.ok:
+            return Estimate(None, None, status)
         return _rounds(one, start.theta)
 
 
