@@ -31,15 +31,15 @@ from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.levenberg_marquardt import solve
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
-    PROMISE,
+    CONVERGED,
     Outcome,
     Problem,
     Span,
     Unknowns,
     beginning,
     guessed_starts,
+    ill_conditioned,
     problem_of,
-    shaken,
     signals,
     spans_of,
     used_window,
@@ -52,10 +52,10 @@ _ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one befor
 _SETTLED = 0.02  # relative change of these weights that is none
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
-_LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the residual
+_LONGER, _NEGLIGIBLE = 4, 0.1  # times the step; largest error of such steps, over the residual
 # Share of the cost that least squares promises where the solver stalls, from which on it is looked
 # for; points and rounds of that search.
-_PROMISED, _POINTS, _AROUND = 0.01, 64, 4
+_PROMISED, _POINTS, _SEARCH_ROUNDS = 0.01, 64, 4
 _SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
 # Mean square of the errors in the first of these shares, over that of the whole runs, below which
 # errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry friction
@@ -123,7 +123,7 @@ def refine(
         `estimation/regression/robust_covariance.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
-    several = check_records(nominal, records)
+    records = check_records(nominal, records)
     if window is not None:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)
@@ -133,30 +133,30 @@ def refine(
     rounds = check_count("rounds", rounds)
     check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
-    spans = spans_of(several, window)
-    window = used_window(several, spans, window)
+    spans = spans_of(records, window)
+    window = used_window(records, spans, window)
     if not any(np.any(span.use) for span in spans):
-        return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
-    problem, unknowns, shown = _begun(nominal, several, spans, substeps)
-    before = _unweighed(problem, shown)
-    begun = [(unknowns, shown)] if np.all(np.isfinite(before)) else []
+        return _unanswered(nominal, records, window, Status("no_data", _NO_DATA))
+    problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
+    initial_error = _unweighed(problem, sensitivities)
+    begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     effort = _Effort(max_steps, _watch(callback, max_steps))
     if len(points):
-        rough = _rougher(problem, several, spans, unknowns, before)
+        rough = _rougher(problem, records, spans, unknowns, initial_error)
         further = best(problem, rough, unknowns, points, rounds)
-        begun += [(one, signals(one, problem)) for one in further]
-    fits = [_fitted(problem, *start, before, effort, huber) for start in begun]
+        begun += [(point, signals(point, problem)) for point in further]
+    fits = [_fitted(problem, *start, initial_error, effort, huber) for start in begun]
     if not fits:
         reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
-        return _unanswered(nominal, several, window, Status("diverged", reason))
+        return _unanswered(nominal, records, window, Status("diverged", reason))
     if starts is None:
         fits = [_grown(fits[0], begun[0][0], effort, huber)]
     if substeps is None:
-        fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
+        fits = [_finer(fit, records, spans, effort, huber) for fit in fits]
     if starts is None:
-        fits += _beyond(fits[0], several, spans, effort, huber)
+        fits += _search_around(fits[0], records, spans, effort, huber)
     fit = _lowest(fits, huber)
-    return _refinement(fit, several, spans, window)
+    return _refinement(fit, records, spans, window)
 
 
 def _begun(
@@ -173,11 +173,11 @@ def _begun(
             np.asarray(nominal.theta)[list(problem.free)],
             guessed_starts(problem, records, spans),
         )
-        shown = signals(unknowns, problem)
-        one = problem, unknowns, shown
-        first, count = first or one, 2 * count
-        if _smooth(problem, unknowns, shown):
-            return one
+        sensitivities = signals(unknowns, problem)
+        candidate = problem, unknowns, sensitivities
+        first, count = first or candidate, 2 * count
+        if _smooth(problem, unknowns, sensitivities):
+            return candidate
         if substeps is not None or count > _FINEST:
             return first
 
@@ -195,15 +195,15 @@ def _watch(
 ) -> Callable[[Any, Any], None] | None:
     if callback is None:
         return None
-    told = callback
-    return lambda number, _: told(int(number), max_steps)
+    report = callback
+    return lambda number, _: report(int(number), max_steps)
 
 
 def _fitted(
     problem: Problem,
     unknowns: Unknowns,
-    shown: Float[np.ndarray, "runs time ny size"],
-    before: Float[np.ndarray, "runs time ny"],
+    sensitivities: Float[np.ndarray, "runs time ny size"],
+    initial_error: Float[np.ndarray, "runs time ny"],
     effort: _Effort,
     huber: float | None,
 ) -> "_Fit":
@@ -212,25 +212,29 @@ def _fitted(
     Each lowers the cost under weights that were the best ones before: for squares, alternating
     minimisation of the likelihood over the unknowns and σ, which never goes up.
     """
-    # Imported here: optimistix is heavy, and only a fit needs it.
     steps = 0
     for _ in range(1 + _ROUNDS):
-        outcome, shown = solve(problem, unknowns, shown, effort.max_steps, effort.watch)
+        outcome, sensitivities = solve(
+            problem, unknowns, sensitivities, effort.max_steps, effort.watch
+        )
         if effort.watch is not None:
-            jax.effects_barrier()  # all of it told before the next fit
+            jax.effects_barrier()  # all progress is reported before the next fit
         unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
-        fit = _Fit(problem, shown, before, outcome, steps)
+        fit = _Fit(problem, sensitivities, initial_error, outcome, steps)
         # An output without any error would weigh infinitely.
         sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
         ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
         # Squares know no scale: only the ratios of the outputs count.
-        apart = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
-        if max(apart) < (1.0 + _SETTLED) * min(apart):
+        extremes = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
+        if max(extremes) < (1.0 + _SETTLED) * min(extremes):
             break
-        other = weighed(problem, sigma, np.inf if huber is None else huber)
-        problem, shown = other, shown * np.asarray(other.scale / problem.scale)[:, None]
+        reweighed = weighed(problem, sigma, np.inf if huber is None else huber)
+        problem, sensitivities = (
+            reweighed,
+            sensitivities * np.asarray(reweighed.scale / problem.scale)[:, None],
+        )
     else:
-        fit = replace(fit, unsettled=float(max(apart) / min(apart) - 1.0))
+        fit = replace(fit, unsettled=float(max(extremes) / min(extremes) - 1.0))
     return fit
 
 
@@ -239,32 +243,34 @@ def _rougher(
     records: Sequence[Record],
     spans: Sequence[Span],
     unknowns: Unknowns,
-    before: Float[np.ndarray, "runs time ny"],
+    initial_error: Float[np.ndarray, "runs time ny"],
 ) -> Problem:
     """Longer steps, by which most starts are sorted out, if their error hardly shows at the first.
 
-    Itself where they do not do, or the first start, whose errors `before` are, diverges.
+    Itself where they do not do, or the first start, whose errors are `initial_error`, diverges.
     """
-    if problem.substeps == 1 or not np.all(np.isfinite(before)):
+    if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
         return problem
     substeps = max(problem.substeps // _LONGER, 1)
     rough = _stepped(problem, records, spans, substeps)
-    shown = signals(unknowns, rough)
-    near = _rms(_unweighed(rough, shown) - before, problem.use) <= _NEAR * _rms(before, problem.use)
-    return rough if np.all(near) and _smooth(rough, unknowns, shown) else problem
+    sensitivities = signals(unknowns, rough)
+    negligible = _rms(
+        _unweighed(rough, sensitivities) - initial_error, problem.use
+    ) <= _NEGLIGIBLE * _rms(initial_error, problem.use)
+    return rough if np.all(negligible) and _smooth(rough, unknowns, sensitivities) else problem
 
 
 def _stepped(
     problem: Problem, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Problem:
     """The same runs and weights with other steps."""
-    other = problem_of(problem.kernel.plant, records, spans, substeps)
-    return weighed(other, 1.0 / np.asarray(problem.scale), float(problem.threshold))
+    stepped = problem_of(problem.kernel.plant, records, spans, substeps)
+    return weighed(stepped, 1.0 / np.asarray(problem.scale), float(problem.threshold))
 
 
 def _lowest(fits: Sequence["_Fit"], huber: float | None) -> "_Fit":
     """That of the lowest cost, among those that have derivatives where there are any."""
-    return min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
+    return min(fits, key=lambda fit: (not fit.differentiable, _cost(fit.sigma(huber))))
 
 
 def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None) -> "_Fit":
@@ -285,16 +291,16 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
     Returns:
         The better one; with the steps of all.
     """
-    promise, steps = float(fit.outcome.promise), fit.steps
-    least = _PROMISED if bool(fit.outcome.exhausted) else PROMISE
-    if promise < least or not fit.differentiable or not _growing(fit):
+    predicted_reduction, steps = float(fit.outcome.predicted_reduction), fit.steps
+    threshold = _PROMISED if bool(fit.outcome.exhausted) else CONVERGED
+    if predicted_reduction < threshold or not fit.differentiable or not _growing(fit):
         return fit
     for share in (*_SHARES, 1.0):
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
-        shown = signals(unknowns, problem)
-        if not _smooth(problem, unknowns, shown):
+        sensitivities = signals(unknowns, problem)
+        if not _smooth(problem, unknowns, sensitivities):
             return replace(fit, steps=steps)
-        grown = _fitted(problem, unknowns, shown, fit.before, effort, huber)
+        grown = _fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
         unknowns, steps = grown.outcome.unknowns, steps + grown.steps
     better = _lowest([fit, grown], huber)
     return replace(better, steps=steps)
@@ -302,16 +308,16 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
 
 def _growing(fit: "_Fit") -> bool:
     """Whether errors are small at the beginning of the runs and grow in them."""
-    error, use = fit.shown[..., -1], fit.use
+    error, use = fit.sensitivities[..., -1], fit.use
     lengths = (np.asarray(fit.problem.counts) - 1) / fit.problem.substeps
     first = (np.arange(use.shape[1]) <= _SHARES[0] * lengths[:, None])[..., None] & use
-    beginning, whole = (
+    beginning, overall = (
         np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
     )
-    return bool(beginning < _GROWING * whole)
+    return bool(beginning < _GROWING * overall)
 
 
-def _beyond(
+def _search_around(
     fit: "_Fit",
     records: Sequence[Record],
     spans: Sequence[Span],
@@ -320,16 +326,21 @@ def _beyond(
 ) -> list["_Fit"]:
     """From points around a fit that stalled at a kink, far above what least squares promises."""
     outcome, problem = fit.outcome, fit.problem
-    if float(outcome.promise) < _PROMISED or bool(outcome.exhausted) or not fit.differentiable:
+    if (
+        float(outcome.predicted_reduction) < _PROMISED
+        or bool(outcome.exhausted)
+        or not fit.differentiable
+    ):
         return []
     theta = problem.completed(outcome.unknowns.theta)
     points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
-    found = best(problem, rough, outcome.unknowns, points, _AROUND)
-    more = [
-        _fitted(problem, one, signals(one, problem), fit.before, effort, huber) for one in found
+    starts = best(problem, rough, outcome.unknowns, points, _SEARCH_ROUNDS)
+    fits = [
+        _fitted(problem, start, signals(start, problem), fit.initial_error, effort, huber)
+        for start in starts
     ]
-    return [replace(one, steps=fit.steps + one.steps) for one in more]
+    return [replace(start, steps=fit.steps + start.steps) for start in fits]
 
 
 def _finer(
@@ -348,12 +359,12 @@ def _finer(
     while fit.differentiable and fit.problem.substeps < _FINEST:
         old, unknowns = fit.problem, fit.outcome.unknowns
         problem = _stepped(old, records, spans, 2 * old.substeps)
-        shown = signals(unknowns, problem)
-        apart = _unweighed(problem, shown) - fit.error
+        sensitivities = signals(unknowns, problem)
+        step_error = _unweighed(problem, sensitivities) - fit.error
         count, rms = np.sqrt(np.sum(fit.use, axis=(0, 1))), _rms(fit.error, fit.use)
-        if np.all(count * _rms(apart, fit.use) <= rms):
+        if np.all(count * _rms(step_error, fit.use) <= rms):
             break
-        finer = _fitted(problem, unknowns, shown, fit.before, effort, huber)
+        finer = _fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
         suffers = _cost(_rms(finer.error, fit.use)) > _cost(rms) + _SUFFERS
         if suffers or not finer.differentiable:
             break
@@ -367,16 +378,16 @@ class _Fit:
 
     Attributes:
         problem: with the weights of this fit.
-        shown: `signals` where it ended.
-        before: errors at the very start.
+        sensitivities: `signals` where it ended.
+        initial_error: errors at the very start.
         outcome: of the solver.
         steps: of all fits.
         unsettled: relative change of the weights of the outputs that was left.
     """
 
     problem: Problem
-    shown: Float[np.ndarray, "runs time ny size"]
-    before: Float[np.ndarray, "runs time ny"]
+    sensitivities: Float[np.ndarray, "runs time ny size"]
+    initial_error: Float[np.ndarray, "runs time ny"]
     outcome: Outcome
     steps: int
     unsettled: float = 0.0
@@ -389,7 +400,7 @@ class _Fit:
     @property
     def error(self) -> Float[np.ndarray, "runs time ny"]:
         """y - ŷ; zero where not scored."""
-        return _unweighed(self.problem, self.shown)
+        return _unweighed(self.problem, self.sensitivities)
 
     def sigma(self, huber: float | None) -> Float[np.ndarray, " ny"]:
         """Standard deviation of each output's errors, of which those few beyond `huber` are not."""
@@ -398,21 +409,21 @@ class _Fit:
     @cached_property
     def differentiable(self) -> bool:
         """Whether the free runs have derivatives to speak of where the fit ended."""
-        return _smooth(self.problem, self.outcome.unknowns, self.shown)
+        return _smooth(self.problem, self.outcome.unknowns, self.sensitivities)
 
 
-def _smooth(problem: Problem, unknowns: Unknowns, shown: np.ndarray) -> bool:
-    """Whether free runs have derivatives to speak of; `shown` are their signals."""
-    if not np.all(np.isfinite(shown)):
+def _smooth(problem: Problem, unknowns: Unknowns, sensitivities: np.ndarray) -> bool:
+    """Whether free runs have derivatives to speak of; `sensitivities` are their signals."""
+    if not np.all(np.isfinite(sensitivities)):
         return False
     theta = np.asarray(unknowns.theta)
     with np.errstate(over="ignore"):
-        sums = np.einsum("rtjc,rtjc->rc", shown, shown)
-    return not np.any(shaken(sums[:, -1 - len(theta) :], theta, problem.power))
+        sums = np.einsum("rtjc,rtjc->rc", sensitivities, sensitivities)
+    return not np.any(ill_conditioned(sums[:, -1 - len(theta) :], theta, problem.power))
 
 
-def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
-    return shown[..., -1] / np.asarray(problem.scale)
+def _unweighed(problem: Problem, sensitivities: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
+    return sensitivities[..., -1] / np.asarray(problem.scale)
 
 
 def _rms(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
@@ -435,25 +446,25 @@ def _refinement(
     problem, nominal = fit.problem, fit.problem.kernel.plant
     theta = problem.completed(fit.outcome.unknowns.theta)
     plant, error = nominal.with_parameters(theta), fit.error
-    rmse, before = _rms(error, fit.use), _rms(fit.before, fit.use)
+    rmse, rmse_before = _rms(error, fit.use), _rms(fit.initial_error, fit.use)
     bound = [name for i, name in enumerate(plant.names) if i in problem.free
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
     certainty = _certainty(fit, plant, bound, spans)
     errors = np.sqrt(np.diagonal(certainty.covariance))
     if fit.differentiable:
-        inside = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
-        errors = standard_errors(certainty.covariance, certainty.information, inside)
+        within_bounds = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
+        errors = standard_errors(certainty.covariance, certainty.information, within_bounds)
     return Refinement(
         plant.parameters,
-        {name: float(one) for name, one in zip(plant.names, errors, strict=True)},
+        {name: float(value) for name, value in zip(plant.names, errors, strict=True)},
         certainty.covariance,
         plant,
         nominal,
         _starts(fit, plant, records, spans),
         rmse,
-        before,
+        rmse_before,
         _cost(rmse),
-        _cost(before),
+        _cost(rmse_before),
         _per_sample(error, fit.use, records, spans),
         fit.steps,
         window,
@@ -464,7 +475,7 @@ def _refinement(
         ),
         certainty.information,
         certainty.freedom,
-        tuple(_per_sample(fit.before, fit.use, records, spans)),
+        tuple(_per_sample(fit.initial_error, fit.use, records, spans)),
         tuple(records),
         problem.substeps,
         problem.engine,
@@ -482,11 +493,11 @@ def _per_sample(
     error: np.ndarray, use: np.ndarray, records: Sequence[Record], spans: Sequence[Span]
 ) -> list[np.ndarray]:
     """One array for each record, NaN where not scored."""
-    out = [np.full(record.outputs.shape, np.nan) for record in records]
-    for span, one, keep in zip(spans, error, use, strict=True):
+    residuals = [np.full(record.outputs.shape, np.nan) for record in records]
+    for span, run_error, keep in zip(spans, error, use, strict=True):
         (index,) = np.nonzero(np.any(keep, axis=1))
-        out[span.record][span.first + index] = one[index]
-    return out
+        residuals[span.record][span.first + index] = run_error[index]
+    return residuals
 
 
 def _cost(rmse: np.ndarray) -> float:
@@ -538,16 +549,16 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
         return _Certainty(covariance, information, freedom, [])
     names = [plant.names[i] for i in free]
     loose = np.asarray([float(name not in bound) for name in names])
-    own = fit.shown.shape[-1] - 1 - len(free)
+    start_size = fit.sensitivities.shape[-1] - 1 - len(free)
     rows, scores = zip(
         *(
-            _run_scores(one[: span.count + 1], own, float(fit.problem.threshold))
-            for one, span in zip(fit.shown, spans, strict=True)
+            _run_scores(run[: span.count + 1], start_size, float(fit.problem.threshold))
+            for run, span in zip(fit.sensitivities, spans, strict=True)
         ),
         strict=True,
     )
     # Windows of one record are its parts, and no independent ones.
-    lengths = np.bincount([one.record for one in spans], [len(one) for one in scores]).astype(int)
+    lengths = np.bincount([run.record for run in spans], [len(run) for run in scores]).astype(int)
     rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
     flat = rows.reshape(-1, len(names))
     square = flat.T @ flat
@@ -560,40 +571,40 @@ def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Sp
 
 
 def _run_scores(
-    shown: Float[np.ndarray, "time ny size"], own: int, threshold: float
+    sensitivities: Float[np.ndarray, "time ny size"], start_size: int, threshold: float
 ) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"]]:
     """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
-    rows = shown.reshape(-1, shown.shape[-1])
-    starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
+    rows = sensitivities.reshape(-1, sensitivities.shape[-1])
+    starts, theta, error = rows[:, :start_size], rows[:, start_size:-1], rows[:, -1]
     own_space = orthonormal(starts, 1e-10)
-    beside = theta - own_space @ (own_space.T @ theta)
-    near = beside * (np.abs(error) <= threshold)[:, None]
-    score = beside * np.clip(error, -threshold, threshold)[:, None]
-    shape = *shown.shape[:2], beside.shape[1]
-    return near.reshape(shape), np.sum(score.reshape(shape), axis=1)
+    projected = theta - own_space @ (own_space.T @ theta)
+    inliers = projected * (np.abs(error) <= threshold)[:, None]
+    score = projected * np.clip(error, -threshold, threshold)[:, None]
+    shape = *sensitivities.shape[:2], projected.shape[1]
+    return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1)
 
 
 def _status(fit: _Fit, lost: Sequence[str]) -> Status:
-    outcome, promise = fit.outcome, float(fit.outcome.promise)
+    outcome, predicted_reduction = fit.outcome, float(fit.outcome.predicted_reduction)
     if not fit.differentiable:
         return Status("diverged", _ROUGH)
     if lost:
         return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
-    if promise < PROMISE:
+    if predicted_reduction < CONVERGED:
         return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
     if bool(outcome.exhausted):
-        return Status("passes_exhausted", _MORE.format(promise))
-    return Status("stalled", _STALLED.format(promise))
+        return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
+    return Status("stalled", _STALLED.format(predicted_reduction))
 
 
 def _unanswered(
     plant: Plant, records: Sequence[Record], window: float | None, status: Status
 ) -> Refinement:
     """The starting point, unchanged, and why."""
-    size, none = len(plant.names), np.full(len(plant.outputs), np.nan)
+    size, unknown = len(plant.names), np.full(len(plant.outputs), np.nan)
     return Refinement(
         plant.parameters, dict.fromkeys(plant.names, np.nan), np.full((size, size), np.nan),
-        plant, plant, (), none, none, np.nan, np.nan,
+        plant, plant, (), unknown, unknown, np.nan, np.nan,
         [np.full(record.outputs.shape, np.nan) for record in records], 0, window, status, (),
     )  # fmt: skip
 
@@ -616,7 +627,7 @@ _UNTRACED = (
     "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "
     "parameters, or excite the plant so that they differ"
 )
-_MORE = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
+_MORE_STEPS = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
 _STALLED = (
     "no step lowers the cost, though least squares promises {:.2g} of it: the free run is not "
     "smooth in its parameters there (moments of rest that come and go, limits just met or just "

@@ -29,7 +29,9 @@ _ROUNDS = 20  # of Gauss-Newton; a linear plant needs one
 _DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
 _LANES = 32  # runs that are simulated at once
 _TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
-_ENOUGH = 1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
+_SMALLEST_FALL = (
+    1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
+)
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def _descend(
         values = np.stack([point.values for point in points])
         lengths = 0.5 ** np.arange(_TRIALS)[:, None]
         trials = values[:, None] + np.stack(steps)[:, None] * lengths
-        costs, errors, slopes = heads.part(runs).tried(trials, free)
+        costs, errors, slopes = heads.part(runs).errors_and_slopes(trials, free)
         return [
             [
                 _Start(run, costs[i, j], trials[i, j], errors[i, j], None if j else slopes[i])
@@ -120,7 +122,7 @@ def _descend(
             for i, run in enumerate(runs)
         ]
 
-    ends = gauss_newton(points, linearise, evaluate, _ENOUGH, _ROUNDS).points
+    ends = gauss_newton(points, linearise, evaluate, _SMALLEST_FALL, _ROUNDS).points
     return np.asarray([end.cost for end in ends]), np.stack([end.values for end in ends])
 
 
@@ -167,11 +169,11 @@ class _Heads:
     period: float
     spread: Float[np.ndarray, " ny"]
 
-    def part(self, which: Int[np.ndarray, " some"]) -> "_Heads":
+    def part(self, runs: Int[np.ndarray, " some"]) -> "_Heads":
         """The first samples of some of the runs."""
-        if len(which) == len(self.y):
+        if len(runs) == len(self.y):
             return self
-        return replace(self, heads=self._driving(which), y=self.y[which], valid=self.valid[which])
+        return replace(self, heads=self._driving(runs), y=self.y[runs], valid=self.valid[runs])
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
@@ -186,8 +188,8 @@ class _Heads:
 
         Each output counts by its own spread: metres and radians add up to nothing.
         """
-        out = self._simulated(values)
-        error = np.where(self.valid[:, None, :, None], self.y[:, None] - out, 0.0) / self.spread
+        outputs = self._simulated(values)
+        error = np.where(self.valid[:, None, :, None], self.y[:, None] - outputs, 0.0) / self.spread
         error = error.reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = np.sum(error**2, axis=-1)
@@ -203,7 +205,7 @@ class _Heads:
         _, errors = self.errors(self._moved(values, free))
         return self._slopes(values, error, errors, free)
 
-    def tried(
+    def errors_and_slopes(
         self, trials: Trials, free: np.ndarray
     ) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"], np.ndarray]:
         """`errors` of all trials, and in the same call the slopes at the first of each run."""
@@ -244,10 +246,10 @@ class _Heads:
         for first in range(0, len(lanes), _LANES):
             index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
             drives = self._driving(owner[index])
-            out = _runs(run.plant, drives, lanes[index], run.friction)
-            parts.append(np.asarray(out))
-        out = np.concatenate(parts)[: len(lanes)]
-        return out.reshape(*values.shape[:2], *out.shape[1:])
+            outputs = _runs(run.plant, drives, lanes[index], run.friction)
+            parts.append(np.asarray(outputs))
+        outputs = np.concatenate(parts)[: len(lanes)]
+        return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
 
 
 def _polynomial_starts(

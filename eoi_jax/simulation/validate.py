@@ -124,8 +124,8 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
         records: on these.
         window: length of re-initialised runs [s]; None where the records are too short for any.
     """
-    whole = validate(plant, records)
-    return whole, None if window is None else validate(plant, records, window=window)
+    full_runs = validate(plant, records)
+    return full_runs, None if window is None else validate(plant, records, window=window)
 
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
@@ -164,49 +164,52 @@ def _predict(
     """Free runs along a record, one or one a window: prediction, and which samples count."""
     runs = plan(record, run.initial_samples, window, run.plant.relative_degree)
     prediction = np.full(record.outputs.shape, np.nan)
-    known = np.zeros(len(record), dtype=bool)
-    whole = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
+    predicted = np.zeros(len(record), dtype=bool)
+    record_drive = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
     diverged = None
-    for start, shown, y_hat in zip(
+    for start, sample_range, y_hat in zip(
         runs.starts,
         runs.shown,
-        _free_runs(run, record, whole, runs.starts, runs.steps),
+        _free_runs(run, record, record_drive, runs.starts, runs.steps),
         strict=True,
     ):
-        bad = ~np.all(np.isfinite(y_hat[: shown.stop - start]), axis=1)
+        bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
         if bad.any() and diverged is None:
             diverged = record.time[start + int(np.argmax(bad))]
-        part = slice(shown.start, shown.stop)
-        prediction[part], known[part] = y_hat[shown.start - start : shown.stop - start], True
+        part = slice(sample_range.start, sample_range.stop)
+        prediction[part], predicted[part] = (
+            y_hat[sample_range.start - start : sample_range.stop - start],
+            True,
+        )
     if diverged is not None:
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
     notes += late_starts(record, runs, run.initial_samples, window is None)
-    return joined(prediction, known), runs.score
+    return joined(prediction, predicted), runs.score
 
 
 def _free_runs(
-    run: Run, record: Record, whole: Drive, starts: Sequence[int], count: int
+    run: Run, record: Record, record_drive: Drive, starts: Sequence[int], count: int
 ) -> Float[np.ndarray, "runs time ny"]:
     """Runs of `count` steps from samples `starts`, each from its own estimated initial state."""
     first = min(run.initial_samples, count + 1)
-    seen = np.asarray(starts)[:, None] + np.arange(first)
-    head = _parts(whole, starts, first - 1)
-    values = initial_states(run, head, record.outputs[seen], record.valid[seen])
+    first_samples = np.asarray(starts)[:, None] + np.arange(first)
+    head = _parts(record_drive, starts, first - 1)
+    values = initial_states(run, head, record.outputs[first_samples], record.valid[first_samples])
     theta = jnp.asarray(run.plant.theta)
     begun = states_of(run.plant, values)
-    return chained(run.plant, theta, _parts(whole, starts, count), begun, run.friction)
+    return chained(run.plant, theta, _parts(record_drive, starts, count), begun, run.friction)
 
 
-def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
+def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
     """What drives each run, runs first."""
-    n = whole.substeps
+    n = record_drive.substeps
     steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
     # A run that starts late ends beyond the record, where nothing of it is looked at.
-    steps = np.minimum(steps, len(whole.time) - 1)
-    period = np.full(len(starts), whole.step)
-    return Drive(whole.time[steps], period, whole.inputs[steps], n)
+    steps = np.minimum(steps, len(record_drive.time) - 1)
+    period = np.full(len(starts), record_drive.step)
+    return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n)
 
 
 # -- scores -------------------------------------------------------------------------------
@@ -226,6 +229,6 @@ def _record(record: Record, prediction: Samples) -> Record:
     """The prediction as a record; a diverged one is kept within what a figure can show."""
     middle, reach = np.mean(record.outputs, axis=0), np.ptp(record.outputs, axis=0) + 1e-300
     bound = 1e3 * reach
-    shown = np.clip(np.where(np.isfinite(prediction), prediction, np.inf), middle - bound,
+    bounded = np.clip(np.where(np.isfinite(prediction), prediction, np.inf), middle - bound,
                     middle + bound)  # fmt: skip
-    return record.with_outputs(shown, f"{record.name} (free run)")
+    return record.with_outputs(bounded, f"{record.name} (free run)")
