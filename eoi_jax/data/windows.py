@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax.data.masks import transient_samples
 from eoi_jax.data.record import Record
 
 _SHARE = 0.1  # of the shortest record
@@ -90,7 +91,7 @@ def plan(record: Record, initial_samples: int, window: float | None, required: i
         starts.append(start)
         predicted.append(range(max(first, start), stop))
         score[max(first, start + initial_samples) : stop] = True
-    score[: max(initial_samples, round(record.burn_in / record.sample_period))] = False
+    score[: max(initial_samples, transient_samples(record))] = False
     return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost)
 
 

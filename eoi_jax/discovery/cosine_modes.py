@@ -27,13 +27,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.masks import consecutive, moving, tapered, valid_steps
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
+from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.discovery.thinning import averaged, averaging, thinned, thinning
-from eoi_jax.estimation.defaults import Spectrum, spectrum, velocity_noise
-from eoi_jax.estimation.preparation import moving, tapered
+from eoi_jax.estimation.defaults import velocity_noise
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
 _FINE = 0.7  # band times step
 _MOST_SUBSTEPS = 8
@@ -195,7 +197,7 @@ def _usable(
     Returns:
         Once with every moment of rest out, once with long ones only.
     """
-    good = np.repeat((raw.valid[:-1] & raw.valid[1:])[:, None], len(plant.outputs), axis=1)
+    good = np.repeat(valid_steps(raw)[:, None], len(plant.outputs), axis=1)
     still = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     shortest = int(_REST / (band * raw.sample_period))
     lasting = np.stack([_lasting(one, shortest) for one in still.T], axis=1)
@@ -222,10 +224,10 @@ def _weights(
     ends = max(_ENDS / (band * h), _LEAST_END * len(good[0]))
     chosen = []
     for j, degree in enumerate(plant.degrees):
+        usable = (consecutive(use[:, [j]], degree + 2)[degree + 1 :] for use in good)
         sharp, soft = (
-            tapered(_all_of(use[:, j], degree + 2)[:, None].astype(float), rise)[:, 0]
-            * _ends(len(use) - degree - 1, ends)
-            for use, rise in zip(good, (_SHARP / (band * h), _SOFT / (band * h)), strict=True)
+            tapered(use.astype(float), rise)[:, 0] * _ends(len(use), ends)
+            for use, rise in zip(usable, (_SHARP / (band * h), _SOFT / (band * h)), strict=True)
         )
         size = np.std(np.diff(smooth.outputs[:, j], degree)) / h**degree
         leak = record.noise[j] * np.sqrt(np.mean(np.diff(sharp, degree) ** 2)) / h**degree
@@ -241,14 +243,6 @@ def _lasting(flags: np.ndarray, shortest: int) -> np.ndarray:
     for start, stop in runs(flags):
         kept[start:stop] = stop - start >= shortest
     return kept
-
-
-def _all_of(good: np.ndarray, count: int) -> np.ndarray:
-    """Whether `count` consecutive steps are good."""
-    out = good[: len(good) - count + 1].copy()
-    for lag in range(1, count):
-        out &= good[lag : len(good) - count + 1 + lag]
-    return out
 
 
 def _ends(size: int, rise: float) -> np.ndarray:
@@ -397,7 +391,7 @@ def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
 def integrated(
     rate: Callable[[Array, tuple], Array], start: Array, rows: tuple, bend: tuple, h: Any
 ) -> Float[Array, "S nz"]:
-    """States in the middle of each step (Runge–Kutta of order four).
+    """States in the middle of each Runge–Kutta step.
 
     Args:
         rate: dz/dt of z and of one row.
@@ -411,13 +405,8 @@ def integrated(
         middle, change = both
         before = jax.tree.map(lambda value, step: value - 0.5 * step, middle, change)
         after = jax.tree.map(lambda value, step: value + 0.5 * step, middle, change)
-        first = rate(z, before)
-        second = rate(z + 0.5 * h * first, middle)
-        third = rate(z + 0.5 * h * second, middle)
-        fourth = rate(z + h * third, after)
-        end = z + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
-        # Cubic through both ends with their slopes (the slope at the end is nearly `fourth`).
-        return end, 0.5 * (z + end) + h / 8.0 * (first - fourth)
+        end, slopes = runge_kutta_step(rate, z, h, (before, middle, after))
+        return end, middle_of_step(z, end, slopes, h)
 
     return jax.lax.scan(body, start, (rows, bend))[1]
 

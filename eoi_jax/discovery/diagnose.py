@@ -24,9 +24,9 @@ from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import findings
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.record import Record
+from eoi_jax.data.spectrum import foreign_lines
 from eoi_jax.discovery.diagnosis import Confounded, Cross, Diagnosis, Line, Map, PerOutput, Window
 from eoi_jax.discovery.residual import View, raw_noise, variable_names, views_of
-from eoi_jax.estimation.defaults import foreign_lines
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.least_squares import Solution, least_squares, untraced
 from eoi_jax.estimation.regression.noise_autocorrelation import (

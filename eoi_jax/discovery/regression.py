@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eoi_jax._gauss_newton import gauss_newton
 from eoi_jax.discovery.candidates import Atom
 from eoi_jax.discovery.cosine_modes import Stretch, model_rows
 from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
@@ -209,14 +211,34 @@ def refined(base: Base, fit: Fit, power: Rows, spans: Spans, make: Make) -> Fit:
         for one in fit.atoms
         if one.shape
     }
-    for _ in range(_STEPS if moving else 0):
-        new, beside = _gauss_newton(base, fit, near, power, spans, make)
-        done = new.cost > (1.0 - _ENOUGH) * fit.cost
-        if new.cost < fit.cost and (new.physical or not fit.physical):
-            fit, near = new, beside
-        if done:
-            break
-    return fit
+    if not moving:
+        return fit
+
+    def linearise(points: list[_Shaped]) -> list[tuple[Shapes, float]]:
+        return [_shape_step(base, now, power, spans) for now in points]
+
+    def evaluate(points: list[_Shaped], steps: list[Shapes]) -> list[list[_Shaped]]:
+        return [
+            [_at_shapes(base, now, step, power, spans, make)]
+            for now, step in zip(points, steps, strict=True)
+        ]
+
+    start = _Shaped(fit.cost, fit, near)
+    return gauss_newton([start], linearise, evaluate, _ENOUGH, _STEPS).points[0].fit
+
+
+class _Shaped(NamedTuple):
+    """A set at its shapes.
+
+    Attributes:
+        cost: of the fit; infinite where its gains are not physical and those before were.
+        fit: of the gains and the declared parameters.
+        near: atoms a little further on in each shape.
+    """
+
+    cost: float
+    fit: Fit
+    near: Neighbours
 
 
 def _best_of_grid(
@@ -233,39 +255,41 @@ def _best_of_grid(
     return min([fit, *trials], key=lambda trial: (not trial.physical, trial.cost))
 
 
-def _gauss_newton(
-    base: Base, fit: Fit, near: Neighbours, power: Rows, spans: Spans, make: Make
-) -> tuple[Fit, Neighbours]:
-    """One step of all shapes together; the gains follow by least squares.
-
-    Returns:
-        The fit, and the neighbours of its atoms for the next step.
-    """
+def _shape_step(base: Base, now: _Shaped, power: Rows, spans: Spans) -> tuple[Shapes, float]:
+    """Step of all shapes together, and the fall of the cost that it predicts."""
+    fit = now.fit
     target, matrix = system(base, fit.atoms)
-    moving = [one for one in fit.atoms if one.shape]
     slopes = [
         column
-        for one in moving
-        for column in _slopes(base, fit, one, near[one.placed], _STEP * spans[one.placed].step)
+        for one in fit.atoms
+        if one.shape
+        for column in _slopes(base, fit, one, now.near[one.placed], _STEP * spans[one.placed].step)
     ]
     weight = (1.0 / np.sqrt(power))[:, None]
     columns = np.concatenate([matrix, np.stack(slopes, axis=1)], axis=1)
     if not np.all(np.isfinite(columns)):
-        return fit, near
-    whole = solve(columns * weight, target * weight[:, 0])
-    promised = float(np.sum((target - columns @ whole) ** 2 / power))
-    if promised > (1.0 - _ENOUGH) * fit.cost:  # new columns would cost more than they gain
-        return fit, near
-    step = whole[matrix.shape[1] :]
-    moved, beside, first = {one.placed: one for one in fit.atoms}, dict(near), 0
-    for one in moving:
+        return np.zeros(len(slopes)), 0.0
+    solution = solve(columns * weight, target * weight[:, 0])
+    predicted = float(np.sum((target - columns @ solution) ** 2 / power))
+    return solution[matrix.shape[1] :], fit.cost - predicted
+
+
+def _at_shapes(
+    base: Base, now: _Shaped, step: Shapes, power: Rows, spans: Spans, make: Make
+) -> _Shaped:
+    """The set with its shapes moved as far as their grids allow; gains follow by least squares."""
+    fit = now.fit
+    moved, near, first = {one.placed: one for one in fit.atoms}, dict(now.near), 0
+    for one in [atom for atom in fit.atoms if atom.shape]:
         span, last = spans[one.placed], first + len(one.shape)
         shape = np.asarray(one.shape)
         down, up = span.reach(shape)
         new = np.clip(shape + np.clip(step[first:last], -down, up), span.low, span.high)
-        moved[one.placed], beside[one.placed] = _with_neighbours(one, new, span, make)
+        moved[one.placed], near[one.placed] = _with_neighbours(one, new, span, make)
         first = last
-    return fitted(base, list(moved.values()), power), beside
+    new_fit = fitted(base, list(moved.values()), power)
+    allowed = new_fit.physical or not fit.physical
+    return _Shaped(new_fit.cost if allowed else np.inf, new_fit, near)
 
 
 def _with_neighbours(one: Atom, shape: Shapes, span: Span, make: Make) -> tuple[Atom, list[Atom]]:

@@ -15,35 +15,25 @@ removes the noise that it passes.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from eoi_jax._checks import check
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.cleaning import SHORTEST
+from eoi_jax.data.masks import longest_run
 from eoi_jax.data.record import Record
+from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant, State
 
 _NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
-_CHANCE = 1e-3  # that white noise shows a signal in any bin of a record
-_SHARED = 35.0 / 18.0  # bins of a Hann window that carry as much as one alone: 1 + 2 (4/9 + 1/36)
-_FLOOR_ERROR = 3.0 * np.sqrt(7.26)  # of σ² over 1/√n: three standard deviations, 8th difference
-_NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
-# A line: bins on each side that hold it (Hann), and its mean over that of its neighbours; the same
-# of an input, from which on that drives it; share of an output's power from which on it is motion.
-_LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
-_ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
-_CUTOFFS = 200  # that are tried
-_BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
 _NOISY_RATE = 0.01  # rms noise of the velocity over the velocity, above which records are smoothed
 _SMOOTH_BAND = 5.0  # cut-off of the smoothing over that of F
 _MAX_STEP = 0.012  # cut-off times step
@@ -100,7 +90,7 @@ def check_runs_of_samples(records: Sequence[Record]) -> None:
     Raises:
         ValueError: no record with a run of valid samples that is long enough.
     """
-    longest = max(_longest_run(record) for record in records)
+    longest = max(_run_length(record) for record in records)
     check(
         longest >= SHORTEST,
         "records",
@@ -111,12 +101,13 @@ def check_runs_of_samples(records: Sequence[Record]) -> None:
     )
 
 
-def _longest_run(record: Record) -> int:
-    return max(stop - start for start, stop in record.segments())
+def _run_length(record: Record) -> int:
+    first, stop = longest_run(record)
+    return stop - first
 
 
 def _torn(record: Record) -> bool:
-    return _longest_run(record) < SHORTEST
+    return _run_length(record) < SHORTEST
 
 
 def short_record_notes(records: Sequence[Record], cutoff: float, consequence: str) -> list[str]:
@@ -146,7 +137,7 @@ def short_record_notes(records: Sequence[Record], cutoff: float, consequence: st
 
 
 def _cutoff(
-    spectra: Sequence["Spectrum"], records: Sequence[Record], order: int
+    spectra: Sequence[Spectrum], records: Sequence[Record], order: int
 ) -> tuple[float, str]:
     """Cut-off [rad/s] for records with these spectra of y^(r), and the reason."""
     half_power = max(output_spectrum.below(0.5, output_spectrum.own) for output_spectrum in spectra)
@@ -310,167 +301,6 @@ def _build(
     if len(set(degrees)) == 1:
         return build_observer(degrees[0], gains)
     return PerOutput(tuple(build_observer(degree, gains[j]) for j, degree in enumerate(degrees)))
-
-
-@dataclass(frozen=True)
-class Spectrum:
-    """Power of y^(r) over frequency, in any one unit.
-
-    Attributes:
-        omega: frequencies, evenly spaced [rad/s].
-        signal: power of the signal at each, 0 where it is lost in the noise.
-        own: of these what is the plant's motion, 0 in lines that come from elsewhere.
-        noise: expected power of the measurement noise at each.
-    """
-
-    omega: Float[np.ndarray, " frequency"]
-    signal: Float[np.ndarray, " frequency"]
-    own: Float[np.ndarray, " frequency"]
-    noise: Float[np.ndarray, " frequency"]
-
-    def below(self, share: float, power: Float[np.ndarray, " frequency"]) -> float:
-        """Frequency below which this share of a power lies [rad/s]; 0 without any."""
-        total = np.cumsum(power)
-        if total[-1] <= 0:
-            return 0.0
-        return float(self.omega[np.searchsorted(total, share * total[-1])])
-
-    def quiet_cutoff(self, share: float, order: int) -> float:
-        """Highest cut-off [rad/s] whose filter passes noise below `share` of the motion (rms)."""
-        cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
-        omega, signal, noise = self._bands()
-        # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
-        top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (omega, cutoffs))
-        gain = bottom[:, None] / (bottom[:, None] + top)
-        quiet = cutoffs[gain @ noise <= share**2 * (gain @ signal)]
-        return float(quiet[-1]) if len(quiet) else 0.0
-
-    def _bands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean frequency, motion and noise of bands so narrow that a filter is flat in each."""
-        edges = np.geomspace(1.0, len(self.omega), round(np.log(len(self.omega)) / _BAND))
-        first = np.unique(np.append(0, edges[:-1].astype(int)))
-        sums = (np.add.reduceat(one, first) for one in (self.omega, self.own, self.noise))
-        omega, signal, noise = sums
-        return omega / np.diff(np.append(first, len(self.omega))), signal, noise
-
-
-def spectrum(record: Record, output: int, degree: int) -> Spectrum:
-    """Spectrum of the derivative of one output, over the longest run of valid samples."""
-    omega, power, foreign, window = _periodogram(record, output)
-    floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
-    derivative = omega ** (2 * degree)
-    signal, own = (
-        np.where(_above(one, floor, len(window)), one, 0.0) * derivative
-        for one in (power, np.where(foreign, 0.0, power))
-    )
-    return Spectrum(omega, signal, own, floor * derivative)
-
-
-def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
-    """Lines of an output that no input drives and that are no part of the motion.
-
-    Args:
-        record: of which the longest run of valid samples counts.
-        output: its index.
-
-    Returns:
-        Frequency [rad/s] and rms [unit of y] of each, in their order; none where no input moves.
-    """
-    if _torn(record):
-        return []
-    omega, power, foreign, window = _periodogram(record, output)
-    floor = np.sum(window**2) * float(record.noise[output]) ** 2
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], foreign.astype(int), [0]])))
-    found = []
-    for first, last in edges.reshape(-1, 2):
-        held = power[first:last]
-        size = max(np.sum(held) - len(held) * floor, 0.0)
-        rms = np.sqrt(2.0 * size / (len(window) * np.sum(window**2)))
-        found.append((float(held @ omega[first:last] / np.sum(held)), float(rms)))
-    return found
-
-
-def _periodogram(
-    record: Record, output: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies, |FFT|² of an output, which bins are lines from elsewhere, and the window."""
-    start, stop = max(record.segments(), key=lambda one: one[1] - one[0])
-    window = np.hanning(stop - start)
-    power = _power(record.outputs[start:stop, output], window)
-    omega = 2.0 * np.pi * np.fft.rfftfreq(stop - start, record.sample_period)
-    lines = _lines(power, _LINE)
-    if np.any(lines):
-        moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
-        lines = _foreign(power, lines, [_power(u, window) for u in moving]) & bool(moving)
-    return omega, power, lines, window
-
-
-def _power(
-    signal: Float[np.ndarray, " time"], window: Float[np.ndarray, " time"]
-) -> Float[np.ndarray, " frequency"]:
-    """|FFT|² of what a straight line leaves."""
-    middle = np.arange(len(signal)) - 0.5 * (len(signal) - 1)
-    slope = middle @ signal / (middle @ middle)
-    return np.abs(np.fft.rfft(window * (signal - np.mean(signal) - slope * middle))) ** 2
-
-
-def _foreign(
-    power: Float[np.ndarray, " frequency"],
-    lines: Bool[np.ndarray, " frequency"],
-    inputs: Sequence[Float[np.ndarray, " frequency"]],
-) -> Bool[np.ndarray, " frequency"]:
-    """Bins of lines that no input drives and that are no part of the motion: hum, vibration.
-
-    A line of a thousandth of the motion can hold most of the power of its highest derivative, and
-    says nothing about where the dynamics of the plant lie.
-    """
-    for u in inputs:
-        lines = lines & ~_lines(u, _DRIVEN)
-    held, _ = _within(power, _LINE_WIDTH)
-    lines = lines & (held < _MOTION * np.sum(power)) & (held > _ROUNDED * np.sum(power))
-    return _within(lines.astype(float), _LINE_WIDTH)[0] > 0.0
-
-
-def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndarray, " frequency"]:
-    """Where the mean of a few bins is so many times that of their neighbours, near and far.
-
-    A free motion that decays within the record has skirts, which the near ones show.
-    """
-    line, narrow = _within(power, _LINE_WIDTH)
-    around = [_within(power, reach) for reach in (_NEIGHBOURS, _reach(power))]
-    above = [line * (wide - narrow) > ratio * narrow * (whole - line) for whole, wide in around]
-    return above[0] & above[1]
-
-
-def _reach(power: Float[np.ndarray, " frequency"]) -> np.ndarray:
-    """Bins on each side of each one that count as neighbours."""
-    return _NEIGHBOURS + (_RATIO * np.arange(len(power))).astype(int)
-
-
-def _within(power: Float[np.ndarray, " frequency"], reach: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Sum over so many bins on each side of each one, and how many these are."""
-    bins, total = np.arange(len(power)), np.concatenate([[0.0], np.cumsum(power)])
-    first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
-    return total[last] - total[first], last - first
-
-
-def _above(
-    power: Float[np.ndarray, " frequency"], floor: float, samples: int
-) -> Bool[np.ndarray, " frequency"]:
-    r"""Where the power, averaged over neighbours, is more than white noise gives by chance.
-
-    The average spans a fixed ratio of frequencies: single bins at high frequency, which ω^2r weighs
-    most, are many, and one of them exceeds its expectation manifold in every record. Over its
-    expectation the mean of m bins is distributed as χ²/ν with ν = 2m/`_SHARED`, whose quantile is
-    $(1 - 2/9ν + z \sqrt{2/9ν})^3$. The floor itself is an estimate.
-
-    Source: Wilson and Hilferty, PNAS 17 (1931) 684.
-    """
-    total, count = _within(power, _reach(power))
-    spread = _SHARED / (9.0 * count)  # 2/9ν
-    z = NormalDist().inv_cdf(1.0 - _CHANCE / len(power))
-    highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (1.0 + _FLOOR_ERROR / np.sqrt(samples))
-    return total / count > highest * floor
 
 
 def _largest_injection(

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from eoi_jax._checks import check, check_kind, check_positive
+from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import late_starts, plan, window_length
-from eoi_jax.estimation.preparation import constant
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 

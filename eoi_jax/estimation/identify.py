@@ -19,6 +19,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check_count
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
+from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
@@ -40,7 +41,6 @@ from eoi_jax.estimation.preparation import (
     PreparedRecords,
     check_observer,
     check_preparation,
-    constant,
     prepare_records,
     prepare_steps,
 )

@@ -28,6 +28,7 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import rate_of
 from eoi_jax.simulation.known_direction import turn
+from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
 _MAX_STEPS_AT_ONCE = 100_000  # of all runs together
 
@@ -280,7 +281,7 @@ class _Pair(eqx.Module):
         columns: Float[Array, "ny columns"],
         h: Scalar,
     ) -> Float[Array, "nx columns"]:
-        """L⁻¹ over one step: Runge–Kutta of order four, all of L held over the step."""
+        """L⁻¹ over a Runge–Kutta step, over which all of L is held."""
         ny = len(self.plant.outputs)
         size = self.plant.relative_degree * ny
         is_highest = (
@@ -289,16 +290,12 @@ class _Pair(eqx.Module):
         entry = jnp.where(is_highest[:, :, None], columns[None], 0.0).reshape(size, -1)
         entry = jnp.pad(entry, ((0, len(filtered) - size), (0, 0)))
 
-        def rate(x: Array) -> Array:
+        def rate(x: Array, _: None) -> Array:
             # Not as a matrix product: a loop that calls a library for one is far slower.
             slope = sum(slopes[:, k, None] * x[k] for k in range(len(filtered)))
             return slope - self.leak * x + entry
 
-        first = rate(filtered)
-        second = rate(filtered + 0.5 * h * first)
-        third = rate(filtered + 0.5 * h * second)
-        fourth = rate(filtered + h * third)
-        return filtered + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        return runge_kutta_step(rate, filtered, h, (None, None, None))[0]
 
     def _add(
         self,

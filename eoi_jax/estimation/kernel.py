@@ -27,6 +27,7 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver, Observation
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
 
 class Steps(eqx.Module):
@@ -332,7 +333,7 @@ class Kernel(eqx.Module):
     def _internal(
         self, carry: Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
     ) -> tuple[Array, Array, Array, Array]:
-        """z in the middle and at the end of the step (Runge–Kutta of order four), with ∂z/∂θ."""
+        """z in the middle and at the end of a Runge–Kutta step, with ∂z/∂θ."""
         if self.plant.internal is None:
             return carry.z, carry.sensitivity, carry.z, carry.sensitivity
         y = jnp.concatenate([position[None], self.observer.rates(state)])
@@ -341,16 +342,11 @@ class Kernel(eqx.Module):
             theta = self._theta_at(shift)
             z = carry.z + carry.sensitivity @ shift
 
-            def rate(z: Array) -> Array:
+            def rate(z: Array, _: None) -> Array:
                 return self.plant.internal_rate(t, State(y, z), u(shift), theta)
 
-            first = rate(z)
-            second = rate(z + 0.5 * h * first)
-            third = rate(z + 0.5 * h * second)
-            fourth = rate(z + h * third)
-            end = z + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
-            # Cubic through both ends; the slope at the end is nearly `fourth`.
-            return 0.5 * (z + end) + h / 8.0 * (first - fourth), end
+            end, slopes = runge_kutta_step(rate, z, h, (None, None, None))
+            return middle_of_step(z, end, slopes, h), end
 
         (middle, end), jacobian = self._value_and_jacobian(middle_and_end)
         return middle, jacobian[0], end, jacobian[1]

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._checks import check, check_count, check_kind, real
+from eoi_jax.data.masks import beyond_starts, tapered, transient_samples, usable_steps
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import (
     check_runs_of_samples,
@@ -29,8 +30,6 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.observers.per_output import PerOutput
 from eoi_jax.models.plant import Plant
 
-# An increment of y within this many standard deviations of its noise has no certain sign.
-_SIGNIFICANT = 4.0
 # Weights rise over this many time constants of F beside steps that do not count.
 TAPER = 2.0
 _BLOCKS, _FEWEST = 50, 10  # blocks of scores: most and fewest, if the filter's memory allows them
@@ -242,12 +241,12 @@ def prepare_steps(
     batch: list[np.ndarray] = []
     for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
         h = record.sample_period
-        use, restart = _usable(record, taps, plant.degrees, jumps, noise)
-        score = (use > 0).astype(float)
-        use = tapered(use, taper / h)
-        score[: min(round(max(transient, record.burn_in) / h), len(score))] = 0.0
+        usable, restart = usable_steps(record, taps, plant.degrees, jumps, noise)
+        use = tapered(usable.astype(float), taper / h)
+        usable[: transient_samples(record, transient)] = False
         if explicit:
-            score *= _settled(restart, round(transient / h))[:, None]
+            usable &= beyond_starts(restart, round(transient / h))[:, None]
+        score = usable.astype(float)
         signals = (
             record.time[:-1] + (0.0 if explicit else 0.5 * h),
             record.outputs[:-1],
@@ -282,88 +281,3 @@ def _blocks(
     weights[steps - steps % length :] = 0.0
     ends = (np.arange(steps) + 1) % length == 0
     return weights, ends
-
-
-def moving(
-    degrees: Sequence[int],
-    outputs: Float[np.ndarray, "time ny"],
-    h: float,
-    noise: Float[np.ndarray, " ny"],
-) -> Bool[np.ndarray, "time-1 ny"]:
-    """Steps in which the direction of motion is certain.
-
-    Dry friction has the value that the model gives it only there: at rest it is a reaction, and
-    within a reversal it changes sign. One step on each side is left out as well, because rest can
-    begin or end inside it.
-
-    Args:
-        degrees: of the outputs; of degree one they are speeds themselves.
-        outputs: on a uniform grid.
-        h: its step [s].
-        noise: of `tuning.velocity_noise`.
-    """
-    velocity = np.where(
-        np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
-    )
-    direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
-    before = np.concatenate([direction[:1], direction[:-1]])
-    after = np.concatenate([direction[1:], direction[-1:]])
-    return (direction != 0) & (direction == before) & (direction == after)
-
-
-def _usable(
-    record: Record,
-    taps: int,
-    degrees: Sequence[int],
-    jumps: Bool[np.ndarray, "ny ny"],
-    noise: Float[np.ndarray, " ny"],
-) -> tuple[Float[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
-    valid = record.valid[:-1] & record.valid[1:]
-    restart = valid & ~np.concatenate([[False], valid[:-1]])
-    restart[0] = True
-    good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
-    if np.any(jumps):
-        resting = ~moving(degrees, record.outputs, record.sample_period, noise)
-        good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
-    good &= ~constant(record)
-    use = good.copy()
-    for lag in range(1, taps):  # every step of the moving average must be good
-        use[lag:] &= good[:-lag]
-    # An implicit observer started on the measurement slides after about r steps.
-    use &= _settled(restart, taps + 3)[:, None]
-    return use.astype(float), restart
-
-
-def constant(record: Record) -> Bool[np.ndarray, " ny"]:
-    """Outputs that never move: all that differences show of them is rounding."""
-    y = record.outputs[record.valid]
-    return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
-
-
-def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
-    """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
-
-    Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
-    cuts second differences of the measurement noise apart that would cancel in the filter.
-    """
-    if np.all(use > 0):
-        return np.ones_like(use)
-    distance = np.stack(
-        [np.minimum(_since_zero(one), _since_zero(one[::-1])[::-1]) for one in use.T], axis=1
-    )
-    weights, near = np.ones_like(distance), distance < max(length, 1.0)
-    weights[near] = 0.5 - 0.5 * np.cos(np.pi * distance[near] / max(length, 1.0))
-    return weights
-
-
-def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
-    index = np.arange(len(weights))
-    last = np.maximum.accumulate(np.where(weights > 0, -1, index))
-    return np.where(last < 0, np.inf, index - last).astype(float)
-
-
-def _settled(restart: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
-    settled = np.ones(len(restart), dtype=bool)
-    for start in np.flatnonzero(restart):
-        settled[start : start + count] = False
-    return settled

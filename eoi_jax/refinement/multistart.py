@@ -26,7 +26,7 @@ _SEARCH = (16, 8, 24)  # likewise, where further rounds begin at the best one
 _SHARE = 8  # one of so many is kept
 # Of further rounds: shares of the parameters that are drawn anew; spread of the logarithm of the
 # others, at random between; ratio to the plant's values from which on one has run away.
-_ANEW, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
+_REDRAWN, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
 # Steps along what the runs hardly tell, in standard errors; least singular value over the largest.
 _FAR, _FLAT = (0.3, 30.0), 1e-9
 # So many rounds in a row that each lower the cost by less than a share of it are a standstill; the
@@ -54,9 +54,9 @@ def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
     check(np.iterable(starts) and not isinstance(starts, str), "starts", _RULE, starts)
     points = starting_points(plant, starts)
     for i, name in enumerate(plant.names):
-        outside = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
+        out_of_bounds = (points[:, i] < plant.lower[i]) | (points[:, i] > plant.upper[i])
         rule = f"must keep {name} in its bounds [{plant.lower[i]:g}, {plant.upper[i]:g}]"
-        check(not outside.any(), "starts", rule, points[outside, i][:1])
+        check(not out_of_bounds.any(), "starts", rule, points[out_of_bounds, i][:1])
     return points
 
 
@@ -71,9 +71,9 @@ def _drawn(
     ratio = _scales(draw, (1.0 / reach, reach), (count, len(theta)))
     ratio *= draw.choice([-1.0, 1.0], ratio.shape)
     points = theta * ratio
-    for inside in (-ratio, 1.0 / ratio, -1.0 / ratio):
-        outside = (points < plant.lower) | (points > plant.upper)
-        points = np.where(outside, theta * inside, points)
+    for factor in (-ratio, 1.0 / ratio, -1.0 / ratio):
+        out_of_bounds = (points < plant.lower) | (points > plant.upper)
+        points = np.where(out_of_bounds, theta * factor, points)
     points = np.clip(points, plant.lower, plant.upper)
     return np.where(np.asarray(plant.free), points, theta)
 
@@ -88,7 +88,7 @@ def _scales(
 def _varied(
     plant: Plant,
     best: Float[np.ndarray, " np"],
-    along: Float[np.ndarray, "np np"],
+    standard_steps: Float[np.ndarray, "np np"],
     count: int,
     draw: np.random.Generator,
 ) -> Float[np.ndarray, "points np"]:
@@ -97,21 +97,21 @@ def _varied(
     Args:
         plant: with the values that parameters are drawn around.
         best: the best ones so far.
-        along: of `_standard_steps`.
+        standard_steps: of `_standard_steps`.
         count: points.
         draw: of chance.
     """
-    anew, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
-    how = draw.choice(["stay", "each", "along"], (count, 1))
+    drawn, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
+    kinds = draw.choice(["stay", "separate", "valley"], (count, 1))
     spread, far = (_scales(draw, limits, (count, 1)) for limits in (_SPREAD, _FAR))
-    normal = draw.standard_normal(anew.shape)
-    points = best * np.exp(np.where(how == "each", spread, 0.0) * normal)
+    normal = draw.standard_normal(drawn.shape)
+    points = best * np.exp(np.where(kinds == "separate", spread, 0.0) * normal)
     with np.errstate(over="ignore", invalid="ignore"):
-        points += np.where(how == "along", far, 0.0) * (normal @ along.T)
-    chosen = draw.uniform(size=anew.shape) < draw.choice(_ANEW, (count, 1))
+        points += np.where(kinds == "valley", far, 0.0) * (normal @ standard_steps.T)
+    chosen = draw.uniform(size=drawn.shape) < draw.choice(_REDRAWN, (count, 1))
     lost = np.abs(best) > _LOST * nominal
-    away = lost | ~np.isfinite(points)
-    points = np.where((chosen | away) & (nominal > 0), anew, points)
+    run_away = lost | ~np.isfinite(points)
+    points = np.where((chosen | run_away) & (nominal > 0), drawn, points)
     stays = (np.asarray(plant.free) == 0) | ~np.isfinite(points)
     return np.where(stays, best, np.clip(points, plant.lower, plant.upper))
 
@@ -123,15 +123,18 @@ def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "
     apart, so that an optimum lies far along a valley; but no longer than what doubles a parameter.
     Zeros where a run diverges, or no parameter leaves a trace.
     """
-    shown, theta = signals(unknowns, problem), np.asarray(unknowns.theta)
-    own, error = shown.shape[-1] - 1 - len(theta), shown[..., -1]
+    sensitivities, theta = signals(unknowns, problem), np.asarray(unknowns.theta)
+    start_size, error = sensitivities.shape[-1] - 1 - len(theta), sensitivities[..., -1]
     with np.errstate(over="ignore"):
         sigma = np.sqrt(np.sum(error**2) / np.sum(problem.use))
     nowhere = np.zeros((len(theta), len(theta)))
-    if not np.all(np.isfinite(shown)) or not np.isfinite(sigma):
+    if not np.all(np.isfinite(sensitivities)) or not np.isfinite(sigma):
         return nowhere
     # What the columns of a run's initial state leave of the others: the corner of its triangle.
-    roots = [np.linalg.qr(one.reshape(-1, one.shape[-1])).R[own:, own:-1] for one in shown]
+    roots = [
+        np.linalg.qr(run.reshape(-1, run.shape[-1])).R[start_size:, start_size:-1]
+        for run in sensitivities
+    ]
     rows = np.concatenate(roots)
     lengths = np.linalg.norm(rows, axis=0)
     if not np.any(lengths > 0.0):
@@ -143,7 +146,7 @@ def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "
     return steps / np.maximum(np.max(np.abs(steps) / size[:, None], axis=0), 1.0)
 
 
-class _Found(NamedTuple):
+class _Candidate(NamedTuple):
     """Where a search has come to, and the cost there."""
 
     unknowns: Unknowns
@@ -169,59 +172,60 @@ def best(
     draw = np.random.default_rng(_SEED + 1)
     stages = _TOURNAMENT if rounds == 1 else _SEARCH
 
-    def followed(theta: np.ndarray, starts: Any) -> _Found:
-        nothing = _Found(unknowns, np.inf)  # stays the best one where all diverge
-        return _better(nothing, _tournament(problem, rough, theta, starts, stages))
+    def followed(theta: np.ndarray, starts: Any) -> _Candidate:
+        diverged = _Candidate(unknowns, np.inf)  # stays the best one where all diverge
+        return _better(diverged, _tournament(problem, rough, theta, starts, stages))
 
-    now = followed(points[:, free], unknowns.starts)
+    current = followed(points[:, free], unknowns.starts)
     if rounds > 1:
-        now = _better(now, followed(np.asarray(unknowns.theta)[None], unknowns.starts))
-    champion, still, attempts, last = now, 0, 1, rounds // _LAST
-    for left in range(rounds - 1, 0, -1):
-        if left == last:
-            now = champion
-        if still >= _PATIENCE and left > last:
+        current = _better(current, followed(np.asarray(unknowns.theta)[None], unknowns.starts))
+    champion, stalled, attempts, last = current, 0, 1, rounds // _LAST
+    for remaining in range(rounds - 1, 0, -1):
+        if remaining == last:
+            current = champion
+        if stalled >= _PATIENCE and remaining > last:
             # In turn near the plant's values and far from them.
             theta = _drawn(plant, len(points), draw, _REACH ** (1 + attempts % 2))
-            now, still, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
+            current, stalled, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
         else:
-            theta = problem.completed(now.unknowns.theta)
-            along = np.zeros((len(theta), len(theta)))
-            along[np.ix_(free, free)] = _standard_steps(problem, now.unknowns)
-            varied = _varied(plant, theta, along, len(points), draw)
-            found = followed(varied[:, free], now.unknowns.starts)
-            still = 0 if found.cost < (1.0 - _GAIN) * now.cost else still + 1
-            now = _better(now, found)
-        champion = _better(champion, now)
+            theta = problem.completed(current.unknowns.theta)
+            standard_steps = np.zeros((len(theta), len(theta)))
+            standard_steps[np.ix_(free, free)] = _standard_steps(problem, current.unknowns)
+            varied = _varied(plant, theta, standard_steps, len(points), draw)
+            candidate = followed(varied[:, free], current.unknowns.starts)
+            stalled = 0 if candidate.cost < (1.0 - _GAIN) * current.cost else stalled + 1
+            current = _better(current, candidate)
+        champion = _better(champion, current)
     return [champion.unknowns] if np.isfinite(champion.cost) else []
 
 
-def _better(one: _Found, other: _Found) -> _Found:
-    return min(one, other, key=lambda found: found.cost)
+def _better(first: _Candidate, second: _Candidate) -> _Candidate:
+    return min(first, second, key=lambda candidate: candidate.cost)
 
 
 def _tournament(
     problem: Problem,
     rough: Problem,
     theta: Float[np.ndarray, "points free"],
-    own: Any,
+    initial: Any,
     stages: tuple[int, ...],
-) -> _Found:
+) -> _Candidate:
     """All points followed a few steps, the better ones some more: the best.
 
     Args:
         problem: the runs.
         rough: of the first stage.
         theta: the points.
-        own: initial states at which all begin.
+        initial: initial states at which all begin.
         stages: steps of the solver, after each of which all but one of `_SHARE` are dropped.
     """
-    # Imported here: optimistix is heavy, and only a fit needs it.
-    starts = np.broadcast_to(np.asarray(own), (len(theta), *own.shape))
-    several, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
+    starts = np.broadcast_to(np.asarray(initial), (len(theta), *initial.shape))
+    points, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
     for stage, steps in enumerate(stages):
-        found = solve_many(problem if stage else rough, several, steps)
-        cost = np.where(np.isfinite(found.cost), np.asarray(found.cost), np.inf)
-        kept = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
-        several = jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[kept], found.unknowns)
-    return _Found(jax.tree.map(lambda leaf: leaf[0], several), float(np.min(cost)))
+        outcome = solve_many(problem if stage else rough, points, steps)
+        cost = np.where(np.isfinite(outcome.cost), np.asarray(outcome.cost), np.inf)
+        survivors = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
+        points = jax.tree.map(
+            lambda leaf, survivors=survivors: np.asarray(leaf)[survivors], outcome.unknowns
+        )
+    return _Candidate(jax.tree.map(lambda leaf: leaf[0], points), float(np.min(cost)))

@@ -21,17 +21,18 @@ from jaxtyping import Array, Bool, Float, Int
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.callback import on_host
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation import compiled_runs
+from eoi_jax.simulation.initial_state import Run, initial_states, owned
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulation.simulate import behind, drive
-from eoi_jax.simulation.validate import Run, initial_states, owned
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
-PROMISE = 1e-6  # share of the cost below which a step is not worth taking
-_LEAST = 8  # steps of a run, at least
+CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
+_FEWEST_STEPS = 8  # steps of a run, at least
 _MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
 _TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
 
@@ -55,10 +56,9 @@ def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
     for i, record in enumerate(records):
         length = (len(record) - 1) * record.sample_period
         pieces = 1 if window is None else max(round(length / window), 1)
-        pieces = min(pieces, max((len(record) - 1) // _LEAST, 1))
+        pieces = min(pieces, max((len(record) - 1) // _FEWEST_STEPS, 1))
         edges = np.round(np.linspace(0, len(record) - 1, pieces + 1)).astype(int)
-        scored = record.valid.copy()
-        scored[: round(record.burn_in / record.sample_period)] = False
+        scored = scored_samples(record)
         for first, last in itertools.pairwise(edges):
             use = scored[first : last + 1].copy()
             use[-1] &= last == edges[-1]  # else it is the first one of the next run
@@ -77,13 +77,16 @@ def used_window(
     if window is None or max(pieces) == 1:
         return None
     lengths = [(len(record) - 1) * record.sample_period for record in records]
-    each = [length / count for length, count in zip(lengths, pieces, strict=True)]
-    if all(abs(one - window) <= r.sample_period for one, r in zip(each, records, strict=True)):
+    lengths_used = [length / count for length, count in zip(lengths, pieces, strict=True)]
+    if all(
+        abs(length - window) <= r.sample_period
+        for length, r in zip(lengths_used, records, strict=True)
+    ):
         return window
     cuts = [(span.record, span.first) for span in spans]
-    for one in (sum(lengths) / len(spans), min(each), max(each)):
-        if [(span.record, span.first) for span in spans_of(records, one)] == cuts:
-            return one
+    for length in (sum(lengths) / len(spans), min(lengths_used), max(lengths_used)):
+        if [(span.record, span.first) for span in spans_of(records, length)] == cuts:
+            return length
     return window
 
 
@@ -105,14 +108,14 @@ class Problem(eqx.Module):
         theta: all parameters; those of `free` are replaced.
         tables: rows of each run, in the order of `RunRow`; beyond its end the last one again.
         counts: rows of each run. steps: their length [s].
-        whole: of a plant with actuators, what drives each record: behind them its inputs change
-            with θ, and with all that came before a run. places: rows of these, one record after
-            the other, that each run takes.
+        record_drives: of a plant with actuators, what drives each record: behind them its inputs
+            change with θ, and with all that came before a run. places: rows of these, one record
+            after the other, that each run takes.
         declared: 1 where the run starts a record: internal states are then the plant's own.
         squares: sums of squares of the scored outputs of each run.
         faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
-        known: where a fit begins, and the sums there; None if they are not known.
+        start_sums: where a fit begins, and the sums there; None if they are not known.
         substeps: rows of a sample.
         engine: of the runs: machine code by `engines.free_runs`, or scans, and why.
     """
@@ -122,7 +125,7 @@ class Problem(eqx.Module):
     tables: Float[Array, "runs rows columns"]
     counts: Int[Host, " runs"]
     steps: Float[Host, " runs"]
-    whole: tuple[Drive, ...]
+    record_drives: tuple[Drive, ...]
     places: Int[Host, "runs rows"] | None
     declared: Float[Host, " runs"]
     squares: Float[Host, "runs ny"]
@@ -131,7 +134,7 @@ class Problem(eqx.Module):
     threshold: Float[Host, ""]
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
-    known: tuple[Unknowns, Float[Host, "runs size size"]] | None
+    start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
     substeps: int = eqx.field(static=True)
     engine: EngineUsed = eqx.field(static=True)
 
@@ -180,7 +183,7 @@ def problem_of(
     plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Problem:
     """The least squares of these runs, with the outputs weighed by their spread."""
-    drives = [drive(one.time, one.inputs, one.hold, substeps) for one in records]
+    drives = [drive(record.time, record.inputs, record.hold, substeps) for record in records]
     tables = _tables(records, drives, spans)
     kernel = kernel_of(plant, "sums")
     free = np.asarray(kernel.free)
@@ -196,16 +199,16 @@ def problem_of(
         tables=jnp.asarray(tables),
         counts=np.asarray([substeps * span.count + 1 for span in spans]),
         steps=np.asarray([float(drives[span.record].step) for span in spans]),
-        whole=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
+        record_drives=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
         places=_places(drives, spans) if acting else None,
         declared=np.asarray([float(span.first == 0) for span in spans]),
         squares=np.sum(y**2, axis=1),
-        faintest=_faintest(kernel, spread, min(one.sample_period for one in records)),
+        faintest=_faintest(kernel, spread, min(record.sample_period for record in records)),
         scale=_inverse(spread),
         threshold=np.asarray(np.inf),
         lower=np.asarray(plant.lower)[free],
         upper=np.asarray(plant.upper)[free],
-        known=None,
+        start_sums=None,
         substeps=substeps,
         engine=compiled_runs.used(kernel),
     )
@@ -224,7 +227,7 @@ def _faintest(
 
 def kernel_of(plant: Plant, store: str) -> RunKernel:
     """The recursion of a plant's free runs, over its free parameters."""
-    rows, columns = (tuple(one.tolist()) for one in owned(plant))
+    rows, columns = (tuple(index.tolist()) for index in owned(plant))
     free = tuple(np.flatnonzero(plant.free).tolist())
     return RunKernel(plant, frictional(plant), free, rows, columns, store)
 
@@ -263,14 +266,14 @@ def _tables(
     # Written in place: the tables are the largest arrays of a fit.
     tables = np.zeros((len(spans), n * longest + 1, use.stop))
     for table, span in zip(tables, spans, strict=True):
-        record, one = records[span.record], drives[span.record]
+        record, record_drive = records[span.record], drives[span.record]
         first, count = n * span.first, n * span.count
-        last = min(first + count, len(one.time) - 1)
+        last = min(first + count, len(record_drive.time) - 1)
         rows, steps = table[:count], slice(first, first + count)
-        rows[:, time] = one.time[steps, None]
-        rows[:, inputs] = np.reshape(one.inputs[steps], (count, 3 * nu))
-        table[count:, time] = one.time[last] if last == first + count else record.time[-1]
-        table[count:, inputs] = np.ravel(one.inputs[last])
+        rows[:, time] = record_drive.time[steps, None]
+        rows[:, inputs] = np.reshape(record_drive.inputs[steps], (count, 3 * nu))
+        table[count:, time] = record_drive.time[last] if last == first + count else record.time[-1]
+        table[count:, inputs] = np.ravel(record_drive.inputs[last])
         samples, part = table[: count + 1 : n], slice(span.first, span.first + span.count + 1)
         samples[:, y] = np.where(span.use[:, None], record.outputs[part], 0.0)
         samples[:, use] = span.use[:, None]
@@ -279,7 +282,7 @@ def _tables(
 
 def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "runs rows"]:
     """Rows of each run among those of all records; beyond the end of a record its last one."""
-    ends = np.cumsum([len(one.time) for one in drives])
+    ends = np.cumsum([len(record_drive.time) for record_drive in drives])
     longest, rows = max(span.count for span in spans), []
     for span in spans:
         n, length = drives[span.record].substeps, len(drives[span.record].time)
@@ -295,8 +298,8 @@ def guessed_starts(
     kernel, substeps = problem.kernel, problem.substeps
     count = min([_HEAD, *(span.count for span in spans)])
     run = Run(kernel.plant, kernel.friction, count, substeps)
-    seen = [slice(span.first, span.first + count) for span in spans]
-    pairs = list(zip(spans, seen, strict=True))
+    heads = [slice(span.first, span.first + count) for span in spans]
+    pairs = list(zip(spans, heads, strict=True))
     valid = np.stack([records[span.record].valid[part] for span, part in pairs])
     y = np.stack([records[span.record].outputs[part] for span, part in pairs])
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
@@ -312,7 +315,9 @@ def _heads(problem: Problem, count: int) -> Drive:
     inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
     if problem.places is not None:
         theta = jnp.asarray(problem.theta)
-        parts = [np.asarray(behind(plant, theta, one)) for one in problem.whole]
+        parts = [
+            np.asarray(behind(plant, theta, record_drive)) for record_drive in problem.record_drives
+        ]
         inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
     return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
 
@@ -322,21 +327,21 @@ def _heads(problem: Problem, count: int) -> Drive:
 
 def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
     r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
-    if problem.known is None:
+    if problem.start_sums is None:
         return _simulated(unknowns, problem)
-    where, known = problem.known
+    where, start_sums = problem.start_sums
     pairs = zip(jax.tree.leaves(unknowns), jax.tree.leaves(where), strict=True)
-    same = jnp.stack([jnp.all(one == other) for one, other in pairs]).all()
-    known = jnp.asarray(known, unknowns.theta.dtype)
-    return jax.lax.cond(same, lambda: known, lambda: _simulated(unknowns, problem))
+    at_start = jnp.stack([jnp.all(value == start_value) for value, start_value in pairs]).all()
+    start_sums = jnp.asarray(start_sums, unknowns.theta.dtype)
+    return jax.lax.cond(at_start, lambda: start_sums, lambda: _simulated(unknowns, problem))
 
 
 def _simulated(unknowns: Unknowns, problem: Problem) -> Array:
     theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
     if not problem.compiled:
         return _scanned(problem, theta, unknowns.starts)[0]
-    runs, own = unknowns.starts.shape
-    size = own + len(problem.free) + 1
+    runs, start_size = unknowns.starts.shape
+    size = start_size + len(problem.free) + 1
     return on_host(
         partial(_summed, substeps=problem.substeps),
         jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
@@ -348,14 +353,14 @@ def _simulated(unknowns: Unknowns, problem: Problem) -> Array:
 
 def _summed(lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int) -> np.ndarray:
     """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
-    one = np.ndim(lanes[0]) == 1
-    if one:
+    single = np.ndim(lanes[0]) == 1
+    if single:
         lanes = tuple(part[None] for part in lanes)
     else:
         kernel, runs = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
     tables, steps, counts = runs
-    out = compiled_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
-    return out[0] if one else out
+    totals = compiled_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
+    return totals[0] if single else totals
 
 
 def _lanes(
@@ -386,12 +391,14 @@ def _scanned(
     kernel = replace(problem.kernel, store=store)
     plant, tables = kernel.plant, problem.tables
     ny, nu = len(plant.outputs), len(plant.inputs)
-    time, inputs, y, use = (tables[..., one] for one in compiled_runs.columns(nu, ny))
+    time, inputs, y, use = (
+        tables[..., simulate_run] for simulate_run in compiled_runs.columns(nu, ny)
+    )
     inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
     if problem.places is not None:
         inputs, slope = _acted(problem, theta)
 
-    def one(run: Any) -> Any:
+    def simulate_run(run: Any) -> Any:
         start, declared, rows, h = run
         lane = RunLane(theta, start, declared, problem.scale, problem.threshold)
         return kernel.run(lane, rows, h)
@@ -399,18 +406,21 @@ def _scanned(
     rows = RunRow(time[..., 0], inputs, y, use, slope)
     runs = (starts, problem.declared, rows, problem.steps)
     # One after the other with dry friction: then only the steps with a stop pay for it.
-    return jax.lax.map(one, runs) if any(kernel.friction) else jax.vmap(one)(runs)
+    return jax.lax.map(simulate_run, runs) if any(kernel.friction) else jax.vmap(simulate_run)(runs)
 
 
 def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
     """Inputs of the runs behind the actuators, and their derivatives with θ."""
 
-    def whole(theta: Array) -> tuple[Array, Array]:
-        parts = [behind(problem.kernel.plant, theta, one) for one in problem.whole]
+    def inputs_of_all(theta: Array) -> tuple[Array, Array]:
+        parts = [
+            behind(problem.kernel.plant, theta, record_drive)
+            for record_drive in problem.record_drives
+        ]
         inputs = jnp.concatenate(parts)
         return inputs, inputs
 
-    slope, inputs = jax.jacfwd(whole, has_aux=True)(theta)
+    slope, inputs = jax.jacfwd(inputs_of_all, has_aux=True)(theta)
     return inputs[problem.places], slope[problem.places]
 
 
@@ -418,16 +428,18 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     """c of every sample: derivatives of the weighed errors, start first, and the errors."""
     theta = problem.completed(unknowns.theta)
     if not problem.compiled:
-        shown = _shown(problem, jnp.asarray(theta), unknowns.starts)
-        return np.asarray(shown)[:, :: problem.substeps]
+        rows = _scanned_signals(problem, jnp.asarray(theta), unknowns.starts)
+        return np.asarray(rows)[:, :: problem.substeps]
     lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
-    lane = _lanes(*(np.asarray(one)[None] for one in lanes))
+    lane = _lanes(*(np.asarray(part)[None] for part in lanes))
     tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
-    return compiled_runs.shown(problem.kernel, lane, tables, steps, counts, problem.substeps)
+    return compiled_runs.signals(problem.kernel, lane, tables, steps, counts, problem.substeps)
 
 
 @jit
-def _shown(problem: Problem, theta: Array, starts: Host) -> Float[Array, "runs rows ny size"]:
+def _scanned_signals(
+    problem: Problem, theta: Array, starts: Host
+) -> Float[Array, "runs rows ny size"]:
     return _scanned(problem, theta, starts, "signals")[1]
 
 
@@ -442,10 +454,10 @@ def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     """The whole Jacobian in one sweep; then products with it cost next to nothing."""
     unknowns, problem = primals
     moved, _ = tangents
-    own = unknowns.starts.shape[1]
+    start_size = unknowns.starts.shape[1]
     roots = _roots(unknowns, problem)
-    along = jnp.einsum("riu,ru->ri", roots[..., :own], moved.starts)
-    return roots[..., -1], along + jnp.einsum("riu,u->ri", roots[..., own:-1], moved.theta)
+    product = jnp.einsum("riu,ru->ri", roots[..., :start_size], moved.starts)
+    return roots[..., -1], product + jnp.einsum("riu,u->ri", roots[..., start_size:-1], moved.theta)
 
 
 def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
@@ -459,12 +471,14 @@ def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size
     # Columns of zeros (the start of a declared internal state) end as zeros, not as rounding.
     # NaN must stay: the maximum above would hide a run that has diverged.
     bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
-    own = unknowns.starts.shape[1]
-    bad |= shaken(jnp.diagonal(square, axis1=1, axis2=2)[:, own:], unknowns.theta, problem.power)
+    start_size = unknowns.starts.shape[1]
+    bad |= ill_conditioned(
+        jnp.diagonal(square, axis1=1, axis2=2)[:, start_size:], unknowns.theta, problem.power
+    )
     return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
 
 
-def shaken(squares: Any, theta: Any, power: Any) -> Any:
+def ill_conditioned(squares: Any, theta: Any, power: Any) -> Any:
     """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
 
     So it is where a step is too long for what the model does fast: the errors of the steps are then
@@ -480,15 +494,17 @@ def shaken(squares: Any, theta: Any, power: Any) -> Any:
     return (moved > _MOVED**2 * (power + squares[:, -1])[:, None]).any(axis=1)
 
 
-def each(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
+def unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
     """Directions along each unknown of a run alone, start first."""
     return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
 
 
-def direction(unknowns: Unknowns, along: Float[Array, " unknowns"]) -> Unknowns:
+def direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
     """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
-    own = unknowns.starts.shape[1]
-    return Unknowns(along[own:], jnp.broadcast_to(along[:own], unknowns.starts.shape))
+    start_size = unknowns.starts.shape[1]
+    return Unknowns(
+        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
+    )
 
 
 class Outcome(eqx.Module):
@@ -498,13 +514,13 @@ class Outcome(eqx.Module):
         unknowns: the best ones.
         further: a step without damping from there.
         cost: at `unknowns`, with the weights of the problem.
-        promise: share of the cost that least squares still promises to take away.
+        predicted_reduction: share of the cost by which a step of least squares would lower it.
         steps: simulations with sensitivities. exhausted: whether there were too few.
     """
 
     unknowns: Unknowns
     further: Unknowns
     cost: Float[Host, "*lanes"]
-    promise: Float[Array, "*lanes"]
+    predicted_reduction: Float[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     exhausted: Bool[Array, "*lanes"]

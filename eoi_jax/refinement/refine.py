@@ -5,57 +5,58 @@ the free parameters and the initial state of every run, $\sigma_j$ the rms resid
 A run is a whole record or a window of one (multiple shooting without continuity): short runs are
 easy to fit and forgive what the model lacks, long ones use the most of a model that lacks nothing.
 
-Runs and sensitivities are in `problem.py`, the solver in `levenberg_marquardt.py`.
+Here is how fits follow each other. Runs and sensitivities are in `problem.py`, the solver in
+`levenberg_marquardt.py`, one fit in `fit.py`, what is answered in `estimate.py`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
-from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
-from eoi_jax.estimation.regression.orthonormal import orthonormal
-from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.plant import Plant, State
-from eoi_jax.refinement.levenberg_marquardt import solve
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.estimate import ALL_DIVERGED, DIVERGED, NO_DATA, refinement_of, unanswered
+from eoi_jax.refinement.fit import (
+    Effort,
+    Fit,
+    differentiable_at,
+    fitted,
+    log_cost,
+    lowest,
+    rms,
+    unweighed,
+    watching,
+)
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
-    PROMISE,
-    Outcome,
+    CONVERGED,
     Problem,
     Span,
     Unknowns,
     beginning,
     guessed_starts,
     problem_of,
-    shaken,
     signals,
     spans_of,
     used_window,
     weighed,
 )
-from eoi_jax.refinement.result import Refinement, Start
-from eoi_jax.simulation.sensitivity import Host, RunKernel
+from eoi_jax.refinement.result import Refinement
 
-_ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
-_SETTLED = 0.02  # relative change of these weights that is none
 _COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
 _SUFFERS = 1e-3  # relative rise of the cost
-_LONGER, _NEAR = 4, 0.1  # times the step; largest error of such steps, over the residual
+_LONGER, _NEGLIGIBLE = 4, 0.1  # times the step; largest error of such steps, over the residual
 # Share of the cost that least squares promises where the solver stalls, from which on it is looked
 # for; points and rounds of that search.
-_PROMISED, _POINTS, _AROUND = 0.01, 64, 4
+_PROMISED, _POINTS, _SEARCH_ROUNDS = 0.01, 64, 4
 _SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
 # Mean square of the errors in the first of these shares, over that of the whole runs, below which
 # errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry friction
@@ -123,7 +124,7 @@ def refine(
         `estimation/regression/robust_covariance.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
-    several = check_records(nominal, records)
+    records = check_records(nominal, records)
     if window is not None:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)
@@ -133,30 +134,30 @@ def refine(
     rounds = check_count("rounds", rounds)
     check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
-    spans = spans_of(several, window)
-    window = used_window(several, spans, window)
+    spans = spans_of(records, window)
+    window = used_window(records, spans, window)
     if not any(np.any(span.use) for span in spans):
-        return _unanswered(nominal, several, window, Status("no_data", _NO_DATA))
-    problem, unknowns, shown = _begun(nominal, several, spans, substeps)
-    before = _unweighed(problem, shown)
-    begun = [(unknowns, shown)] if np.all(np.isfinite(before)) else []
-    effort = _Effort(max_steps, _watch(callback, max_steps))
+        return unanswered(nominal, records, window, Status("no_data", NO_DATA))
+    problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
+    initial_error = unweighed(problem, sensitivities)
+    begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
+    effort = Effort(max_steps, watching(callback, max_steps))
     if len(points):
-        rough = _rougher(problem, several, spans, unknowns, before)
+        rough = _rougher(problem, records, spans, unknowns, initial_error)
         further = best(problem, rough, unknowns, points, rounds)
-        begun += [(one, signals(one, problem)) for one in further]
-    fits = [_fitted(problem, *start, before, effort, huber) for start in begun]
+        begun += [(point, signals(point, problem)) for point in further]
+    fits = [fitted(problem, *start, initial_error, effort, huber) for start in begun]
     if not fits:
-        reason = _DIVERGED if starts is None else _ALL_DIVERGED.format(len(points))
-        return _unanswered(nominal, several, window, Status("diverged", reason))
+        reason = DIVERGED if starts is None else ALL_DIVERGED.format(len(points))
+        return unanswered(nominal, records, window, Status("diverged", reason))
     if starts is None:
         fits = [_grown(fits[0], begun[0][0], effort, huber)]
     if substeps is None:
-        fits = [_finer(fit, several, spans, effort, huber) for fit in fits]
+        fits = [_finer(fit, records, spans, effort, huber) for fit in fits]
     if starts is None:
-        fits += _beyond(fits[0], several, spans, effort, huber)
-    fit = _lowest(fits, huber)
-    return _refinement(fit, several, spans, window)
+        fits += _search_around(fits[0], records, spans, effort, huber)
+    fit = lowest(fits, huber)
+    return refinement_of(fit, records, spans, window)
 
 
 def _begun(
@@ -173,65 +174,13 @@ def _begun(
             np.asarray(nominal.theta)[list(problem.free)],
             guessed_starts(problem, records, spans),
         )
-        shown = signals(unknowns, problem)
-        one = problem, unknowns, shown
-        first, count = first or one, 2 * count
-        if _smooth(problem, unknowns, shown):
-            return one
+        sensitivities = signals(unknowns, problem)
+        candidate = problem, unknowns, sensitivities
+        first, count = first or candidate, 2 * count
+        if differentiable_at(problem, unknowns, sensitivities):
+            return candidate
         if substeps is not None or count > _FINEST:
             return first
-
-
-@dataclass(frozen=True)
-class _Effort:
-    """How many steps the solver may take, and who is told of them."""
-
-    max_steps: int
-    watch: Callable[[Any, Any], None] | None
-
-
-def _watch(
-    callback: Callable[[int, int], None] | None, max_steps: int
-) -> Callable[[Any, Any], None] | None:
-    if callback is None:
-        return None
-    told = callback
-    return lambda number, _: told(int(number), max_steps)
-
-
-def _fitted(
-    problem: Problem,
-    unknowns: Unknowns,
-    shown: Float[np.ndarray, "runs time ny size"],
-    before: Float[np.ndarray, "runs time ny"],
-    effort: _Effort,
-    huber: float | None,
-) -> "_Fit":
-    """Fits until the outputs are weighed by their residuals (one output: a single fit).
-
-    Each lowers the cost under weights that were the best ones before: for squares, alternating
-    minimisation of the likelihood over the unknowns and σ, which never goes up.
-    """
-    # Imported here: optimistix is heavy, and only a fit needs it.
-    steps = 0
-    for _ in range(1 + _ROUNDS):
-        outcome, shown = solve(problem, unknowns, shown, effort.max_steps, effort.watch)
-        if effort.watch is not None:
-            jax.effects_barrier()  # all of it told before the next fit
-        unknowns, steps = outcome.unknowns, steps + int(outcome.steps)
-        fit = _Fit(problem, shown, before, outcome, steps)
-        # An output without any error would weigh infinitely.
-        sigma = np.maximum(fit.sigma(huber), 1e-9 * np.max(np.abs(problem.y), axis=(0, 1)))
-        ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
-        # Squares know no scale: only the ratios of the outputs count.
-        apart = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
-        if max(apart) < (1.0 + _SETTLED) * min(apart):
-            break
-        other = weighed(problem, sigma, np.inf if huber is None else huber)
-        problem, shown = other, shown * np.asarray(other.scale / problem.scale)[:, None]
-    else:
-        fit = replace(fit, unsettled=float(max(apart) / min(apart) - 1.0))
-    return fit
 
 
 def _rougher(
@@ -239,35 +188,36 @@ def _rougher(
     records: Sequence[Record],
     spans: Sequence[Span],
     unknowns: Unknowns,
-    before: Float[np.ndarray, "runs time ny"],
+    initial_error: Float[np.ndarray, "runs time ny"],
 ) -> Problem:
     """Longer steps, by which most starts are sorted out, if their error hardly shows at the first.
 
-    Itself where they do not do, or the first start, whose errors `before` are, diverges.
+    Itself where they do not do, or the first start, whose errors are `initial_error`, diverges.
     """
-    if problem.substeps == 1 or not np.all(np.isfinite(before)):
+    if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
         return problem
     substeps = max(problem.substeps // _LONGER, 1)
     rough = _stepped(problem, records, spans, substeps)
-    shown = signals(unknowns, rough)
-    near = _rms(_unweighed(rough, shown) - before, problem.use) <= _NEAR * _rms(before, problem.use)
-    return rough if np.all(near) and _smooth(rough, unknowns, shown) else problem
+    sensitivities = signals(unknowns, rough)
+    negligible = rms(
+        unweighed(rough, sensitivities) - initial_error, problem.use
+    ) <= _NEGLIGIBLE * rms(initial_error, problem.use)
+    return (
+        rough
+        if np.all(negligible) and differentiable_at(rough, unknowns, sensitivities)
+        else problem
+    )
 
 
 def _stepped(
     problem: Problem, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Problem:
     """The same runs and weights with other steps."""
-    other = problem_of(problem.kernel.plant, records, spans, substeps)
-    return weighed(other, 1.0 / np.asarray(problem.scale), float(problem.threshold))
+    stepped = problem_of(problem.kernel.plant, records, spans, substeps)
+    return weighed(stepped, 1.0 / np.asarray(problem.scale), float(problem.threshold))
 
 
-def _lowest(fits: Sequence["_Fit"], huber: float | None) -> "_Fit":
-    """That of the lowest cost, among those that have derivatives where there are any."""
-    return min(fits, key=lambda one: (not one.differentiable, _cost(one.sigma(huber))))
-
-
-def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None) -> "_Fit":
+def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) -> Fit:
     """A fit that missed, of runs in which errors grow: anew, from their beginnings on.
 
     It stalled, or used up its steps where least squares still promises much. In a chaotic run (a
@@ -285,60 +235,65 @@ def _grown(fit: "_Fit", unknowns: Unknowns, effort: _Effort, huber: float | None
     Returns:
         The better one; with the steps of all.
     """
-    promise, steps = float(fit.outcome.promise), fit.steps
-    least = _PROMISED if bool(fit.outcome.exhausted) else PROMISE
-    if promise < least or not fit.differentiable or not _growing(fit):
+    predicted_reduction, steps = float(fit.outcome.predicted_reduction), fit.steps
+    threshold = _PROMISED if bool(fit.outcome.exhausted) else CONVERGED
+    if predicted_reduction < threshold or not fit.differentiable or not _growing(fit):
         return fit
     for share in (*_SHARES, 1.0):
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
-        shown = signals(unknowns, problem)
-        if not _smooth(problem, unknowns, shown):
+        sensitivities = signals(unknowns, problem)
+        if not differentiable_at(problem, unknowns, sensitivities):
             return replace(fit, steps=steps)
-        grown = _fitted(problem, unknowns, shown, fit.before, effort, huber)
+        grown = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
         unknowns, steps = grown.outcome.unknowns, steps + grown.steps
-    better = _lowest([fit, grown], huber)
+    better = lowest([fit, grown], huber)
     return replace(better, steps=steps)
 
 
-def _growing(fit: "_Fit") -> bool:
+def _growing(fit: Fit) -> bool:
     """Whether errors are small at the beginning of the runs and grow in them."""
-    error, use = fit.shown[..., -1], fit.use
+    error, use = fit.sensitivities[..., -1], fit.use
     lengths = (np.asarray(fit.problem.counts) - 1) / fit.problem.substeps
     first = (np.arange(use.shape[1]) <= _SHARES[0] * lengths[:, None])[..., None] & use
-    beginning, whole = (
+    beginning, overall = (
         np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
     )
-    return bool(beginning < _GROWING * whole)
+    return bool(beginning < _GROWING * overall)
 
 
-def _beyond(
-    fit: "_Fit",
+def _search_around(
+    fit: Fit,
     records: Sequence[Record],
     spans: Sequence[Span],
-    effort: _Effort,
+    effort: Effort,
     huber: float | None,
-) -> list["_Fit"]:
+) -> list[Fit]:
     """From points around a fit that stalled at a kink, far above what least squares promises."""
     outcome, problem = fit.outcome, fit.problem
-    if float(outcome.promise) < _PROMISED or bool(outcome.exhausted) or not fit.differentiable:
+    if (
+        float(outcome.predicted_reduction) < _PROMISED
+        or bool(outcome.exhausted)
+        or not fit.differentiable
+    ):
         return []
     theta = problem.completed(outcome.unknowns.theta)
     points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
-    found = best(problem, rough, outcome.unknowns, points, _AROUND)
-    more = [
-        _fitted(problem, one, signals(one, problem), fit.before, effort, huber) for one in found
+    starts = best(problem, rough, outcome.unknowns, points, _SEARCH_ROUNDS)
+    fits = [
+        fitted(problem, start, signals(start, problem), fit.initial_error, effort, huber)
+        for start in starts
     ]
-    return [replace(one, steps=fit.steps + one.steps) for one in more]
+    return [replace(start, steps=fit.steps + start.steps) for start in fits]
 
 
 def _finer(
-    fit: "_Fit",
+    fit: Fit,
     records: Sequence[Record],
     spans: Sequence[Span],
-    effort: _Effort,
+    effort: Effort,
     huber: float | None,
-) -> "_Fit":
+) -> Fit:
     r"""Half the step, as long as its error shows in the estimate.
 
     An error e of the simulation moves θ, in units of its standard error, by up to
@@ -348,277 +303,14 @@ def _finer(
     while fit.differentiable and fit.problem.substeps < _FINEST:
         old, unknowns = fit.problem, fit.outcome.unknowns
         problem = _stepped(old, records, spans, 2 * old.substeps)
-        shown = signals(unknowns, problem)
-        apart = _unweighed(problem, shown) - fit.error
-        count, rms = np.sqrt(np.sum(fit.use, axis=(0, 1))), _rms(fit.error, fit.use)
-        if np.all(count * _rms(apart, fit.use) <= rms):
+        sensitivities = signals(unknowns, problem)
+        step_error = unweighed(problem, sensitivities) - fit.error
+        count, size = np.sqrt(np.sum(fit.use, axis=(0, 1))), rms(fit.error, fit.use)
+        if np.all(count * rms(step_error, fit.use) <= size):
             break
-        finer = _fitted(problem, unknowns, shown, fit.before, effort, huber)
-        suffers = _cost(_rms(finer.error, fit.use)) > _cost(rms) + _SUFFERS
+        finer = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
+        suffers = log_cost(rms(finer.error, fit.use)) > log_cost(size) + _SUFFERS
         if suffers or not finer.differentiable:
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
     return fit
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """The last fit.
-
-    Attributes:
-        problem: with the weights of this fit.
-        shown: `signals` where it ended.
-        before: errors at the very start.
-        outcome: of the solver.
-        steps: of all fits.
-        unsettled: relative change of the weights of the outputs that was left.
-    """
-
-    problem: Problem
-    shown: Float[np.ndarray, "runs time ny size"]
-    before: Float[np.ndarray, "runs time ny"]
-    outcome: Outcome
-    steps: int
-    unsettled: float = 0.0
-
-    @property
-    def use(self) -> Bool[np.ndarray, "runs time ny"]:
-        """Which samples are scored."""
-        return self.problem.use
-
-    @property
-    def error(self) -> Float[np.ndarray, "runs time ny"]:
-        """y - ŷ; zero where not scored."""
-        return _unweighed(self.problem, self.shown)
-
-    def sigma(self, huber: float | None) -> Float[np.ndarray, " ny"]:
-        """Standard deviation of each output's errors, of which those few beyond `huber` are not."""
-        return (_rms if huber is None else _typical)(self.error, self.use)
-
-    @cached_property
-    def differentiable(self) -> bool:
-        """Whether the free runs have derivatives to speak of where the fit ended."""
-        return _smooth(self.problem, self.outcome.unknowns, self.shown)
-
-
-def _smooth(problem: Problem, unknowns: Unknowns, shown: np.ndarray) -> bool:
-    """Whether free runs have derivatives to speak of; `shown` are their signals."""
-    if not np.all(np.isfinite(shown)):
-        return False
-    theta = np.asarray(unknowns.theta)
-    with np.errstate(over="ignore"):
-        sums = np.einsum("rtjc,rtjc->rc", shown, shown)
-    return not np.any(shaken(sums[:, -1 - len(theta) :], theta, problem.power))
-
-
-def _unweighed(problem: Problem, shown: np.ndarray) -> Float[np.ndarray, "runs time ny"]:
-    return shown[..., -1] / np.asarray(problem.scale)
-
-
-def _rms(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
-    with np.errstate(over="ignore"):
-        return np.sqrt(np.sum(error**2, axis=(0, 1)) / np.sum(use, axis=(0, 1)))
-
-
-def _typical(error: np.ndarray, use: np.ndarray) -> Float[np.ndarray, " ny"]:
-    """σ of normal errors with this median size: outliers hardly move it."""
-    sizes = np.where(use, np.abs(error), np.nan)
-    return 1.4826 * np.nanmedian(sizes, axis=(0, 1))
-
-
-# -- the answer -------------------------------------------------------------------------------
-
-
-def _refinement(
-    fit: _Fit, records: Sequence[Record], spans: Sequence[Span], window: float | None
-) -> Refinement:
-    problem, nominal = fit.problem, fit.problem.kernel.plant
-    theta = problem.completed(fit.outcome.unknowns.theta)
-    plant, error = nominal.with_parameters(theta), fit.error
-    rmse, before = _rms(error, fit.use), _rms(fit.before, fit.use)
-    bound = [name for i, name in enumerate(plant.names) if i in problem.free
-             and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
-    certainty = _certainty(fit, plant, bound, spans)
-    errors = np.sqrt(np.diagonal(certainty.covariance))
-    if fit.differentiable:
-        inside = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
-        errors = standard_errors(certainty.covariance, certainty.information, inside)
-    return Refinement(
-        plant.parameters,
-        {name: float(one) for name, one in zip(plant.names, errors, strict=True)},
-        certainty.covariance,
-        plant,
-        nominal,
-        _starts(fit, plant, records, spans),
-        rmse,
-        before,
-        _cost(rmse),
-        _cost(before),
-        _per_sample(error, fit.use, records, spans),
-        fit.steps,
-        window,
-        _status(fit, certainty.lost),
-        (
-            *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
-            *_unsettled(fit),
-        ),
-        certainty.information,
-        certainty.freedom,
-        tuple(_per_sample(fit.before, fit.use, records, spans)),
-        tuple(records),
-        problem.substeps,
-        problem.engine,
-    )
-
-
-def _unsettled(fit: _Fit) -> tuple[str, ...]:
-    if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
-        return ()
-    change = f"{100 * fit.unsettled:.2g} % after {1 + _ROUNDS} fits"
-    return (f"the weights of the outputs still changed by {change}; refine again from here",)
-
-
-def _per_sample(
-    error: np.ndarray, use: np.ndarray, records: Sequence[Record], spans: Sequence[Span]
-) -> list[np.ndarray]:
-    """One array for each record, NaN where not scored."""
-    out = [np.full(record.outputs.shape, np.nan) for record in records]
-    for span, one, keep in zip(spans, error, use, strict=True):
-        (index,) = np.nonzero(np.any(keep, axis=1))
-        out[span.record][span.first + index] = one[index]
-    return out
-
-
-def _cost(rmse: np.ndarray) -> float:
-    return float(2.0 * np.sum(np.log(np.maximum(rmse, np.finfo(float).tiny))))
-
-
-def _starts(
-    fit: _Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
-) -> tuple[Start, ...]:
-    unknowns, theta = fit.outcome.unknowns, np.asarray(plant.theta)
-    x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
-    x = jax.tree.map(np.asarray, x)
-    return tuple(
-        Start(records[span.record].name, float(records[span.record].time[span.first]), y, z)
-        for span, y, z in zip(spans, x.y, x.z, strict=True)
-    )
-
-
-@jit(static=())
-def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
-    """The states of all windows in one call."""
-    return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)
-
-
-@dataclass(frozen=True)
-class _Certainty:
-    """How well the fit knows its parameters.
-
-    Attributes:
-        covariance: shape (np, np); NaN where there are no derivatives, or on a bound.
-        information: beside that of the initial states, which are estimated too; (np, np).
-        freedom: degrees of freedom of each variance, shape (np,).
-        lost: combinations of parameters without a trace.
-    """
-
-    covariance: Float[np.ndarray, "np np"]
-    information: Float[np.ndarray, "np np"]
-    freedom: Float[np.ndarray, " np"]
-    lost: list[str]
-
-
-def _certainty(fit: _Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Span]) -> _Certainty:
-    """Sandwich of the information and the long-run covariance of the scores."""
-    size, free = len(plant.names), list(fit.problem.free)
-    covariance, information = np.zeros((size, size)), np.zeros((size, size))
-    freedom = np.full(size, np.inf)
-    if not fit.differentiable:
-        covariance[np.ix_(free, free)] = np.nan
-        return _Certainty(covariance, information, freedom, [])
-    names = [plant.names[i] for i in free]
-    loose = np.asarray([float(name not in bound) for name in names])
-    own = fit.shown.shape[-1] - 1 - len(free)
-    rows, scores = zip(
-        *(
-            _run_scores(one[: span.count + 1], own, float(fit.problem.threshold))
-            for one, span in zip(fit.shown, spans, strict=True)
-        ),
-        strict=True,
-    )
-    # Windows of one record are its parts, and no independent ones.
-    lengths = np.bincount([one.record for one in spans], [len(one) for one in scores]).astype(int)
-    rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
-    flat = rows.reshape(-1, len(names))
-    square = flat.T @ flat
-    solution = least_squares(square, np.zeros(len(names)), loose)
-    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse), lengths.tolist())
-    freedom[free] = small_freedom
-    small[loose == 0] = small[:, loose == 0] = np.nan
-    covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square
-    return _Certainty(covariance, information, freedom, untraced(solution, names, loose))
-
-
-def _run_scores(
-    shown: Float[np.ndarray, "time ny size"], own: int, threshold: float
-) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"]]:
-    """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
-    rows = shown.reshape(-1, shown.shape[-1])
-    starts, theta, error = rows[:, :own], rows[:, own:-1], rows[:, -1]
-    own_space = orthonormal(starts, 1e-10)
-    beside = theta - own_space @ (own_space.T @ theta)
-    near = beside * (np.abs(error) <= threshold)[:, None]
-    score = beside * np.clip(error, -threshold, threshold)[:, None]
-    shape = *shown.shape[:2], beside.shape[1]
-    return near.reshape(shape), np.sum(score.reshape(shape), axis=1)
-
-
-def _status(fit: _Fit, lost: Sequence[str]) -> Status:
-    outcome, promise = fit.outcome, float(fit.outcome.promise)
-    if not fit.differentiable:
-        return Status("diverged", _ROUGH)
-    if lost:
-        return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
-    if promise < PROMISE:
-        return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
-    if bool(outcome.exhausted):
-        return Status("passes_exhausted", _MORE.format(promise))
-    return Status("stalled", _STALLED.format(promise))
-
-
-def _unanswered(
-    plant: Plant, records: Sequence[Record], window: float | None, status: Status
-) -> Refinement:
-    """The starting point, unchanged, and why."""
-    size, none = len(plant.names), np.full(len(plant.outputs), np.nan)
-    return Refinement(
-        plant.parameters, dict.fromkeys(plant.names, np.nan), np.full((size, size), np.nan),
-        plant, plant, (), none, none, np.nan, np.nan,
-        [np.full(record.outputs.shape, np.nan) for record in records], 0, window, status, (),
-    )  # fmt: skip
-
-
-_NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
-_DIVERGED = (
-    "the free run from the starting parameters does not stay finite: start from other parameters "
-    "(`starts = 200` tries so many around them), or fit shorter runs with `window`"
-)
-_ALL_DIVERGED = (
-    "no free run stays finite, neither from the starting parameters nor from the {} other starts: "
-    "fit shorter runs with `window`, or start nearer to what the plant does"
-)
-_ROUGH = (
-    "the free run has no derivatives where the fit ended: a function of the model has none there "
-    "(a root at zero), or the steps are too long for what is fast in it, so that the last digit of "
-    "a parameter decides. Keep its parameters off there with `bounds`, or ask for more `substeps`"
-)
-_UNTRACED = (
-    "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "
-    "parameters, or excite the plant so that they differ"
-)
-_MORE = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
-_STALLED = (
-    "no step lowers the cost, though least squares promises {:.2g} of it: the free run is not "
-    "smooth in its parameters there (moments of rest that come and go, limits just met or just "
-    "missed). Fit shorter runs with `window` if the promise is large"
-)

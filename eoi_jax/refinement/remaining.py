@@ -30,7 +30,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.problem import spans_of
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.score_test import Along, Candidate, Try
+from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try
 from eoi_jax.simulation.validate import Validation, validate
 
 _PAIRS = 6  # pairs that are shown
@@ -81,9 +81,9 @@ class Remaining(Result):
         """Of the trials that lower the held-out error the one that lowers it most."""
         if self.held_out is None:
             return None
-        lower = [(_relative(one.held_out, self.held_out), one) for one in self.trials
-                 if one.refinement.status.ok]  # fmt: skip
-        ratio, best = min(lower, key=lambda one: one[0], default=(1.0, None))
+        lower = [(_relative(trial.held_out, self.held_out), trial) for trial in self.trials
+                 if trial.refinement.status.ok]  # fmt: skip
+        ratio, best = min(lower, key=lambda trial: trial[0], default=(1.0, None))
         return best if ratio < 1.0 else None
 
     @property
@@ -96,14 +96,14 @@ class Remaining(Result):
     @property
     def significant(self) -> tuple[Candidate, ...]:
         """The most significant effect, or two that leave less than half of its error; others."""
-        one, two = (
-            sorted((each for each in several if each.significance < self.level),
-                   key=lambda each: each.significance)
-            for several in (self.ranking, self.pairs)
+        singles, pairs = (
+            sorted((candidate for candidate in ranking if candidate.significance < self.level),
+                   key=lambda candidate: candidate.significance)
+            for ranking in (self.ranking, self.pairs)
         )  # fmt: skip
-        if one and two and 1.0 - two[0].share >= 0.5 * (1.0 - one[0].share):
-            return (one[0], two[0], *one[1:], *two[1:])
-        return (*two[:1], *one, *two[1:])
+        if singles and pairs and 1.0 - pairs[0].share >= 0.5 * (1.0 - singles[0].share):
+            return (singles[0], pairs[0], *singles[1:], *pairs[1:])
+        return (*pairs[:1], *singles, *pairs[1:])
 
     def with_best(self) -> Plant:
         """The plant with the best effects in it: refined, where held-out records have judged it."""
@@ -113,10 +113,10 @@ class Remaining(Result):
         return self.plant if best is None else augmented(self.plant, best.placed, best.values)
 
 
-def _relative(one: Validation, other: Validation) -> float:
+def _relative(validation: Validation, reference: Validation) -> float:
     """Geometric mean of the errors of all outputs over those of another model."""
     tiny = np.finfo(float).tiny
-    ratio = np.maximum(one.rmse, tiny) / np.maximum(other.rmse, tiny)
+    ratio = np.maximum(validation.rmse, tiny) / np.maximum(reference.rmse, tiny)
     return float(np.exp(np.mean(np.log(np.where(np.isfinite(ratio), ratio, np.inf)))))
 
 
@@ -157,72 +157,78 @@ def remaining(
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
-    held = held_out_records(plant, records, validation)
-    check_scored_records(plant, "validation", held)
+    validation_records = held_out_records(plant, records, validation)
+    check_scored_records(plant, "validation", validation_records)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)
-    start = min(float(one.time[0]) for one in records)
-    chosen = tuple(one.since(start) for one in chosen)
+    start = min(float(effect.time[0]) for effect in records)
+    chosen = tuple(effect.since(start) for effect in chosen)
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
-    along = Along.of(refinement, records, spans, substeps)
-    several = [one for one in placements(plant, chosen) if _tried(one.effect)]
-    tries = [one for placed in several for one in along.tries(placed)]
-    alone = [along.share((one,)) for one in tries]
-    ranking = [along.candidate((one,), len(tries)) for one in _best(tries, alone)]
-    found = Remaining(plant, _ranked(ranking), _pairs(along, tries, alone), refinement.rmse, level)
-    if not held:
-        return found
-    trials = [_trial(refinement, one, held, substeps) for one in found.significant[:_TRIALS]]
-    return replace(found, held_out=validate(plant, held), trials=tuple(trials))
+    runs = LinearisedRuns.of(refinement, records, spans, substeps)
+    placed_effects = [effect for effect in placements(plant, chosen) if _is_tried(effect.effect)]
+    tries = [effect for placed in placed_effects for effect in runs.tries(placed)]
+    shares = [runs.share((effect,)) for effect in tries]
+    ranking = [runs.candidate((effect,), len(tries)) for effect in _best(tries, shares)]
+    result = Remaining(plant, _ranked(ranking), _pairs(runs, tries, shares), refinement.rmse, level)
+    if not validation_records:
+        return result
+    trials = [
+        _trial(refinement, effect, validation_records, substeps)
+        for effect in result.significant[:_TRIALS]
+    ]
+    return replace(result, held_out=validate(plant, validation_records), trials=tuple(trials))
 
 
 def _trial(
     refinement: Refinement,
-    one: Candidate,
-    held: Sequence[Record],
+    candidate: Candidate,
+    validation_records: Sequence[Record],
     substeps: int,
 ) -> Trial:
-    plant = augmented(refinement.plant, one.placed, one.values)
-    again = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
-    return Trial(one, again, validate(again.plant, held))
+    plant = augmented(refinement.plant, candidate.placed, candidate.values)
+    refinement_with = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
+    return Trial(candidate, refinement_with, validate(refinement_with.plant, validation_records))
 
 
 def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:
     """Of the shapes of an effect at a channel the one with the largest share."""
     best: dict[Any, tuple[float, Try]] = {}
-    for one, share in zip(tries, shares, strict=True):
-        if share is not None and share > best.get(one.placed, (-np.inf, None))[0]:
-            best[one.placed] = share, one
-    return [one for _, one in best.values()]
+    for attempt, share in zip(tries, shares, strict=True):
+        if share is not None and share > best.get(attempt.placed, (-np.inf, None))[0]:
+            best[attempt.placed] = share, attempt
+    return [attempt for _, attempt in best.values()]
 
 
-def _ranked(found: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
+def _ranked(candidates: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
     """By share; of sets with the same effects at the same channels the best one."""
-    kept: dict[Any, Candidate] = {}
-    for one in sorted((one for one in found if one is not None), key=lambda one: -one.share):
-        kept.setdefault(tuple(each.site for each in one.placed), one)
-    return tuple(kept.values())
+    best_at: dict[Any, Candidate] = {}
+    for candidate in sorted(
+        (candidate for candidate in candidates if candidate is not None),
+        key=lambda candidate: -candidate.share,
+    ):
+        best_at.setdefault(tuple(placed.site for placed in candidate.placed), candidate)
+    return tuple(best_at.values())
 
 
 def _pairs(
-    along: Along, tries: Sequence[Try], alone: Sequence[float | None]
+    runs: LinearisedRuns, tries: Sequence[Try], shares_alone: Sequence[float | None]
 ) -> tuple[Candidate, ...]:
     """The pairs with the largest shares."""
-    linear = [one for one, share in zip(tries, alone, strict=True)
-              if one.placed.effect.gains or share is not None]  # fmt: skip
-    shares = along.pair_shares(linear)
+    linear = [attempt for attempt, share in zip(tries, shares_alone, strict=True)
+              if attempt.placed.effect.gains or share is not None]  # fmt: skip
+    shares = runs.pair_shares(linear)
     count = max(len(linear) * (len(linear) - 1) // 2, 1)
-    found: dict[Any, Candidate | None] = {}
+    candidates: dict[Any, Candidate | None] = {}
     for place in np.argsort(shares, axis=None)[::-1]:
         i, j = np.unravel_index(place, shares.shape)
         key = linear[i].placed, linear[j].placed
-        if shares[i, j] == 0 or len(found) == _PAIRS:
+        if shares[i, j] == 0 or len(candidates) == _PAIRS:
             break
-        if key not in found:
-            found[key] = along.candidate((linear[i], linear[j]), count)
-    return _ranked([*found.values()])
+        if key not in candidates:
+            candidates[key] = runs.candidate((linear[i], linear[j]), count)
+    return _ranked([*candidates.values()])
 
 
-def _tried(effect: AbstractEffect) -> bool:
-    known = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
-    return known and effect.states == 0
+def _is_tried(effect: AbstractEffect) -> bool:
+    forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
+    return forces_alone and effect.states == 0

@@ -66,11 +66,11 @@ class Candidate:
     @property
     def names(self) -> tuple[str, ...]:
         """Canonical names of the effects."""
-        return tuple(one.effect.name for one in self.placed)
+        return tuple(placed.effect.name for placed in self.placed)
 
 
 @dataclass(frozen=True)
-class Along:
+class LinearisedRuns:
     """The free runs of the refined model, and what its own unknowns leave of their errors.
 
     Attributes:
@@ -95,38 +95,38 @@ class Along:
     @classmethod
     def of(
         cls, refinement: Refinement, records: Sequence[Record], spans: Sequence[Span], substeps: int
-    ) -> "Along":
+    ) -> "LinearisedRuns":
         """Of a refinement."""
         plant = refinement.plant
         problem = weighed(problem_of(plant, records, spans, substeps), refinement.rmse)
         kernel = problem.kernel
         rows, columns = list(kernel.rows), list(kernel.columns)
-        starts = [np.concatenate([one.y[rows, columns], one.z]) for one in refinement.starts]
+        starts = [np.concatenate([start.y[rows, columns], start.z]) for start in refinement.starts]
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
-        shown = _flat(signals(unknowns, problem))
-        basis = orthonormal(_wide(shown[..., :-1], unknowns.starts.shape[1]), _RANK)
-        residual = shown[..., -1].ravel()
+        sensitivities = _flat(signals(unknowns, problem))
+        basis = orthonormal(_wide(sensitivities[..., :-1], unknowns.starts.shape[1]), _RANK)
+        residual = sensitivities[..., -1].ravel()
         residual = residual - basis @ (basis.T @ residual)
         time, inputs, y, z = _steps(problem, unknowns)
         response = response_of(
             plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
         )
-        stages = tuple(jnp.asarray(one) for one in _stages(problem, inputs, y, z))
+        stages = tuple(jnp.asarray(start) for start in _stages(problem, inputs, y, z))
         return cls(plant, problem, stages, basis, residual, tuple(records), response)
 
-    def seen(self, placed: Placed) -> Seen:
+    def signal_statistics(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
-        _, u, y, _ = (np.asarray(one) for one in self.stages)
+        _, u, y, _ = (np.asarray(record) for record in self.stages)
         rows = (0, min(placed.row, y.shape[-2] - 1))
         level, rate = (placed.coordinate(y[..., row, :]).ravel() for row in rows)
-        own = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
-        period = max(one.sample_period for one in self.records)
+        channel = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
+        period = max(record.sample_period for record in self.records)
         moving = np.std(level) or 1.0
         band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
-        duration = max(float(one.time[-1] - one.time[0]) for one in self.records)
+        duration = max(float(record.time[-1] - record.time[0]) for record in self.records)
         return Seen(
-            level, rate, np.ravel(own), placed.row == 0, 0.0, duration, period,
+            level, rate, np.ravel(channel), placed.row == 0, 0.0, duration, period,
             band or 1.0 / duration, self._peaks(period),
         )  # fmt: skip
 
@@ -139,18 +139,18 @@ class Along:
 
     def tries(self, placed: Placed) -> list["Try"]:
         """An effect at every shape of its grid, where it says something that is new."""
-        seen = self.seen(placed)
-        if not placed.effect.shows(seen):
+        statistics = self.signal_statistics(placed)
+        if not placed.effect.shows(statistics):
             return []
-        grid = np.asarray(placed.effect.grid(seen), dtype=float)
+        grid = np.asarray(placed.effect.grid(statistics), dtype=float)
         forces = [force for shape in grid for force in self._forces(placed, shape)]
         if not forces:
             return []
         columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
         columns = columns - self.basis @ (self.basis.T @ columns)
-        left = np.sum(columns**2, axis=0)
-        new = np.isfinite(left) & (left > _NOVEL * power)
+        remaining_power = np.sum(columns**2, axis=0)
+        new = np.isfinite(remaining_power) & (remaining_power > _NOVEL * power)
         count = len(forces) // len(grid)
         parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
         return [Try(placed, shape, columns[:, part])
@@ -161,58 +161,60 @@ class Along:
         shares = np.zeros((len(tries), len(tries)))
         if not tries:
             return shares
-        whole = np.concatenate([one.columns for one in tries], axis=1)
-        square, along = whole.T @ whole, whole.T @ self.residual
+        stacked = np.concatenate([attempt.columns for attempt in tries], axis=1)
+        square, products = stacked.T @ stacked, stacked.T @ self.residual
         size = np.sqrt(np.diagonal(square))
-        square, along = square / np.outer(size, size), along / size
-        counts = np.array([one.columns.shape[1] for one in tries])
+        square, products = square / np.outer(size, size), products / size
+        counts = np.array([attempt.columns.shape[1] for attempt in tries])
         first = np.cumsum(counts) - counts
         i, j = np.triu_indices(len(tries), 1)
-        effects = [one.placed for one in tries]
-        number = np.array([effects.index(one) for one in effects])
+        effects = [attempt.placed for attempt in tries]
+        number = np.array([effects.index(attempt) for attempt in effects])
         for sizes in sorted(
             set(itertools.product(counts, counts))
         ):  # all pairs of one size at once
-            these = (number[i] != number[j]) & (counts[i] == sizes[0]) & (counts[j] == sizes[1])
-            own = np.concatenate(
-                [first[one[these], None] + np.arange(count)
-                 for one, count in zip((i, j), sizes, strict=True)], axis=1
+            same_size = (number[i] != number[j]) & (counts[i] == sizes[0]) & (counts[j] == sizes[1])
+            column_numbers = np.concatenate(
+                [first[attempt[same_size], None] + np.arange(count)
+                 for attempt, count in zip((i, j), sizes, strict=True)], axis=1
             )  # fmt: skip
-            part = square[own[:, :, None], own[:, None, :]]
+            part = square[column_numbers[:, :, None], column_numbers[:, None, :]]
             inverse = np.linalg.pinv(part, rcond=1e-6, hermitian=True)
-            shares[i[these], j[these]] = np.einsum("pa,pab,pb->p", along[own], inverse, along[own])
+            shares[i[same_size], j[same_size]] = np.einsum(
+                "pa,pab,pb->p", products[column_numbers], inverse, products[column_numbers]
+            )
         return shares / float(self.residual @ self.residual)
 
-    def share(self, several: Sequence["Try"]) -> float | None:
+    def share(self, tries: Sequence["Try"]) -> float | None:
         """Share of the residual's power that some effects explain; None where not physical then."""
-        values, after = self._fitted(several)
+        values, after = self._fitted(tries)
         return None if values is None else self._share(after)
 
-    def candidate(self, several: Sequence["Try"], tries: int) -> Candidate | None:
+    def candidate(self, tries: Sequence["Try"], number_of_tries: int) -> Candidate | None:
         """Least squares of the residual on some effects; None where they are not physical then."""
-        values, after = self._fitted(several)
+        values, after = self._fitted(tries)
         if values is None:
             return None
         share = self._share(after)
-        count = sum(len(one.placed.effect.parameters) for one in several)
+        count = sum(len(attempt.placed.effect.parameters) for attempt in tries)
         chance = _chance(share, after, len(self.plant.outputs), count)
-        placed = tuple(one.placed for one in several)
-        return Candidate(placed, values, share, min(tries * chance, 1.0))
+        placed = tuple(attempt.placed for attempt in tries)
+        return Candidate(placed, values, share, min(number_of_tries * chance, 1.0))
 
     def _share(self, after: Float[np.ndarray, " rows"]) -> float:
         return 1.0 - float(after @ after) / float(self.residual @ self.residual)
 
-    def _fitted(self, several: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
+    def _fitted(self, tries: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
         """Parameters by least squares, and the residual that they leave."""
-        columns = np.concatenate([one.columns for one in several], axis=1)
+        columns = np.concatenate([attempt.columns for attempt in tries], axis=1)
         inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
         gains = inverse @ (columns.T @ self.residual)
         after, values = self.residual - columns @ gains, {}
-        for one in several:
-            own, gains = gains[: one.columns.shape[1]], gains[one.columns.shape[1] :]
-            if not one.physical(own):
+        for attempt in tries:
+            own_gains, gains = gains[: attempt.columns.shape[1]], gains[attempt.columns.shape[1] :]
+            if not attempt.physical(own_gains):
                 return None, after
-            values |= one.named(own)
+            values |= attempt.named(own_gains)
         return values, after
 
     def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
@@ -220,15 +222,15 @@ class Along:
         t, u, y, _ = self.stages
         effect = placed.effect
         if isinstance(effect, AbstractTerm):
-            known = placed.row < y.shape[-2]
-            rate = placed.coordinate(y[..., placed.row, :]) if known else 0.0 * t
+            has_rate = placed.row < y.shape[-2]
+            rate = placed.coordinate(y[..., placed.row, :]) if has_rate else 0.0 * t
             level = placed.coordinate(y[..., 0, :])
-            own = u[..., 0] if u.shape[-1] else 0.0 * t
-            at = At(*(jnp.asarray(one) for one in (t, level, rate, own)), z=None)
+            channel = u[..., 0] if u.shape[-1] else 0.0 * t
+            at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=None)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
             pushes = self._pushes(placed)
-            return [np.broadcast_to(one, t.shape)[..., None] * pushes for one in terms]
+            return [np.broadcast_to(term, t.shape)[..., None] * pushes for term in terms]
         return [self._changed(placed, shape)]
 
     def _pushes(self, placed: Placed) -> np.ndarray:
@@ -251,14 +253,14 @@ class Along:
             assert isinstance(effect, AbstractInputEffect)
             at = At(t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i], None)
             new[..., i] = np.asarray(effect.changed(at, shape))
-        before, after = (_drift(self.plant, t, y, z, one) for one in (u, new))
-        return np.asarray(after - before)
+        unchanged, changed = (_drift(self.plant, t, y, z, inputs) for inputs in (u, new))
+        return np.asarray(changed - unchanged)
 
     def _columns(self, forces: Sequence[np.ndarray]) -> Columns:
         """Weighed slopes of all outputs with the gains of some forces."""
-        whole = np.stack(forces, axis=-1)
-        pushed = np.flatnonzero(np.any(whole, axis=(0, 1, 2, 4))).tolist() or [0]
-        moved = sum(self.response.to(whole[..., k, :], k) for k in pushed)
+        stacked = np.stack(forces, axis=-1)
+        pushed = np.flatnonzero(np.any(stacked, axis=(0, 1, 2, 4))).tolist() or [0]
+        moved = sum(self.response.to(stacked[..., k, :], k) for k in pushed)
         scale, use = np.asarray(self.problem.scale)[:, None], self.problem.use[..., None]
         return np.where(use, scale * moved, 0.0).reshape(-1, len(forces))
 
@@ -281,8 +283,8 @@ class Try:
         effect = self.placed.effect
         values = self.named(gains).values()
         pairs = zip(values, effect.parameters, strict=True)
-        inside = all(one.lower <= value <= one.upper for value, one in pairs)
-        return inside and (bool(effect.gains) or bool(0.5 < gains[0] < 2.0))
+        allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
+        return allowed and (bool(effect.gains) or bool(0.5 < gains[0] < 2.0))
 
 
 def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
@@ -294,8 +296,8 @@ def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
     theta, parts = jnp.asarray(problem.theta), []
     for i in range(len(tables)):
         start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
-        one = Drive(time[i], np.asarray(h[i]), inputs[i], 1)
-        parts.append(free_run(plant, theta, one, start, problem.kernel.friction))
+        run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1)
+        parts.append(free_run(plant, theta, run_drive, start, problem.kernel.friction))
     y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
     return time, inputs, y, z
 
@@ -303,59 +305,62 @@ def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
 def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[np.ndarray, ...]:
     """Times, inputs and states of all runs at the start, the middle and the end of each sample."""
     n, h = problem.substeps, np.asarray(problem.steps)[:, None, None]
-    before, after = (n - 1) // 2, n // 2  # steps whose ends and starts are nearest to the middle
+    ends_before, starts_after = (
+        (n - 1) // 2,
+        n // 2,
+    )  # steps whose ends and starts are nearest to the middle
     first = np.asarray(problem.tables)[:, :-1:n, 0, None]
     time = first + n * h * np.array([0.0, 0.5, 1.0])
-    middle = inputs[:, after::n, 0 if after > before else 1]
+    middle = inputs[:, starts_after::n, 0 if starts_after > ends_before else 1]
     u = np.stack([inputs[:, ::n, 0], middle, inputs[:, n - 1 :: n, 2]], axis=2)
 
     def at(values: np.ndarray) -> np.ndarray:
         ends = values[:, 1:]
-        middle = 0.5 * (ends[:, before::n] + values[:, after:-1:n])
+        middle = 0.5 * (ends[:, ends_before::n] + values[:, starts_after:-1:n])
         return np.stack([values[:, :-1:n], middle, ends[:, n - 1 :: n]], axis=2)
 
-    return time, u, *(at(one) for one in states)
+    return time, u, *(at(state) for state in states)
 
 
 @jit
 def _acted(effect: AbstractActuator, *args: Any) -> Any:
-    return effect.along(*(jnp.asarray(one) for one in args))
+    return effect.along(*(jnp.asarray(argument) for argument in args))
 
 
 @jit
 def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
-    def one(t: Any, y: Any, z: Any, u: Any) -> Any:
+    def rate(t: Any, y: Any, z: Any, u: Any) -> Any:
         return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
 
-    return jax.vmap(jax.vmap(jax.vmap(one)))(t, y, z, u)
+    return jax.vmap(jax.vmap(jax.vmap(rate)))(t, y, z, u)
 
 
 @jit
 def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
     """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
 
-    def one(t: Any, u: Any, y: Any, z: Any) -> Any:
+    def slope(t: Any, u: Any, y: Any, z: Any) -> Any:
         return plant.input_slopes(t, State(y, z), u, jnp.asarray(plant.theta))[:, i]
 
-    return jax.vmap(jax.vmap(jax.vmap(one)))(*stages)
+    return jax.vmap(jax.vmap(jax.vmap(slope)))(*stages)
 
 
 def _drift(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> np.ndarray:
     return np.asarray(_rates(plant, *map(jnp.asarray, (t, y, z, u))))
 
 
-def _flat(shown: np.ndarray) -> Float[np.ndarray, "runs rows size"]:
-    return shown.reshape(len(shown), -1, shown.shape[-1])
+def _flat(sensitivities: np.ndarray) -> Float[np.ndarray, "runs rows size"]:
+    return sensitivities.reshape(len(sensitivities), -1, sensitivities.shape[-1])
 
 
-def _wide(columns: np.ndarray, own: int) -> Columns:
+def _wide(columns: np.ndarray, start_size: int) -> Columns:
     """Columns of all unknowns over all rows: each start in the rows of its run alone."""
     runs, rows = columns.shape[:2]
-    wide = np.zeros((runs * rows, runs * own + columns.shape[2] - own))
-    for i, one in enumerate(columns):
+    wide = np.zeros((runs * rows, runs * start_size + columns.shape[2] - start_size))
+    for i, run_columns in enumerate(columns):
         part = slice(i * rows, (i + 1) * rows)
-        wide[part, i * own : (i + 1) * own] = one[:, :own]
-        wide[part, runs * own :] = one[:, own:]
+        wide[part, i * start_size : (i + 1) * start_size] = run_columns[:, :start_size]
+        wide[part, runs * start_size :] = run_columns[:, start_size:]
     return wide
 
 

@@ -25,13 +25,13 @@ from eoi_jax.compiler.runtime import FewLanes, few_lanes
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
-_ALONE = 4  # so many lanes run one by one: a vector of them would take longer
+_FEW_LANES = 4  # so many lanes run one by one: a vector of them would take longer
 _CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
 
 Table = Float[np.ndarray, "runs rows columns"]
 
 
-class _Along(eqx.Module):
+class _StateAndSlope(eqx.Module):
     """State, and its derivative with one unknown."""
 
     x: State
@@ -59,20 +59,22 @@ class _OneRun(AbstractLoop):
         """The plant, the lane, and the length of a step."""
         return self.kernel, self.run, jax.ShapeDtypeStruct((), self.dtype)
 
-    def begin(self, lane: Direction, fixed: tuple) -> _Along:
+    def begin(self, lane: Direction, fixed: tuple) -> _StateAndSlope:
         """Before the first step."""
         kernel, run, _ = fixed
-        return _Along(*kernel.begun(run, lane))
+        return _StateAndSlope(*kernel.begun(run, lane))
 
     def advance(
-        self, lane: Direction, fixed: tuple, carry: _Along, row: RunRow
-    ) -> tuple[_Along, Any]:
+        self, lane: Direction, fixed: tuple, carry: _StateAndSlope, row: RunRow
+    ) -> tuple[_StateAndSlope, Any]:
         """One step, and c of its start, for each output: the error, and the part of an unknown."""
         kernel, run, h = fixed
-        shown = jnp.stack(kernel.scored(run, carry.x, carry.slope, row), axis=1)
-        return _Along(*kernel.moved(run, carry.x, carry.slope, lane, row, h)), shown
+        error_and_part = jnp.stack(kernel.scored(run, carry.x, carry.slope, row), axis=1)
+        return _StateAndSlope(
+            *kernel.moved(run, carry.x, carry.slope, lane, row, h)
+        ), error_and_part
 
-    def result(self, carry: _Along) -> Any:
+    def result(self, carry: _StateAndSlope) -> Any:
         """Nothing: all of it is shown."""
         del carry
         return ()
@@ -124,15 +126,15 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     plant = kernel.plant
     if plant.actuator is not None:
         return "inputs behind an actuator"
-    own = len(kernel.rows)
+    start_size = len(kernel.rows)
     if plant.internal is not None:
         theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
-        own += jax.eval_shape(plant.internal_start, theta).shape[0]
+        start_size += jax.eval_shape(plant.internal_start, theta).shape[0]
     try:
         if lanes == 1:
-            _one_run(kernel, own)
+            _one_run(kernel, start_size)
         else:
-            _code(kernel, own, lanes)
+            _code(kernel, start_size, lanes)
     except Untranslatable as reason:
         return str(reason)
     return None
@@ -172,25 +174,28 @@ def summed(
     Raises:
         Untranslatable: what `supports` says.
     """
-    many, runs = lanes.theta.shape[:2]
-    if many == 1:
+    lane_count, runs = lanes.theta.shape[:2]
+    if lane_count == 1:
         single = _OneLane(kernel, lanes, tables, steps, counts)
-        return np.stack(single.each(lambda run: single.sums(run, substeps)))[None]
-    code = _code(kernel, lanes.start.shape[2], many)
-    jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
-            for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
-    out = np.empty((many, runs, *code.program.sums.shape))
+        return np.stack(single.map_runs(lambda run: single.sums(run, substeps)))[None]
+    code = _code(kernel, lanes.start.shape[2], lane_count)
+    jobs = [
+        _Job(code, kernel, lanes, tables, steps, counts, run, part)
+        for run in range(runs)
+        for part in _parts(lane_count, code.where.width, runs)
+    ]
+    sums = np.empty((lane_count, runs, *code.program.sums.shape))
     waiting = iter(jobs)
 
     def work() -> None:
         for job in waiting:  # threads take from one iterator
-            out[job.which, job.run] = job.sums()
+            sums[job.lane_range, job.run] = job.sums()
 
     together(work, min(cores(), len(jobs)))
-    return out
+    return sums
 
 
-def shown(
+def signals(
     kernel: RunKernel,
     lane: RunLane,
     tables: Table,
@@ -210,18 +215,18 @@ def shown(
     """
     single = _OneLane(kernel, lane, tables, steps, counts)
     samples = -(-tables.shape[1] // substeps)
-    out = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
+    values = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
 
     def write(run: int) -> None:
         last = 0
         for blocks in single.blocks(run, substeps):
-            now = slice(last, last + len(blocks[0]))
-            last = now.stop
+            part = slice(last, last + len(blocks[0]))
+            last = part.stop
             for j, block in enumerate(blocks):
-                out[run, now, j, :-1], out[run, now, j, -1] = block[:, 1:], block[:, 0]
+                values[run, part, j, :-1], values[run, part, j, -1] = block[:, 1:], block[:, 0]
 
-    single.each(write)
-    return out
+    single.map_runs(write)
+    return values
 
 
 class _OneLane:
@@ -240,22 +245,25 @@ class _OneLane:
         self._plant = numbers(kernel, float)
         self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
         self._tables, self._steps, self._counts = tables, steps, counts
-        own = lane.start.shape[2]
-        along = kernel.directions(own)
-        self._code, self._along = _one_run(kernel, own), numbers(along, float, skip=1).T
-        self.size = len(along.theta) + 1
+        start_size = lane.start.shape[2]
+        directions = kernel.directions(start_size)
+        self._code, self._directions = (
+            _one_run(kernel, start_size),
+            numbers(directions, float, skip=1).T,
+        )
+        self.size = len(directions.theta) + 1
 
-    def each(self, job: Callable[[int], Any]) -> list[Any]:
+    def map_runs(self, job: Callable[[int], Any]) -> list[Any]:
         """What a job gives for each run."""
         runs = len(self._tables)
-        found, waiting = [None] * runs, iter(range(runs))
+        results, waiting = [None] * runs, iter(range(runs))
 
         def work() -> None:
             for run in waiting:  # threads take from one iterator
-                found[run] = job(run)
+                results[run] = job(run)
 
         together(work, min(cores(), runs))
-        return found
+        return results
 
     def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:
         """The normal equations; nothing is kept of the samples."""
@@ -270,38 +278,41 @@ class _OneLane:
         lane = [leaf[run].ravel() for leaf in self._lane]
         fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
-        begun, count = self._code.begin(self._along, fixed), max(_CHUNK // substeps, 1) * substeps
+        begun, count = (
+            self._code.begin(self._directions, fixed),
+            max(_CHUNK // substeps, 1) * substeps,
+        )
         first = [place.start for place in self._code.shown[::2]]
-        for shown in begun.through(rows, count):
-            yield [shown[::substeps, at : at + self.size] for at in first]
+        for rows_of_signals in begun.through(rows, count):
+            yield [rows_of_signals[::substeps, at : at + self.size] for at in first]
 
 
-def _one_run(kernel: RunKernel, own: int) -> FewLanes:
+def _one_run(kernel: RunKernel, start_size: int) -> FewLanes:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
-    run, step = _shapes(len(plant.names), own, nu, ny)
-    along = kernel.directions(own)
-    lane = shapes_of(along, dtype, skip=1)
-    what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    code = few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
-    if any(place.stop - place.start < len(along.theta) for place in code.shown[1::2]):
+    run, step = _shapes(len(plant.names), start_size, nu, ny)
+    directions = kernel.directions(start_size)
+    lane = shapes_of(directions, dtype, skip=1)
+    loop = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
+    code = few_lanes(loop, 1 + 3 * nu + 2 * ny, len(directions.theta))
+    if any(place.stop - place.start < len(directions.theta) for place in code.shown[1::2]):
         raise Untranslatable("an output that no unknown moves")
     return code
 
 
-def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
+def _code(kernel: RunKernel, start_size: int, lanes: int) -> Compiled:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
-    what = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), own, nu, ny), dtype)
-    return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
+    loop = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), start_size, nu, ny), dtype)
+    return translated(loop, 1 + 3 * nu + 2 * ny, 1 if lanes < _FEW_LANES else None)
 
 
 @functools.cache
-def _shapes(size: int, own: int, nu: int, ny: int) -> tuple[RunLane, RunRow]:
+def _shapes(size: int, start_size: int, nu: int, ny: int) -> tuple[RunLane, RunRow]:
     """Of a lane and a row."""
-    none = np.zeros(())
-    lane = RunLane(np.zeros(size), np.zeros(own), none, np.zeros(ny), none)
-    row = RunRow(none, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
+    scalar = np.zeros(())
+    lane = RunLane(np.zeros(size), np.zeros(start_size), scalar, np.zeros(ny), scalar)
+    row = RunRow(scalar, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
     return shapes_of((lane, row), np.dtype(float))
 
 
@@ -325,14 +336,14 @@ class _Job:
         steps: np.ndarray,
         counts: np.ndarray,
         run: int,
-        which: slice,
+        lane_range: slice,
     ):
-        self.run, self.which = run, which
+        self.run, self.lane_range = run, lane_range
         self._code = code
         self._rows = np.ascontiguousarray(tables[run, : counts[run]], float)
-        own = jax.tree.map(lambda leaf: np.asarray(leaf)[which, run], lanes)
-        self._count = len(own.theta)
-        self._begin(kernel, own, float(steps[run]))
+        lane_values = jax.tree.map(lambda leaf: np.asarray(leaf)[lane_range, run], lanes)
+        self._count = len(lane_values.theta)
+        self._begin(kernel, lane_values, float(steps[run]))
 
     def _begin(self, kernel: RunKernel, lanes: RunLane, h: float) -> None:
         program, where = self._code.program, self._code.where
@@ -358,38 +369,38 @@ class _Job:
         program, where = self._code.program, self._code.where
         carries = [program.same[i] for i in program.sums.flat]
         rows = np.array([where.carries.get(i, -1) for i in carries])
-        out = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
+        sums = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
         for at in np.flatnonzero(rows < 0):
-            out[:, at] = program.initial[carries[at]].value
-        out[self._spoilt] = np.nan
-        return out.reshape(-1, *program.sums.shape)
+            sums[:, at] = program.initial[carries[at]].value
+        sums[self._spoilt] = np.nan
+        return sums.reshape(-1, *program.sums.shape)
 
     def _go(self) -> None:
         where, total = self._code.where, len(self._rows)
         count, vectors = min(_CHUNK, total), len(self._memory)
         shared = aligned((count, max(len(where.shared), 1)), float)
-        none, zeros = np.zeros(1), np.zeros(count, np.int64)
+        no_lanes, zeros = np.zeros(1), np.zeros(count, np.int64)
         for first in range(0, total, count):
-            now = min(count, total - first)
+            rows = min(count, total - first)
             self._code.steps(
                 self._rows[first:].ctypes.data,
                 self._fixed.ctypes.data,
                 self._carries.ctypes.data,
                 shared.ctypes.data,
-                now,
+                rows,
             )
-            taken = np.zeros(1, np.int64)
+            flag = np.zeros(1, np.int64)
             self._code.lanes(
                 self._memory.ctypes.data,
                 vectors,
                 vectors,
                 0,
-                taken.ctypes.data,
+                flag.ctypes.data,
                 shared.ctypes.data,
                 zeros.ctypes.data,  # no row has a flag
                 self._fixed.ctypes.data,
-                none.ctypes.data,
+                no_lanes.ctypes.data,
                 zeros.ctypes.data,
                 1,
-                now,
+                rows,
             )

@@ -37,17 +37,17 @@ def balanced(matrix: Matrix, rates: list[Scalar], unknown: list[Array]) -> list[
         for i in range(j + 1, count):
             factor = rows[i][j] / rows[j][j]
             rows[i] = [
-                value - factor * other for value, other in zip(rows[i], rows[j], strict=True)
+                value - factor * pivot for value, pivot in zip(rows[i], rows[j], strict=True)
             ]
             right[i] = right[i] - factor * right[j]
-    found: list[Scalar] = [jnp.zeros(())] * count
+    shares: list[Scalar] = [jnp.zeros(())] * count
     for j in reversed(range(count)):
-        known = sum((rows[j][k] * found[k] for k in range(j + 1, count)), jnp.zeros(()))
-        found[j] = (right[j] - known) / rows[j][j]
-    return found
+        eliminated = sum((rows[j][k] * shares[k] for k in range(j + 1, count)), jnp.zeros(()))
+        shares[j] = (right[j] - eliminated) / rows[j][j]
+    return shares
 
 
-def leaving(matrix: Matrix, rates: list[Scalar], still: list[Array]) -> list[Scalar]:
+def leaving(matrix: Matrix, rates: list[Scalar], resting: list[Array]) -> list[Scalar]:
     """Which way each of two outputs leaves rest: +1, −1, or 0 where it stays.
 
     Both stay, or one of them is at a limit and the other one wherever that leaves it: of these five
@@ -56,27 +56,27 @@ def leaving(matrix: Matrix, rates: list[Scalar], still: list[Array]) -> list[Sca
     Args:
         matrix: A.
         rates: b.
-        still: which outputs are at rest; of the others columns of A are zero.
+        resting: which outputs are at rest; of the others columns of A are zero.
     """
 
-    def tried(shares: list[Scalar]) -> tuple[list[Scalar], list[Scalar], Scalar]:
+    def limited(shares: list[Scalar]) -> tuple[list[Scalar], list[Scalar], Scalar]:
         """Shares within their limits, accelerations, and |clip(s + a) - s|."""
-        s = [jnp.clip(one, -1.0, 1.0) for one in shares]
+        s = [jnp.clip(share, -1.0, 1.0) for share in shares]
         a = [rate + sum(map(jnp.multiply, row, s)) for rate, row in zip(rates, matrix, strict=True)]
-        off = (
-            jnp.where(rests, jnp.abs(jnp.clip(one + rate, -1.0, 1.0) - one), 0.0)
-            for rests, one, rate in zip(still, s, a, strict=True)
+        mismatch = (
+            jnp.where(rests, jnp.abs(jnp.clip(share + rate, -1.0, 1.0) - share), 0.0)
+            for rests, share, rate in zip(resting, s, a, strict=True)
         )
-        return s, a, sum(off, jnp.zeros(()))
+        return s, a, sum(mismatch, jnp.zeros(()))
 
-    best = tried(balanced(matrix, rates, still))
+    best = limited(balanced(matrix, rates, resting))
     for j, limit in itertools.product(range(len(rates)), (-1.0, 1.0)):
         moved = [rate + limit * row[j] for rate, row in zip(rates, matrix, strict=True)]
-        shares = balanced(matrix, moved, [one & (i != j) for i, one in enumerate(still)])
-        shares[j] = jnp.where(still[j], limit, 0.0)
-        other = tried(shares)
-        better = other[2] < best[2]
-        best = jax.tree.map(lambda new, old, use=better: jnp.where(use, new, old), other, best)
+        shares = balanced(matrix, moved, [share & (i != j) for i, share in enumerate(resting)])
+        shares[j] = jnp.where(resting[j], limit, 0.0)
+        trial = limited(shares)
+        better = trial[2] < best[2]
+        best = jax.tree.map(lambda new, old, use=better: jnp.where(use, new, old), trial, best)
     return [
         jnp.where((jnp.abs(s) == 1.0) & (s * a > 0), s, 0.0) for s, a in zip(*best[:2], strict=True)
     ]

@@ -39,6 +39,7 @@ from eoi_jax._types import Flags, Input, Output, Scalar, Theta
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import REST, Plant, State, velocity_of, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
+from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
 _GRAIN = 3  # a length is rounded up by an eighth at most
 _PAIR = 2  # outputs whose frictions may act on each other
@@ -116,15 +117,15 @@ def trajectory(
     one_step = _sticking_step if any(friction) else _smooth_step
     h = jnp.asarray(driven_by.step)
 
-    def body(x: State, now: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
-        t, u = now
+    def body(x: State, row: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
+        t, u = row
         x = one_step(_Problem(plant, theta, t, h, u, friction), x)
         return x, x
 
     steps = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
     _, x = lax.scan(body, start, steps)
-    every = slice(driven_by.substeps - 1, None, driven_by.substeps)
-    y, z = x.y[every], x.z[every]
+    samples = slice(driven_by.substeps - 1, None, driven_by.substeps)
+    y, z = x.y[samples], x.z[samples]
     return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
 
 
@@ -176,11 +177,11 @@ def chained(
     # Lengths that differ by little share a kernel; what is run beyond the end is thrown away.
     grain = 2 ** max(int(math.log2(total)) - _GRAIN, 0)
     index = np.minimum(np.arange(-(-total // grain) * grain), total - 1)
-    again = index % steps == 0
+    restarts = index % steps == 0
     begun = jax.tree.map(lambda leaf: np.asarray(leaf)[index // steps], starts)
     time = np.asarray(drives.time).reshape(total)[index]
     inputs = np.asarray(drives.inputs).reshape(total, *np.shape(drives.inputs)[2:])[index]
-    y = _chained(plant, theta, time, drives.step[0], inputs, again, begun, friction)
+    y = _chained(plant, theta, time, drives.step[0], inputs, restarts, begun, friction)
     y = np.asarray(y)[:total].reshape(runs, steps, -1)
     first = np.asarray(starts.y)[:, :1]
     return np.concatenate([first, y[:, drives.substeps - 1 :: drives.substeps]], axis=1)
@@ -193,19 +194,19 @@ def _chained(
     time: Any,
     step: Any,
     inputs: Any,
-    again: Any,
+    restarts: Any,
     begun: State,
     friction: tuple[int, ...],
 ) -> Float[Array, "steps ny"]:
     one_step, h = _sticking_step if any(friction) else _smooth_step, jnp.asarray(step)
 
-    def body(x: State, now: tuple) -> tuple[State, Output]:
-        t, u, anew, start = now
-        x = jax.tree.map(lambda old, new: jnp.where(anew, new, old), x, start)
+    def body(x: State, row: tuple) -> tuple[State, Output]:
+        t, u, restart, start = row
+        x = jax.tree.map(lambda old, new: jnp.where(restart, new, old), x, start)
         x = one_step(_Problem(plant, theta, t, h, u, friction), x)
         return x, x.y[0]
 
-    rows = jax.tree.map(jnp.asarray, (time, inputs, again, begun))
+    rows = jax.tree.map(jnp.asarray, (time, inputs, restarts, begun))
     return lax.scan(body, jax.tree.map(lambda leaf: leaf[0], rows[3]), rows)[1]
 
 
@@ -230,7 +231,7 @@ class _Problem(eqx.Module):
     @property
     def reaching(self) -> tuple[int, ...]:
         """Outputs whose friction acts on others."""
-        return tuple(j for j, one in enumerate(self.friction) if one == REACHES)
+        return tuple(j for j, kind in enumerate(self.friction) if kind == REACHES)
 
     def input_at(self, fraction: Fraction) -> Input:
         """A parabola through start, middle and end: exact for held and linear inputs."""
@@ -244,7 +245,7 @@ class _Problem(eqx.Module):
             return rate_of(self.plant, self.theta, t, x, u)
         frozen = self._frozen(x, direction)
         if self.reaching:
-            slope = self._held(t, frozen, u, direction)
+            slope = self._with_shares(t, frozen, u, direction)
         else:
             slope = rate_of(self.plant, self.theta, t, frozen, u)
         y, friction = slope.y, self.sticks
@@ -254,14 +255,14 @@ class _Problem(eqx.Module):
         stuck = friction & (direction == 0)
         return State(self.moved(y, jnp.where(stuck, 0.0, self.velocity(y))), slope.z)
 
-    def _held(self, t: Scalar, frozen: State, u: Input, direction: Output) -> State:
+    def _with_shares(self, t: Scalar, frozen: State, u: Input, direction: Output) -> State:
         """dx/dt, with the shares of their friction that keep stuck outputs at rest."""
-        mean, halves = self.mixture(t, frozen, u, direction == 0)
-        matrix, rates = self._at_reaching(mean, halves)
+        mean, contributions = self.mixture(t, frozen, u, direction == 0)
+        matrix, rates = self._at_reaching(mean, contributions)
         stuck = [direction[j] == 0 for j in self.reaching]
         shares = balanced(matrix, rates, stuck)
-        for share, half in zip(shares, halves, strict=True):
-            mean = _add(mean, jnp.clip(share, -1.0, 1.0), half)
+        for share, contribution in zip(shares, contributions, strict=True):
+            mean = _add(mean, jnp.clip(share, -1.0, 1.0), contribution)
         return mean
 
     def leaving(self, t: Scalar, x: State, u: Input) -> Output:
@@ -285,30 +286,35 @@ class _Problem(eqx.Module):
         """
         velocity = self.velocity(x.y)
 
-        def rates(above: int | None) -> State:
+        def rates(raised: int | None) -> State:
             moved = velocity
             for j in self.reaching:
-                side = REST if j == above else -REST
+                side = REST if j == raised else -REST
                 moved = moved.at[j].set(jnp.where(free[j], side, velocity[j]))
-            there = State(self.moved(x.y, moved), x.z)
-            return rate_of(self.plant, self.theta, t, there, u)
+            moved_state = State(self.moved(x.y, moved), x.z)
+            return rate_of(self.plant, self.theta, t, moved_state, u)
 
         # Forces add up: what one output's side changes does not depend on the other's.
-        below = rates(None)
-        halves = [_scaled(0.5, _add(rates(j), -1.0, below)) for j in self.reaching]
-        return reduce(lambda mean, half: _add(mean, 1.0, half), halves, below), halves
+        lower = rates(None)
+        contributions = [_scaled(0.5, _add(rates(j), -1.0, lower)) for j in self.reaching]
+        return reduce(
+            lambda mean, contribution: _add(mean, 1.0, contribution), contributions, lower
+        ), contributions
 
-    def _at_reaching(self, mean: State, halves: list[State]) -> tuple[Matrix, list[Scalar]]:
+    def _at_reaching(self, mean: State, contributions: list[State]) -> tuple[Matrix, list[Scalar]]:
         """Accelerations of those outputs: what each share of friction adds, and the mean."""
         rates = self.velocity(mean.y)
-        matrix = [[self.velocity(half.y)[j] for half in halves] for j in self.reaching]
+        matrix = [
+            [self.velocity(contribution.y)[j] for contribution in contributions]
+            for j in self.reaching
+        ]
         return matrix, [rates[j] for j in self.reaching]
 
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
         velocity = self.velocity(x.y)
-        held = direction * jnp.maximum(direction * velocity, REST)
-        return State(self.moved(x.y, jnp.where(self.sticks, held, velocity)), x.z)
+        limited = direction * jnp.maximum(direction * velocity, REST)
+        return State(self.moved(x.y, jnp.where(self.sticks, limited, velocity)), x.z)
 
     def velocity(self, y: Any) -> Output:
         """Velocities, or rates of them, out of `State.y`."""
@@ -339,17 +345,17 @@ def _scaled(scale: Fraction, x: State) -> State:
 def _advance(
     problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
 ) -> State:
-    """One classical Runge-Kutta step between two fractions of the step, in fixed directions."""
+    """A Runge-Kutta step between two fractions of the step, in fixed directions."""
     fractions = (start, 0.5 * (start + end), end)
     t0, t1, t2 = (problem.time + fraction * problem.step for fraction in fractions)
     u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
-    h = (end - start) * problem.step
-    k1 = problem.rate(t0, x, u0, direction)
-    k2 = problem.rate(t1, _add(x, 0.5 * h, k1), u1, direction)
-    k3 = problem.rate(t1, _add(x, 0.5 * h, k2), u1, direction)
-    k4 = problem.rate(t2, _add(x, h, k3), u2, direction)
-    slope = _add(_add(_add(k1, 2.0, k2), 2.0, k3), 1.0, k4)
-    return _add(x, h / 6.0, slope)
+
+    def rate(x: State, instant: tuple[Scalar, Input]) -> State:
+        time, inputs = instant
+        return problem.rate(time, x, inputs, direction)
+
+    instants = ((t0, u0), (t1, u1), (t2, u2))
+    return runge_kutta_step(rate, x, (end - start) * problem.step, instants)[0]
 
 
 def _smooth_step(problem: _Problem, x: State) -> State:
@@ -361,14 +367,14 @@ def _smooth_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step(problem: _Problem, x: State) -> State:
     """A step, cut wherever an output comes to rest."""
-    most = np.count_nonzero(problem.friction)
+    most_cuts = np.count_nonzero(problem.friction)
 
-    def unfinished(now: tuple[State, Scalar, Scalar]) -> Array:
-        return now[1] < 1.0
+    def unfinished(progress: tuple[State, Scalar, Scalar]) -> Array:
+        return progress[1] < 1.0
 
-    def piece(now: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
-        x, done, cuts = now
-        return *_until_stop(problem, x, done, cuts < most), cuts + 1.0
+    def piece(progress: tuple[State, Scalar, Scalar]) -> tuple[State, Scalar, Scalar]:
+        x, fraction, cuts = progress
+        return *_until_stop(problem, x, fraction, cuts < most_cuts), cuts + 1.0
 
     # A loop, although nearly every step is one piece: the equations are then compiled once.
     start = jnp.zeros_like(problem.step)
@@ -377,58 +383,62 @@ def _sticking_step(problem: _Problem, x: State) -> State:
 
 def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
     """The same, piece by piece: at most one cut for each output that sticks."""
-    most = np.count_nonzero(problem.friction)
-    done = jnp.zeros_like(problem.step)
-    for cuts in range(most + 1):
-        piece = partial(_until_stop, problem, x, done, jnp.asarray(cuts < most))
+    most_cuts = np.count_nonzero(problem.friction)
+    fraction = jnp.zeros_like(problem.step)
+    for cuts in range(most_cuts + 1):
+        piece = partial(_until_stop, problem, x, fraction, jnp.asarray(cuts < most_cuts))
         # The first piece always runs; the others where the one before ended at a stop.
-        x, done = lax.cond(done < 1.0, piece, partial(_kept, x, done)) if cuts else piece()
+        x, fraction = (
+            lax.cond(fraction < 1.0, piece, partial(_unchanged, x, fraction)) if cuts else piece()
+        )
     return x
 
 
-def _kept(x: State, done: Scalar) -> tuple[State, Scalar]:
-    return x, done
+def _unchanged(x: State, fraction: Scalar) -> tuple[State, Scalar]:
+    return x, fraction
 
 
 @jit  # as `advanced`
-def _until_stop(problem: _Problem, x: State, done: Scalar, may_stop: Array) -> tuple[State, Scalar]:
+def _until_stop(
+    problem: _Problem, x: State, fraction: Scalar, may_stop: Array
+) -> tuple[State, Scalar]:
     """Advance from the fraction `done` to the first stop, or to the end of the step."""
-    direction = _direction(problem, x, done)
-    whole = _advance(problem, x, done, jnp.ones_like(done), direction)
-    before, after = problem.velocity(x.y), problem.velocity(whole.y)
-    stops = direction * after < 0
+    direction = _direction(problem, x, fraction)
+    end_state = _advance(problem, x, fraction, jnp.ones_like(fraction), direction)
+    start_velocity, end_velocity = problem.velocity(x.y), problem.velocity(end_state.y)
+    stops = direction * end_velocity < 0
 
     def cut() -> tuple[State, Scalar]:
-        length = (1.0 - done) * problem.step
-        slope = problem.velocity(_slope(problem, x, done, direction).y)
-        first = _first_zero(before, length * slope, after, direction, stops)
-        to = done + (1.0 - done) * jnp.min(first)
-        landed = _advance(problem, x, done, to, direction)
-        return _land(problem, landed, to, direction, stops & (first == jnp.min(first)))
+        length = (1.0 - fraction) * problem.step
+        slope = problem.velocity(_slope(problem, x, fraction, direction).y)
+        first = _first_zero(start_velocity, length * slope, end_velocity, direction, stops)
+        stop = fraction + (1.0 - fraction) * jnp.min(first)
+        landed = _advance(problem, x, fraction, stop, direction)
+        return _land(problem, landed, stop, direction, stops & (first == jnp.min(first)))
 
     def end() -> tuple[State, Scalar]:
-        return _at_rest(problem, whole, stops), jnp.ones_like(done)
+        return _at_rest(problem, end_state, stops), jnp.ones_like(fraction)
 
     return lax.cond(may_stop & jnp.any(stops), cut, end)
 
 
-def _direction(problem: _Problem, x: State, done: Scalar) -> Output:
+def _direction(problem: _Problem, x: State, fraction: Scalar) -> Output:
     """+1 moving up, −1 moving down, 0 stuck (or without dry friction)."""
-    t = problem.time + done * problem.step
-    u, pair = problem.input_at(done), len(problem.reaching) == _PAIR
+    t = problem.time + fraction * problem.step
+    u, pair = problem.input_at(fraction), len(problem.reaching) == _PAIR
     leaving = problem.leaving(t, x, u) if pair else jnp.zeros_like(problem.velocity(x.y))
     if not pair or np.count_nonzero(problem.friction) > _PAIR:
-        above, below = problem.plant.at_rest(t, x, u, problem.theta)
-        alone = jnp.where(above > 0, 1.0, jnp.where(below < 0, -1.0, 0.0))
-        leaving = jnp.where(pair & (np.asarray(problem.friction) == REACHES), leaving, alone)
+        f_above, f_below = problem.plant.at_rest(t, x, u, problem.theta)
+        separate = jnp.where(f_above > 0, 1.0, jnp.where(f_below < 0, -1.0, 0.0))
+        leaving = jnp.where(pair & (np.asarray(problem.friction) == REACHES), leaving, separate)
     velocity = problem.velocity(x.y)
     moving = jnp.where(velocity == 0, leaving, jnp.sign(velocity))
     return jnp.where(problem.sticks, moving, jnp.zeros_like(moving))
 
 
-def _slope(problem: _Problem, x: State, done: Scalar, direction: Output) -> State:
-    t = problem.time + done * problem.step
-    return problem.rate(t, x, problem.input_at(done), direction)
+def _slope(problem: _Problem, x: State, fraction: Scalar, direction: Output) -> State:
+    t = problem.time + fraction * problem.step
+    return problem.rate(t, x, problem.input_at(fraction), direction)
 
 
 def _first_zero(v0: Output, dv: Output, v1: Output, direction: Output, stops: Flags) -> Output:
@@ -454,9 +464,9 @@ def _land(
 ) -> tuple[State, Scalar]:
     """One Newton step in time onto the exact zero of the velocity that stops here."""
     slope = _slope(problem, x, at, direction)
-    before = np.tri(len(stopped), k=-1, dtype=bool)
-    first = stopped & ~jnp.any(before & stopped, axis=1)
-    v, a = (jnp.sum(jnp.where(first, problem.velocity(one.y), 0.0)) for one in (x, slope))
+    earlier = np.tri(len(stopped), k=-1, dtype=bool)
+    first = stopped & ~jnp.any(earlier & stopped, axis=1)
+    v, a = (jnp.sum(jnp.where(first, problem.velocity(state.y), 0.0)) for state in (x, slope))
     shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
     # A grazing stop has next to no acceleration: never leave the step.
     shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)

@@ -28,17 +28,17 @@ class _Directed:
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         ny, flags = len(self.friction), np.asarray(self.friction) > 0
-        own, way, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
+        inputs, directions, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
         rate = velocity_of(x.y, self.degrees)
-        held = jnp.where(flags, way * jnp.maximum(way * rate, REST), rate)
+        limited = jnp.where(flags, directions * jnp.maximum(directions * rate, REST), rate)
 
         def f(rate: Any) -> Any:
             moved = State(with_velocity(x.y, rate, self.degrees), x.z)
-            value = self.base(t, moved, own, p)
+            value = self.base(t, moved, inputs, p)
             return jnp.reshape(jnp.asarray(value), (ny,))
 
-        value, beyond = jax.jvp(f, (held,), (rate - held,))
-        return jnp.where(flags & (way == 0), -grip * rate, value + beyond)
+        value, correction = jax.jvp(f, (limited,), (rate - limited,))
+        return jnp.where(flags & (directions == 0), -grip * rate, value + correction)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def directed(plant: Plant, friction: tuple[int, ...]) -> Plant:
 
 
 def turn(
-    plant: Plant, theta: Theta, t: Scalar, x: State, u: Input, before: Output
+    plant: Plant, theta: Theta, t: Scalar, x: State, u: Input, previous: Output
 ) -> Float[Array, " ny"]:
     """What a moment of rest does to sensitivities of each velocity.
 
@@ -110,19 +110,22 @@ def turn(
         t: time of the step [s].
         x: state at its start.
         u: inputs of the step, with directions and grip.
-        before: directions of the step before.
+        previous: directions of the step before.
 
     Returns:
         That factor, 1 where an output goes on in its direction or leaves rest.
 
     Source: M. di Bernardo et al., *Piecewise-smooth Dynamical Systems*, section 2.5 (saltation).
     """
-    ny = before.shape[0]
-    way = u[-ny - 1 : -1]
-    still = State(with_velocity(x.y, jnp.zeros(ny), plant.degrees), x.z)
+    ny = previous.shape[0]
+    directions = u[-ny - 1 : -1]
+    at_rest = State(with_velocity(x.y, jnp.zeros(ny), plant.degrees), x.z)
     old, new = (
-        plant.derivative(t, still, u.at[-ny - 1 : -1].set(one), theta) for one in (before, way)
+        plant.derivative(t, at_rest, u.at[-ny - 1 : -1].set(direction), theta)
+        for direction in (previous, directions)
     )
     # Friction slows a motion down: it never turns back faster than it came.
     ratio = jnp.clip(new / jnp.where(old == 0, 1.0, old), 0.0, 1.0)
-    return jnp.where((before == 0) | (before == way), 1.0, jnp.where(way == 0, 0.0, ratio))
+    return jnp.where(
+        (previous == 0) | (previous == directions), 1.0, jnp.where(directions == 0, 0.0, ratio)
+    )

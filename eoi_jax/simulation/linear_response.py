@@ -83,12 +83,12 @@ class Response:
             forces: at the start, the middle and the end of each sample, in the unit of y^(r).
             output: number of the output on which they act.
         """
-        own, count, ny = self.forced[..., output], forces.shape[-1], self.forced.shape[-1]
+        kernel, count, ny = self.forced[..., output], forces.shape[-1], self.forced.shape[-1]
         parts = []
         for first in range(0, count, _WIDTH):
             part = forces[..., first : first + _WIDTH]
             room = [(0, 0)] * 3 + [(0, _WIDTH - part.shape[-1])]
-            parts.append(np.asarray(_moved(self.free, own, jnp.pad(part, room)))[:, :, :ny])
+            parts.append(np.asarray(_moved(self.free, kernel, jnp.pad(part, room)))[:, :, :ny])
         return np.concatenate(parts, axis=-1)[..., :count]
 
 
@@ -114,9 +114,9 @@ def response_of(
     """
     shape = np.shape(time)
     parts = (time, inputs, y, z, np.broadcast_to(np.reshape(steps, (-1, 1)), shape))
-    rows = [np.reshape(one, (np.size(time), *np.shape(one)[2:])) for one in parts]
+    rows = [np.reshape(array, (np.size(time), *np.shape(array)[2:])) for array in parts]
     slopes = _slopes(_pushed(plant), jnp.asarray(plant.theta), frictional(plant), *rows)
-    free, forced = (one.reshape(*shape, *one.shape[1:]) for one in slopes)
+    free, forced = (array.reshape(*shape, *array.shape[1:]) for array in slopes)
     return Response(*_by_sample(free, forced, substeps))
 
 
@@ -127,7 +127,7 @@ def _slopes(
     """A and B of every step."""
     ny = len(plant.outputs)
 
-    def one(row: tuple) -> tuple[Array, Array]:
+    def slopes_at(row: tuple) -> tuple[Array, Array]:
         t, u, y, z, h = row
 
         def flow(x: Array, w: Array) -> Array:
@@ -139,7 +139,7 @@ def _slopes(
         return jax.jacfwd(flow, (0, 1))(jnp.concatenate([y.ravel(), z]), jnp.zeros((3, ny)))
 
     # One after the other: then only the steps with a stop pay for it.
-    return jax.lax.map(one, tuple(jnp.asarray(part) for part in rows))
+    return jax.lax.map(slopes_at, tuple(jnp.asarray(part) for part in rows))
 
 
 @jit
@@ -153,9 +153,11 @@ def _by_sample(free: Array, forced: Array, substeps: int) -> tuple[Array, Array]
     a = jnp.broadcast_to(jnp.eye(free.shape[-1]), free[:, ::substeps].shape)
     b = jnp.zeros_like(forced[:, ::substeps])
     for i, weights in enumerate(parabola):
-        own, push = free[:, i::substeps], forced[:, i::substeps]
-        b = jnp.einsum("ktmn,ktnsj->ktmsj", own, b) + jnp.einsum("ktnij,is->ktnsj", push, weights)
-        a = _product(own, a)
+        transition, push = free[:, i::substeps], forced[:, i::substeps]
+        b = jnp.einsum("ktmn,ktnsj->ktmsj", transition, b) + jnp.einsum(
+            "ktnij,is->ktnsj", push, weights
+        )
+        a = _product(transition, a)
     return a, b
 
 
@@ -173,6 +175,6 @@ def _moved(free: Array, forced: Array, forces: Array) -> Array:
     return jnp.moveaxis(jnp.concatenate([start[None], moved]), 0, 1)
 
 
-def _product(left: Array, right: Array) -> Array:
+def _product(first: Array, right: Array) -> Array:
     """Of small matrices, many of them: sums of products, which fuse; BLAS calls do not."""
-    return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
+    return jnp.sum(first[..., :, :, None] * right[..., None, :, :], axis=-2)

@@ -111,55 +111,55 @@ class RunKernel(eqx.Module):
         z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
         return State(y, z)
 
-    def directions(self, own: int) -> Direction:
+    def directions(self, start_size: int) -> Direction:
         """Of each unknown; so many are in the start."""
-        size = own + len(self.free)
+        size = start_size + len(self.free)
         theta = np.zeros((size, len(self.plant.names)))
-        theta[own + np.arange(len(self.free)), list(self.free)] = 1.0
-        return Direction(np.eye(size, own), theta)
+        theta[start_size + np.arange(len(self.free)), list(self.free)] = 1.0
+        return Direction(np.eye(size, start_size), theta)
 
     def init(self, lane: RunLane) -> RunCarry:
         """Before the first step."""
-        along = self.directions(lane.start.shape[0])
-        x, slopes = jax.vmap(partial(self.begun, lane), out_axes=(None, 0))(along)
-        size = len(along.theta) + 1
+        direction = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(partial(self.begun, lane), out_axes=(None, 0))(direction)
+        size = len(direction.theta) + 1
         return RunCarry(x, slopes, jnp.zeros((size, size), jnp.asarray(lane.theta).dtype))
 
-    def begun(self, lane: RunLane, along: Direction) -> tuple[State, State]:
+    def begun(self, lane: RunLane, direction: Direction) -> tuple[State, State]:
         """State before the first step, and its derivative in one direction."""
         values, theta = jnp.asarray(lane.start), jnp.asarray(lane.theta)
 
         def start(values: Array, theta: Array) -> State:
             return self.start(values, theta, lane.declared)
 
-        tangents = (jnp.asarray(one, theta.dtype) for one in (along.start, along.theta))
+        tangents = (jnp.asarray(part, theta.dtype) for part in (direction.start, direction.theta))
         return jax.jvp(start, (values, theta), tuple(tangents))
 
     def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:
         """Score the sample at the start of a step, then take it; also what is shown."""
-        shown = self._scored(lane, carry, row)
+        c_rows = self._scored(lane, carry, row)
         sums = carry.sums
         if self.store == "sums":
-            sums, shown = sums + self._square(lane, shown), ()
+            sums, c_rows = sums + self._square(lane, c_rows), ()
 
-        def moved(slope: State, along: Direction) -> tuple[State, State]:
-            return self.moved(lane, carry.x, slope, along, row, h)
+        def moved(slope: State, direction: Direction) -> tuple[State, State]:
+            return self.moved(lane, carry.x, slope, direction, row, h)
 
-        along = self.directions(lane.start.shape[0])
-        x, slopes = jax.vmap(moved, out_axes=(None, 0))(carry.slopes, along)
-        return RunCarry(x, slopes, sums), shown
+        direction = self.directions(lane.start.shape[0])
+        x, slopes = jax.vmap(moved, out_axes=(None, 0))(carry.slopes, direction)
+        return RunCarry(x, slopes, sums), c_rows
 
     def moved(
-        self, lane: RunLane, x: State, slope: State, along: Direction, row: RunRow, h: Scalar
+        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow, h: Scalar
     ) -> tuple[State, State]:
         """State after a step, and its derivative in one direction."""
-        theta, time, u = (jnp.asarray(one) for one in (lane.theta, row.time, row.inputs))
+        theta, time, u = (jnp.asarray(part) for part in (lane.theta, row.time, row.inputs))
 
         def flow(x: State, moved: Array) -> State:
             inputs = u if row.slope is None else u + row.slope @ (moved - theta)
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
-        return jax.jvp(flow, (x, theta), (slope, jnp.asarray(along.theta, theta.dtype)))
+        return jax.jvp(flow, (x, theta), (slope, jnp.asarray(direction.theta, theta.dtype)))
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
         """A whole run by `lax.scan`: the sums, and what each row shows."""
@@ -167,8 +167,8 @@ class RunKernel(eqx.Module):
         def step(carry: RunCarry, row: RunRow) -> tuple[RunCarry, Any]:
             return self.step(lane, carry, row, h)
 
-        last, shown = jax.lax.scan(step, self.init(lane), rows)
-        return last.sums, shown
+        last, c_rows = jax.lax.scan(step, self.init(lane), rows)
+        return last.sums, c_rows
 
     def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
         """c of each output."""
@@ -187,9 +187,9 @@ class RunKernel(eqx.Module):
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
-        weight, beyond = _huber(jnp, scored[:, -1], lane.threshold)
+        weight, excess = _huber(jnp, scored[:, -1], lane.threshold)
         square = (weight[:, None] * scored).T @ scored
-        return square.at[-1, -1].add(jnp.sum(beyond))
+        return square.at[-1, -1].add(jnp.sum(excess))
 
 
 def added_up(
@@ -206,9 +206,9 @@ def added_up(
     with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
         if not np.any(np.abs(errors) > threshold):
             return np.swapaxes(rows, -1, -2) @ rows
-        weight, beyond = _huber(np, errors, threshold)
+        weight, excess = _huber(np, errors, threshold)
         sums = np.swapaxes(weight[..., None] * rows, -1, -2) @ rows
-        sums[..., error, error] += np.sum(beyond, axis=-1)
+        sums[..., error, error] += np.sum(excess, axis=-1)
     return sums
 
 

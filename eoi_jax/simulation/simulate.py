@@ -89,9 +89,9 @@ def simulate(
         y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
     outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     bad = ~np.all(np.isfinite(outputs), axis=1)
-    when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
+    failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
-    check(not bad.any(), "simulation", "must stay finite", when, advice)
+    check(not bad.any(), "simulation", "must stay finite", failure, advice)
     return Record(
         time,
         u,
@@ -182,10 +182,11 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
     _check_finite("time", time)
     period = (time[-1] - time[0]) / (len(time) - 1)
     check(period > 0, "time", "must increase", f"{time[0]:g} to {time[-1]:g}")
-    off = np.abs(time - (time[0] + period * np.arange(len(time))))
-    worst = f"a sample {np.max(off) / period:.3g} periods off, at index {int(np.argmax(off))}"
+    deviation = np.abs(time - (time[0] + period * np.arange(len(time))))
+    worst, index = np.max(deviation) / period, int(np.argmax(deviation))
+    failure = f"a sample {worst:.3g} periods off, at index {index}"
     advice = "Resample the inputs onto a uniform grid."
-    check(bool(np.max(off) <= 1e-3 * period), "time", "must be a uniform grid", worst, advice)
+    check(bool(worst <= 1e-3), "time", "must be a uniform grid", failure, advice)
     return time
 
 

@@ -99,24 +99,24 @@ def profile(
     check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant = refinement.plant
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
-    free = [one for one in plant.names if one not in plant.fixed]
+    free = [parameter for parameter in plant.names if parameter not in plant.fixed]
     check_choice("name", name, free)
     check(len(free) > 1, "name", "must have another free parameter beside it", name,
           "The interval of `uncertainty` is that of a single one.")  # fmt: skip
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
-    known = uncertainty(refinement)
-    error = known.standard_errors[name]
+    certainty = uncertainty(refinement)
+    error = certainty.standard_errors[name]
     good = bool(np.isfinite(error) and error > 0)
     check(good, "name", "must have a finite standard error", f"{name} ± {error:g}")
-    quantile = float(student(level, known.degrees_of_freedom)[plant.names.index(name)])
-    held = plant.declared_anew(fixed=(name,))
+    quantile = float(student(level, certainty.degrees_of_freedom)[plant.names.index(name)])
+    fixed_plant = plant.declared_anew(fixed=(name,))
     count = refinement.substeps if substeps is None else substeps
 
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
         return refine(moved, records, window=refinement.window, substeps=count, max_steps=max_steps)
 
-    centre = fit(held, plant.parameters[name])
+    centre = fit(fixed_plant, plant.parameters[name])
     check(centre.status.ok, "records", "must be those of the refinement", str(centre.status))
     search = _Search(fit, name, centre, error, quantile, _limits(plant, name))
     return search.run(level, plant.units.get(name, ""))
@@ -139,30 +139,30 @@ class _Search:
     limits: tuple[float, float]
 
     def run(self, level: float, unit: str) -> Profile:
-        value, half = self.centre.parameters[self.name], self.quantile * self.error
+        value, half_width = self.centre.parameters[self.name], self.quantile * self.error
         # Both neighbours together: what is odd in D (its skewness) cancels.
-        first = [self._held(self.centre, value + side * _STEP * half) for side in (-1, 1)]
-        rises = [one.cost - self.centre.cost for one in first if one.status.ok]
+        first = [self._fit_at(self.centre, value + side * _STEP * half_width) for side in (-1, 1)]
+        rises = [point.cost - self.centre.cost for point in first if point.status.ok]
         rise = float(np.mean(rises)) if rises else np.nan
         rule = "must have an optimum with a curvature that the profile can see"
         check(rise > 0, "refinement", rule, f"{rise:.2g} in the cost")
         samples = (_STEP * self.quantile) ** 2 / rise
         sides = [
-            self._outwards(side, one, samples) for side, one in zip((-1, 1), first, strict=True)
+            self._outwards(side, point, samples) for side, point in zip((-1, 1), first, strict=True)
         ]
         points = sorted(
-            [self.centre, *sides[0][0], *sides[1][0]], key=lambda one: one.parameters[self.name]
+            [self.centre, *sides[0][0], *sides[1][0]], key=lambda point: point.parameters[self.name]
         )
-        statistic = np.asarray([samples * (one.cost - self.centre.cost) for one in points])
+        statistic = np.asarray([samples * (point.cost - self.centre.cost) for point in points])
         notes = [*sides[0][1], *sides[1][1]]
         if np.min(statistic) < -0.1 * self.quantile**2:
             notes.append("the fit gets better along the profile: refine from there")
-        values = np.asarray([one.parameters[self.name] for one in points])
+        values = np.asarray([point.parameters[self.name] for point in points])
         return Profile(
             self.name,
             values,
             statistic,
-            np.stack([np.asarray(one.plant.theta) for one in points]),
+            np.stack([np.asarray(point.plant.theta) for point in points]),
             value,
             self.error,
             self.quantile**2,
@@ -173,8 +173,8 @@ class _Search:
             unit,
         )
 
-    def _held(self, near: Refinement, value: float) -> Refinement:
-        return self.fit(near.plant, float(np.clip(value, *self.limits)))
+    def _fit_at(self, neighbour: Refinement, value: float) -> Refinement:
+        return self.fit(neighbour.plant, float(np.clip(value, *self.limits)))
 
     def _outwards(
         self, side: int, point: Refinement, samples: float
@@ -194,7 +194,7 @@ class _Search:
                 return points, [
                     f"open {end}: the cost stays below the threshold as far as {value:g}"
                 ]
-            point = self._held(point, value + side * step)
+            point = self._fit_at(point, value + side * step)
         return points, [f"open {end}: {point.status}"]
 
     def _interval(
@@ -204,12 +204,14 @@ class _Search:
         root = np.sqrt(np.maximum(statistic, 0.0))
         ends = []
         for side in (-1, 1):
-            (outside,) = np.nonzero((side * (values - estimate) > 0) & (root >= self.quantile))
-            if not len(outside):
+            (beyond_threshold,) = np.nonzero(
+                (side * (values - estimate) > 0) & (root >= self.quantile)
+            )
+            if not len(beyond_threshold):
                 ends.append(side * np.inf)
                 continue
-            far = outside[0] if side > 0 else outside[-1]
-            near = far - side
-            share = (self.quantile - root[near]) / (root[far] - root[near])
-            ends.append(values[near] + share * (values[far] - values[near]))
+            outer = beyond_threshold[0] if side > 0 else beyond_threshold[-1]
+            inner = outer - side
+            share = (self.quantile - root[inner]) / (root[outer] - root[inner])
+            ends.append(values[inner] + share * (values[outer] - values[inner]))
         return float(ends[0]), float(ends[1])

@@ -30,7 +30,7 @@ from eoi_jax.refinement.result import Refinement
 _EXACT = 1e-3  # tolerance of a weight that stands for a whole number, where nothing is left of it
 _ROUGH = 0.05  # the same where noise hides it
 _INFLATED = 10.0  # error of a combination over what it were if it alone were estimated
-_MUCH = 0.1  # relative change that hides in the noise, from which this is worth a sentence
+_NOTABLE = 0.1  # relative change that hides in the noise, from which this is worth a sentence
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class Uncertainty(Result):
         """By name; infinite where the data leave a parameter open, NaN for one on its bound."""
         errors = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
         errors = np.where(np.any(self.untraced != 0, axis=1), np.inf, errors)
-        return {name: float(one) for name, one in zip(self.parameters, errors, strict=True)}
+        return {name: float(error) for name, error in zip(self.parameters, errors, strict=True)}
 
     @property
     def correlation(self) -> Float[np.ndarray, "np np"]:
         """Of the estimates; NaN where one of the two has no finite error above zero."""
         errors = np.asarray(list(self.standard_errors.values()))
-        known = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
-        return self.covariance / np.outer(known, known)
+        finite_errors = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+        return self.covariance / np.outer(finite_errors, finite_errors)
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence intervals by name.
@@ -89,8 +89,12 @@ class Uncertainty(Result):
         check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
         quantile = student(level, self.degrees_of_freedom)
         value = np.asarray(list(self.parameters.values()))
-        half = quantile * np.asarray(list(self.standard_errors.values()))
-        ends = (value - half, value + half) if self.draws is None else self._percentiles(quantile)
+        half_width = quantile * np.asarray(list(self.standard_errors.values()))
+        ends = (
+            (value - half_width, value + half_width)
+            if self.draws is None
+            else self._percentiles(quantile)
+        )
         return {
             name: (float(low), float(high))
             for name, low, high in zip(self.parameters, *ends, strict=True)
@@ -102,8 +106,8 @@ class Uncertainty(Result):
         tails = ndtr(-quantile * np.sqrt(1.0 + 1.0 / self.degrees_of_freedom))
         draws = np.asarray(self.draws).T
         low, high = (
-            [np.quantile(one, tail) for one, tail in zip(draws, each, strict=True)]
-            for each in (tails, 1.0 - tails)
+            [np.quantile(values, tail) for values, tail in zip(draws, probabilities, strict=True)]
+            for probabilities in (tails, 1.0 - tails)
         )
         return np.asarray(low), np.asarray(high)
 
@@ -129,9 +133,9 @@ class Uncertainty(Result):
         names: list[str] = []
 
         def stacked(at: Any) -> Any:
-            given = function(named(*at))
-            names[:] = _checked_names(given)
-            return jnp.stack([jnp.asarray(one, at.dtype) for one in given.values()])
+            quantities = function(named(*at))
+            names[:] = _checked_names(quantities)
+            return jnp.stack([jnp.asarray(quantity, at.dtype) for quantity in quantities.values()])
 
         try:
             value = np.asarray(stacked(theta))
@@ -140,15 +144,17 @@ class Uncertainty(Result):
             check(False, "function", "must be differentiable by JAX", type(error).__name__,
                   "Use jax.numpy in place of math and numpy, and no float() or int().")  # fmt: skip
             raise
-        for name, one, row in zip(names, value, slope, strict=True):
-            check(bool(np.isfinite(one)), f"function[{name}]", "must be finite", float(one))
+        for name, quantity, row in zip(names, value, slope, strict=True):
+            check(
+                bool(np.isfinite(quantity)), f"function[{name}]", "must be finite", float(quantity)
+            )
             check(bool(np.all(np.isfinite(row))), f"function[{name}]",
                   "must have finite derivatives with the parameters", row)  # fmt: skip
         draws = None
         if self.draws is not None:
             draws = np.asarray(jax.vmap(stacked)(jnp.asarray(self.draws)))
         return Uncertainty(
-            {name: float(one) for name, one in zip(names, value, strict=True)},
+            {name: float(quantity) for name, quantity in zip(names, value, strict=True)},
             _propagated(slope, self.covariance),
             np.min(np.where(slope != 0, self.degrees_of_freedom, np.inf), axis=1),
             _moved(slope, self.untraced),
@@ -187,16 +193,16 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
             np.asarray(information), np.where(bound, 0.0, plant.free)
         )
     units = {name: unit for name, unit in plant.units.items() if name in plant.names}
-    known = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
+    result = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
     precision = _precision(covariance, freedom) if information is None else np.asarray(information)
-    errors = np.asarray(list(known.standard_errors.values()))
+    errors = np.asarray(list(result.standard_errors.values()))
     unclear = [
         _BOUND.format(name, value)
         for name, value, on in zip(plant.names, theta, bound, strict=True)
         if on
     ]
     unclear += _open(untraced, theta, plant.names) + _weak(precision, errors, theta, plant.names)
-    return replace(known, unclear=tuple(unclear))
+    return replace(result, unclear=tuple(unclear))
 
 
 def student(level: float, freedom: Float[np.ndarray, " np"]) -> Float[np.ndarray, " np"]:
@@ -232,7 +238,7 @@ def _open(
         elif combinations:
             sentences.append(f"only {_listed(combinations)} can be told, not {_listed(involved)}")
         else:
-            changes = [format_direction(untraced[:, one], theta, names) for one in group]
+            changes = [format_direction(untraced[:, column], theta, names) for column in group]
             sentences += [f"a change of {change} leaves no trace in the data" for change in changes]
     return sentences
 
@@ -258,16 +264,16 @@ def _weak(
     if np.sum(used) < 2:
         return []
     part = precision[np.ix_(used, used)]
-    alone = np.sqrt(np.diagonal(part))
-    values, vectors = np.linalg.eigh(part / np.outer(alone, alone))
+    scale = np.sqrt(np.diagonal(part))
+    values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
     relative = np.where(used, errors, 0.0) / np.where(theta != 0, np.abs(theta), np.inf)
     sentences = []
     for vector in vectors.T[values * _INFLATED**2 < 1.0]:
         direction = np.zeros(len(theta))
-        direction[used] = vector / alone
+        direction[used] = vector / scale
         involved, combinations = identifiable_combinations(direction[:, None], theta, names, _ROUGH)
         worst = max(relative[names.index(name)] for name in involved)
-        if len(involved) < 2 or worst < _MUCH:
+        if len(involved) < 2 or worst < _NOTABLE:
             continue
         sentence = f"{_listed(involved)} can hardly be told apart, only to within {worst:.0%}"
         if combinations:
@@ -296,11 +302,11 @@ def _groups(directions: Float[np.ndarray, "np k"]) -> list[list[int]]:
     """Directions that share parameters, together."""
     groups: list[tuple[set[int], list[int]]] = []
     for k, direction in enumerate(directions.T):
-        inside, members = set(np.flatnonzero(direction).tolist()), [k]
-        for other in [one for one in groups if one[0] & inside]:
-            groups.remove(other)
-            inside, members = inside | other[0], other[1] + members
-        groups.append((inside, members))
+        parameters, members = set(np.flatnonzero(direction).tolist()), [k]
+        for group in [group for group in groups if group[0] & parameters]:
+            groups.remove(group)
+            parameters, members = parameters | group[0], group[1] + members
+        groups.append((parameters, members))
     return [members for _, members in groups]
 
 
@@ -311,14 +317,14 @@ def _listed(names: tuple[str, ...]) -> str:
 # -- other quantities -------------------------------------------------------------------------
 
 
-def _checked_names(given: Any) -> list[str]:
-    check(isinstance(given, Mapping) and len(given) > 0, "function",
-          "must return a dict of scalars by name", type(given).__name__)  # fmt: skip
-    for name, one in given.items():
+def _checked_names(quantities: Any) -> list[str]:
+    check(isinstance(quantities, Mapping) and len(quantities) > 0, "function",
+          "must return a dict of scalars by name", type(quantities).__name__)  # fmt: skip
+    for name, quantity in quantities.items():
         check(isinstance(name, str), "function", "must return names as texts", repr(name))
-        shape = np.shape(one)
+        shape = np.shape(quantity)
         check(shape == (), f"function[{name}]", "must be a scalar", f"shape {shape}")
-    return list(given)
+    return list(quantities)
 
 
 def _propagated(

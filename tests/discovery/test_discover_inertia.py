@@ -16,7 +16,7 @@ from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.plant import State
 from eoi_jax.refinement.problem import spans_of
-from eoi_jax.refinement.score_test import Along
+from eoi_jax.refinement.score_test import LinearisedRuns
 from eoi_jax.report.discovery import candidate_rows, phrase
 
 mpl.use("Agg")
@@ -221,7 +221,7 @@ def test_a_small_force_moves_both_outputs_of_a_free_run(effect, through, small):
     one = place(plant, effect, 0, None, through)
     changed = augmented(refined.plant, [one], {one.names[0]: small})
     moved = eoi.simulate(changed, time, force, substeps=2, hold="zero").outputs
-    along = Along.of(refined, refined.records, spans_of(refined.records, None), 2)
+    along = LinearisedRuns.of(refined, refined.records, spans_of(refined.records, None), 2)
     shape = np.zeros(0) if effect.gains else np.array([small])
     (own,) = along._forces(one, shape)
     slopes = np.sum([along.response.to(own[..., k, None], k) for k in range(2)], axis=0)[0, ..., 0]

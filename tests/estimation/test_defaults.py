@@ -9,17 +9,15 @@ from problems import SWAY, Motion, grid, moved_mass_spring
 
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
+from eoi_jax.data.spectrum import Spectrum, foreign_lines, spectrum
 from eoi_jax.estimation.defaults import (
-    Spectrum,
     check_runs_of_samples,
     default_lowpass,
     default_observer,
     default_smoothing,
     default_substeps,
     default_transient,
-    foreign_lines,
     short_record_notes,
-    spectrum,
     too_short,
 )
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from problems import SWAY, grid
 
+from eoi_jax.data.masks import moving
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.preparation import moving, prepare_steps, step_inputs
+from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
 

@@ -118,7 +118,7 @@ def test_a_search_that_stands_still_begins_anew_and_ends_at_the_best_one(problem
 
     def tournament(problem, rough, theta, starts, stages):
         cost = depth.get(float(theta[0, 0]), 9.0)
-        return multistart._Found(Unknowns(jnp.asarray(theta[0]), unknowns.starts), cost)
+        return multistart._Candidate(Unknowns(jnp.asarray(theta[0]), unknowns.starts), cost)
 
     monkeypatch.setattr(multistart, "_drawn", drawn)
     monkeypatch.setattr(multistart, "_varied", varied)

@@ -12,7 +12,9 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._checks import RecordWarning
 from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement import fit
 from eoi_jax.refinement import problem as output_error
+from eoi_jax.refinement.fit import _typical
 from eoi_jax.refinement.multistart import _varied, points_of
 from eoi_jax.refinement.problem import (
     Unknowns,
@@ -22,7 +24,7 @@ from eoi_jax.refinement.problem import (
     spans_of,
     used_window,
 )
-from eoi_jax.refinement.refine import _typical, refine
+from eoi_jax.refinement.refine import refine
 
 PERIOD = 5e-3
 TIME = np.arange(1001) * PERIOD
@@ -347,7 +349,7 @@ def test_weights_that_did_not_settle_are_said(monkeypatch):
     struck = np.random.default_rng(1).random(len(record)) < 0.05
     outputs = record.outputs + 1e-2 * struck[:, None]
     spoilt = eoi.Record(record.time, record.inputs, outputs, hold="linear")
-    monkeypatch.setattr(importlib.import_module("eoi_jax.refinement.refine"), "_ROUNDS", 0)
+    monkeypatch.setattr(fit, "_ROUNDS", 0)
     (note,) = refine(OSCILLATOR, spoilt, huber=1.345).notes
     # From the spread of the struck samples to that of the others, which is a hundredth.
     assert "the weights of the outputs still changed by" in note

@@ -8,7 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.refinement.problem import problem_of, spans_of
-from eoi_jax.refinement.score_test import Along, _stages
+from eoi_jax.refinement.score_test import LinearisedRuns, _stages
 
 
 @pytest.mark.parametrize("outputs", [1, 2])
@@ -18,7 +18,7 @@ def test_frequencies_at_which_the_residual_stands_out(outputs):
     residual = np.sin(omega * time)[:, None] * np.ones(outputs)
     names = ("y", "w")[:outputs]
     one: Any = SimpleNamespace(residual=residual.ravel(), plant=SimpleNamespace(outputs=names))
-    assert Along._peaks(one, period)[0] == pytest.approx(omega)
+    assert LinearisedRuns._peaks(one, period)[0] == pytest.approx(omega)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 3])

@@ -105,7 +105,7 @@ def summed(plant, table, lanes):
 
 def shown(plant, table, lane):
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
-    return compiled_runs.shown(
+    return compiled_runs.signals(
         kernel_of(plant, "signals"), one, table[None], np.array([PERIOD]), np.array([len(table)]), 1
     )[0]
 

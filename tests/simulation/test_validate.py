@@ -17,8 +17,9 @@ from eoi_jax.models.library import (
     pendulum,
     three_mass_spring_damper,
 )
+from eoi_jax.simulation.initial_state import _descend
 from eoi_jax.simulation.simulate import simulate
-from eoi_jax.simulation.validate import _descend, _record, validate
+from eoi_jax.simulation.validate import _record, validate
 
 TIME = np.arange(1001) * 5e-3
 FORCE = np.sin(2.0 * TIME) + np.cos(7.0 * TIME)

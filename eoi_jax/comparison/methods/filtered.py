@@ -25,10 +25,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.masks import constant, moving, tapered
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.estimation.defaults import check_runs_of_samples, default_lowpass, velocity_noise
-from eoi_jax.estimation.preparation import TAPER, constant, moving, tapered
+from eoi_jax.estimation.preparation import TAPER
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
 

@@ -1,11 +1,12 @@
 """State-variable filter and least squares: regression on filtered derivatives."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._gauss_newton import gauss_newton
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
@@ -19,9 +20,8 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
 
-_STEPS = 30
-_SETTLED = 1e-8  # rms effect of a step over that of y^(r), below which the iteration has converged
-_DAMPING = 0.1  # first damping after a Gauss-Newton step that increased the residuals
+_STEPS, _LENGTHS = 30, 20  # most steps; lengths of each, a half of the one before
+_ENOUGH = 1e-14  # relative fall of the power of the residuals below which they have settled
 
 
 class StateVariableFilter(AbstractComparator):
@@ -42,12 +42,12 @@ class StateVariableFilter(AbstractComparator):
         if plant.internal is not None:
             return hidden_states_answer(plant)
         filtered = equation(plant, records)
-        fit = least_squares_on(filtered)
-        if not fit.status.ok:
-            return Estimate(None, None, fit.status)
+        end, status = least_squares_on(filtered)
+        if not status.ok:
+            return Estimate(None, None, status)
         memory = round(filtered.memory / filtered.records[0].sample_period)
-        errors = np.sqrt(np.diagonal(covariance(fit.solved, fit.rows, fit.rows, memory)))
-        return Estimate(named(plant, fit.theta), named(plant, errors), fit.status)
+        errors = np.sqrt(np.diagonal(covariance(end.solved, end.rows, end.rows, memory)))
+        return Estimate(named(plant, end.theta), named(plant, errors), status)
 
 
 def hidden_states_answer(plant: Plant) -> Estimate:
@@ -58,49 +58,65 @@ def hidden_states_answer(plant: Plant) -> Estimate:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """Result of the least squares: θ, its rows and solution, and the status."""
+class Regression:
+    """The regression at θ: its rows, and their solution there."""
 
     theta: Float[np.ndarray, " np"]
     rows: Rows
     solved: WeightedSolution
-    status: Status
+
+    @property
+    def cost(self) -> float:
+        """Geometric mean, over the outputs, of the power of the residuals."""
+        return _mean_power(self.solved.power)
 
 
-def least_squares_on(filtered: Equation) -> Fit:
-    """Gauss-Newton, damped where a step does not lower the residuals (Levenberg)."""
+def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
+    """Gauss-Newton with halved steps: where it ends, and how."""
     plant = filtered.plant
-    theta = np.asarray(plant.theta, dtype=float)
-    rows = filtered.rows(theta)
-    solved = solve(rows, rows, plant.free)
+
+    def at(theta: Float[np.ndarray, " np"]) -> Regression:
+        rows = filtered.rows(theta)
+        return Regression(theta, rows, solve(rows, rows, plant.free))
+
+    def linearise(points: list[Regression]) -> list[tuple[np.ndarray, float]]:
+        steps = [
+            np.clip(now.theta + now.solved.increment, plant.lower, plant.upper) - now.theta
+            for now in points
+        ]
+        return [(step, _predicted_fall(now, step)) for now, step in zip(points, steps, strict=True)]
+
+    def evaluate(points: list[Regression], steps: list[np.ndarray]) -> list[Iterator[Regression]]:
+        return [
+            (at(now.theta + 0.5**i * step) for i in range(_LENGTHS))
+            for now, step in zip(points, steps, strict=True)
+        ]
+
+    start = at(np.asarray(plant.theta, dtype=float))
     if not any(np.any(mask > 0) for mask in filtered.masks):
-        return Fit(theta, rows, solved, Status("no_data", _NO_DATA))
-    if not np.isfinite(solved.cost):
-        return Fit(theta, rows, solved, Status("diverged", _DIVERGED))
-    damping = 0.0
-    for number in range(1, _STEPS + 1):
-        damped = solve(rows, rows, plant.free, damping) if damping else solved
-        trial = np.clip(theta + damped.increment, plant.lower, plant.upper)
-        new_rows = filtered.rows(trial)
-        new = solve(new_rows, new_rows, plant.free)
-        if new.cost <= solved.cost:
-            change = _change(rows, trial - theta)
-            theta, rows, solved = trial, new_rows, new
-            damping *= 0.1 if damping > _DAMPING else 0.0
-            if change < _SETTLED:
-                return Fit(theta, rows, solved, _identified(plant, solved, number))
-        elif _change(rows, trial - theta) < _SETTLED:  # rounding
-            return Fit(theta, rows, solved, _identified(plant, solved, number))
-        else:
-            damping = max(10.0 * damping, _DAMPING)
-    code = Status("passes_exhausted", f"residuals still fell after {_STEPS} Gauss-Newton steps")
-    final = _identified(plant, solved, _STEPS)
-    return Fit(theta, rows, solved, code if final.ok else final)
+        return start, Status("no_data", _NO_DATA)
+    if not np.isfinite(start.cost):
+        return start, Status("diverged", _DIVERGED)
+    descent = gauss_newton([start], linearise, evaluate, _ENOUGH, _STEPS)
+    (end,) = descent.points
+    status = _identified(plant, end.solved, descent.rounds)
+    if status.ok and descent.exhausted:
+        text = f"residuals still fell after {_STEPS} Gauss-Newton steps"
+        status = Status("passes_exhausted", text)
+    return end, status
 
 
-def _change(rows: Rows, step: Float[np.ndarray, " np"]) -> float:
-    moved = np.mean(np.concatenate([phi @ step for phi in rows.phi]) ** 2, axis=0)
-    return float(np.max(np.sqrt(moved) / np.where(rows.highest > 0, rows.highest, 1.0)))
+def _mean_power(power: Float[np.ndarray, " ny"]) -> float:
+    logs = np.log(np.maximum(power, np.finfo(float).tiny))
+    return float(np.exp(np.mean(logs))) if np.all(np.isfinite(power)) else np.inf
+
+
+def _predicted_fall(now: Regression, step: Float[np.ndarray, " np"]) -> float:
+    """By how much the cost falls along a step if φ does not change."""
+    residuals = [
+        error - phi @ step for error, phi in zip(now.rows.error, now.rows.phi, strict=True)
+    ]
+    return now.cost - _mean_power(np.mean(np.concatenate(residuals) ** 2, axis=0))
 
 
 def _identified(plant: Plant, solved: WeightedSolution, number: int) -> Status:

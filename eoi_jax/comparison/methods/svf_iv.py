@@ -53,9 +53,9 @@ class StateVariableInstruments(AbstractComparator):
         if plant.internal is not None:
             return hidden_states_answer(plant)
         filtered = equation(plant, records)
-        start = least_squares_on(filtered)
-        if not start.status.ok:
-            return Estimate(None, None, start.status)
+        start, status = least_squares_on(filtered)
+        if not status.ok:
+            return Estimate(None, None, status)
         return _rounds(filtered, start.theta)
 
 

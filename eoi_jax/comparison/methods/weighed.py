@@ -47,16 +47,13 @@ class WeightedSolution:
         return float(np.sum(np.log(np.maximum(self.power, np.finfo(float).tiny))))
 
 
-def solve(
-    rows: Rows, instruments: Rows, free: Float[np.ndarray, " np"], damping: float = 0.0
-) -> WeightedSolution:
+def solve(rows: Rows, instruments: Rows, free: Float[np.ndarray, " np"]) -> WeightedSolution:
     """Δθ of rows at some θ.
 
     Args:
         rows: both sides of the regression.
         instruments: whose `phi` is Ψ; `rows` itself for least squares.
         free: 1 for an estimated parameter.
-        damping: Levenberg's, of columns scaled to one.
     """
     power = np.mean(np.concatenate(rows.error) ** 2, axis=0)
     # A residual below rounding errors has no meaning.
@@ -79,7 +76,6 @@ def solve(
         jnp.asarray(0.5 * (information + information.T)),
         jnp.asarray(projection @ rhs),
         jnp.asarray(free),
-        damping,
     )
     return WeightedSolution(np.asarray(solution.increment), solution, projection, weights, power)
 

@@ -16,7 +16,7 @@ from eoi_jax.comparison.methods.filtered import (
     usable,
 )
 from eoi_jax.comparison.methods.plain import explicit_form
-from eoi_jax.comparison.methods.svf import _change, least_squares_on
+from eoi_jax.comparison.methods.svf import Regression, _predicted_fall, least_squares_on
 from eoi_jax.comparison.methods.weighed import covariance, solve
 
 
@@ -252,8 +252,9 @@ def test_several_outputs_share_one_regression():
     time = np.arange(0.0, 8.0, 2e-3)
     u = eoi.excitation.prbs(time, amplitude=1.0, switching_period=0.05, seed=1)
     one = equation(plant, [eoi.simulate(truth, time, u)])
-    found = least_squares_on(one)
-    share = found.theta / np.asarray(truth.theta) - 1.0
+    end, status = least_squares_on(one)
+    assert status.ok
+    share = end.theta / np.asarray(truth.theta) - 1.0
     assert np.max(np.abs(share)) < 1e-2  # dampers are a thousandth of the acceleration
 
 
@@ -432,7 +433,12 @@ def test_too_few_blocks_leave_errors_unknown_but_not_of_what_is_fixed():
     np.testing.assert_array_equal(found, [[np.nan, 0.0], [0.0, 0.0]])
 
 
-def test_an_output_that_stands_still_does_not_hide_that_rounds_have_settled():
+def test_an_output_that_stands_still_does_not_hide_that_steps_have_settled():
     phi = np.stack([np.ones((50, 2)), np.zeros((50, 2))], axis=1)
-    rows = Rows([phi], [np.zeros((50, 2))], np.array([4.0, 0.0]))
-    assert _change(rows, np.array([0.5, 0.5])) == pytest.approx(0.25)
+    error = np.stack([np.full(50, 0.5), np.zeros(50)], axis=1)
+    rows = Rows([phi], [error], np.array([4.0, 0.0]))
+    now = Regression(np.zeros(2), rows, solve(rows, rows, np.ones(2)))
+    assert _predicted_fall(now, np.zeros(2)) == 0.0
+    # Of the two powers only one falls, to 0.6² of it: their geometric mean to 0.6.
+    fall = _predicted_fall(now, np.array([0.1, 0.1]))
+    assert fall / now.cost == pytest.approx(0.4)

@@ -43,7 +43,7 @@ def run_of(plant, start):
 def shown(plant, lane, table):
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
     ends = np.array([PERIOD]), np.array([len(table)])
-    return compiled_runs.shown(kernel_of(plant, "signals"), one, table[None], *ends, 1)[0]
+    return compiled_runs.signals(kernel_of(plant, "signals"), one, table[None], *ends, 1)[0]
 
 
 WIDE = Plant(waves, dict.fromkeys(TERMS, 0.5), 1, ("u",), ("y",))

@@ -1,0 +1,155 @@
+"""Which samples and steps of a record count.
+
+A sample is scored if it is valid and lies behind the transient at the start of its record. A step
+lies between two samples, and is valid if both are. A step is usable where, beside that, the model
+says what the measurement shows: not while dry friction holds the plant at rest.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax.data.record import Record
+
+# An increment of y within this many standard deviations of its noise has no certain sign.
+_SIGNIFICANT = 4.0
+# Steps, beside its moving average, after which an implicit observer that starts anew slides.
+_SLIDES_AFTER = 3
+
+
+def transient_samples(record: Record, transient: float = 0.0) -> int:
+    """Samples at the start of a record that are not scored.
+
+    Args:
+        record: whose burn-in is its own transient.
+        transient: of the method [s]; the longer one counts.
+    """
+    return round(max(transient, record.burn_in) / record.sample_period)
+
+
+def scored_samples(record: Record, unscored: int | None = None) -> Bool[np.ndarray, " time"]:
+    """Samples that are valid and lie behind the transient.
+
+    Args:
+        record: with its mask and its burn-in.
+        unscored: samples at the start that are not scored; those of `transient_samples` if None.
+    """
+    scored = record.valid.copy()
+    scored[: transient_samples(record) if unscored is None else unscored] = False
+    return scored
+
+
+def valid_steps(record: Record) -> Bool[np.ndarray, " steps"]:
+    """Steps between two valid samples."""
+    return record.valid[:-1] & record.valid[1:]
+
+
+def longest_run(record: Record) -> tuple[int, int]:
+    """First and last sample, plus one, of the longest run of valid samples."""
+    return max(record.segments(), key=lambda segment: segment[1] - segment[0])
+
+
+def moving(
+    degrees: Sequence[int],
+    outputs: Float[np.ndarray, "time ny"],
+    h: float,
+    noise: Float[np.ndarray, " ny"],
+) -> Bool[np.ndarray, "time-1 ny"]:
+    """Steps in which the direction of motion is certain.
+
+    Dry friction has the value that the model gives it only there: at rest it is a reaction, and
+    within a reversal it changes sign. One step on each side is left out as well, because rest can
+    begin or end inside it.
+
+    Args:
+        degrees: of the outputs; of degree one they are speeds themselves.
+        outputs: on a uniform grid.
+        h: its step [s].
+        noise: standard deviation of that of the velocities, `defaults.velocity_noise`, shape (ny,).
+    """
+    velocity = np.where(
+        np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
+    )
+    direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
+    before = np.concatenate([direction[:1], direction[:-1]])
+    after = np.concatenate([direction[1:], direction[-1:]])
+    return (direction != 0) & (direction == before) & (direction == after)
+
+
+def usable_steps(
+    record: Record,
+    taps: int,
+    degrees: Sequence[int],
+    jumps: Bool[np.ndarray, "ny ny"],
+    noise: Float[np.ndarray, " ny"],
+) -> tuple[Bool[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
+    """Steps in which model and measurement belong together, and those at which an observer starts.
+
+    Args:
+        record: uniformly sampled.
+        taps: length of the observer's moving average [steps].
+        degrees: relative degrees of the outputs.
+        jumps: `Plant.jumps`: which outputs' directions each acceleration jumps with.
+        noise: of the velocities, as of `moving`.
+
+    Returns:
+        Usable steps of each output, and the steps at which the observer starts: the first one, and
+        the first one after a gap.
+    """
+    valid = valid_steps(record)
+    restart = valid & ~np.concatenate([[False], valid[:-1]])
+    restart[0] = True
+    good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
+    if np.any(jumps):
+        resting = ~moving(degrees, record.outputs, record.sample_period, noise)
+        good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
+    good &= ~constant(record)
+    use = consecutive(good, taps)  # every step of the moving average must be good
+    # An implicit observer started on the measurement slides after about r steps.
+    return use & beyond_starts(restart, taps + _SLIDES_AFTER)[:, None], restart
+
+
+def consecutive(good: Bool[np.ndarray, "steps ny"], count: int) -> Bool[np.ndarray, "steps ny"]:
+    """Steps that are good together with the `count` - 1 before them, as far as there are any."""
+    together = good.copy()
+    for lag in range(1, count):
+        together[lag:] &= good[:-lag]
+    return together
+
+
+def beyond_starts(starts: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
+    """All steps but the first `count` from each start on."""
+    beyond = np.ones(len(starts), dtype=bool)
+    for start in np.flatnonzero(starts):
+        beyond[start : start + count] = False
+    return beyond
+
+
+def constant(record: Record) -> Bool[np.ndarray, " ny"]:
+    """Outputs that never move: all that differences show of them is rounding."""
+    y = record.outputs[record.valid]
+    return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
+
+
+def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
+    """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
+
+    Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
+    cuts second differences of the measurement noise apart that would cancel in the filter.
+    """
+    if np.all(use > 0):
+        return np.ones_like(use)
+    distance = np.stack(
+        [np.minimum(_since_zero(channel), _since_zero(channel[::-1])[::-1]) for channel in use.T],
+        axis=1,
+    )
+    weights, near = np.ones_like(distance), distance < max(length, 1.0)
+    weights[near] = 0.5 - 0.5 * np.cos(np.pi * distance[near] / max(length, 1.0))
+    return weights
+
+
+def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
+    index = np.arange(len(weights))
+    last = np.maximum.accumulate(np.where(weights > 0, -1, index))
+    return np.where(last < 0, np.inf, index - last).astype(float)

@@ -1,0 +1,219 @@
+"""From the last fit to what `refine` returns: estimate, covariance, status."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax._status import Status
+from eoi_jax.compiler.programs import jit
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
+from eoi_jax.estimation.regression.orthonormal import orthonormal
+from eoi_jax.estimation.regression.robust_covariance import long_run
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.refinement.fit import Fit, log_cost, rms
+from eoi_jax.refinement.problem import CONVERGED, Span
+from eoi_jax.refinement.result import Refinement, Start
+from eoi_jax.simulation.sensitivity import Host, RunKernel
+
+
+def refinement_of(
+    fit: Fit, records: Sequence[Record], spans: Sequence[Span], window: float | None
+) -> Refinement:
+    """What `refine` returns.
+
+    Args:
+        fit: the last one.
+        records: as given.
+        spans: runs on them.
+        window: length of the runs [s].
+    """
+    problem, nominal = fit.problem, fit.problem.kernel.plant
+    theta = problem.completed(fit.outcome.unknowns.theta)
+    plant, error = nominal.with_parameters(theta), fit.error
+    rmse, rmse_before = rms(error, fit.use), rms(fit.initial_error, fit.use)
+    bound = [name for i, name in enumerate(plant.names) if i in problem.free
+             and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
+    certainty = _certainty(fit, plant, bound, spans)
+    errors = np.sqrt(np.diagonal(certainty.covariance))
+    if fit.differentiable:
+        within_bounds = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
+        errors = standard_errors(certainty.covariance, certainty.information, within_bounds)
+    return Refinement(
+        plant.parameters,
+        {name: float(value) for name, value in zip(plant.names, errors, strict=True)},
+        certainty.covariance,
+        plant,
+        nominal,
+        _starts(fit, plant, records, spans),
+        rmse,
+        rmse_before,
+        log_cost(rmse),
+        log_cost(rmse_before),
+        _per_sample(error, fit.use, records, spans),
+        fit.steps,
+        window,
+        _status(fit, certainty.lost),
+        (
+            *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
+            *_unsettled(fit),
+        ),
+        certainty.information,
+        certainty.freedom,
+        tuple(_per_sample(fit.initial_error, fit.use, records, spans)),
+        tuple(records),
+        problem.substeps,
+        problem.engine,
+    )
+
+
+def _unsettled(fit: Fit) -> tuple[str, ...]:
+    if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
+        return ()
+    change = f"{100 * fit.unsettled:.2g} % after {fit.fits} fits"
+    return (f"the weights of the outputs still changed by {change}; refine again from here",)
+
+
+def _per_sample(
+    error: np.ndarray, use: np.ndarray, records: Sequence[Record], spans: Sequence[Span]
+) -> list[np.ndarray]:
+    """One array for each record, NaN where not scored."""
+    residuals = [np.full(record.outputs.shape, np.nan) for record in records]
+    for span, run_error, keep in zip(spans, error, use, strict=True):
+        (index,) = np.nonzero(np.any(keep, axis=1))
+        residuals[span.record][span.first + index] = run_error[index]
+    return residuals
+
+
+def _starts(
+    fit: Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
+) -> tuple[Start, ...]:
+    unknowns, theta = fit.outcome.unknowns, np.asarray(plant.theta)
+    x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
+    x = jax.tree.map(np.asarray, x)
+    return tuple(
+        Start(records[span.record].name, float(records[span.record].time[span.first]), y, z)
+        for span, y, z in zip(spans, x.y, x.z, strict=True)
+    )
+
+
+@jit(static=())
+def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
+    """The states of all windows in one call."""
+    return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)
+
+
+@dataclass(frozen=True)
+class _Certainty:
+    """How well the fit knows its parameters.
+
+    Attributes:
+        covariance: shape (np, np); NaN where there are no derivatives, or on a bound.
+        information: beside that of the initial states, which are estimated too; (np, np).
+        freedom: degrees of freedom of each variance, shape (np,).
+        lost: combinations of parameters without a trace.
+    """
+
+    covariance: Float[np.ndarray, "np np"]
+    information: Float[np.ndarray, "np np"]
+    freedom: Float[np.ndarray, " np"]
+    lost: list[str]
+
+
+def _certainty(fit: Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Span]) -> _Certainty:
+    """Sandwich of the information and the long-run covariance of the scores."""
+    size, free = len(plant.names), list(fit.problem.free)
+    covariance, information = np.zeros((size, size)), np.zeros((size, size))
+    freedom = np.full(size, np.inf)
+    if not fit.differentiable:
+        covariance[np.ix_(free, free)] = np.nan
+        return _Certainty(covariance, information, freedom, [])
+    names = [plant.names[i] for i in free]
+    loose = np.asarray([float(name not in bound) for name in names])
+    start_size = fit.sensitivities.shape[-1] - 1 - len(free)
+    rows, scores = zip(
+        *(
+            _run_scores(run[: span.count + 1], start_size, float(fit.problem.threshold))
+            for run, span in zip(fit.sensitivities, spans, strict=True)
+        ),
+        strict=True,
+    )
+    # Windows of one record are its parts, and no independent ones.
+    lengths = np.bincount([run.record for run in spans], [len(run) for run in scores]).astype(int)
+    rows, scores = np.concatenate(rows) * loose, np.concatenate(scores) * loose
+    flat = rows.reshape(-1, len(names))
+    square = flat.T @ flat
+    solution = least_squares(square, np.zeros(len(names)), loose)
+    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse), lengths.tolist())
+    freedom[free] = small_freedom
+    small[loose == 0] = small[:, loose == 0] = np.nan
+    covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square
+    return _Certainty(covariance, information, freedom, untraced(solution, names, loose))
+
+
+def _run_scores(
+    sensitivities: Float[np.ndarray, "time ny size"], start_size: int, threshold: float
+) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"]]:
+    """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
+    rows = sensitivities.reshape(-1, sensitivities.shape[-1])
+    starts, theta, error = rows[:, :start_size], rows[:, start_size:-1], rows[:, -1]
+    own_space = orthonormal(starts, 1e-10)
+    projected = theta - own_space @ (own_space.T @ theta)
+    inliers = projected * (np.abs(error) <= threshold)[:, None]
+    score = projected * np.clip(error, -threshold, threshold)[:, None]
+    shape = *sensitivities.shape[:2], projected.shape[1]
+    return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1)
+
+
+def _status(fit: Fit, lost: Sequence[str]) -> Status:
+    outcome, predicted_reduction = fit.outcome, float(fit.outcome.predicted_reduction)
+    if not fit.differentiable:
+        return Status("diverged", _ROUGH)
+    if lost:
+        return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
+    if predicted_reduction < CONVERGED:
+        return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
+    if bool(outcome.exhausted):
+        return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
+    return Status("stalled", _STALLED.format(predicted_reduction))
+
+
+def unanswered(
+    plant: Plant, records: Sequence[Record], window: float | None, status: Status
+) -> Refinement:
+    """The starting point, unchanged, and why."""
+    size, unknown = len(plant.names), np.full(len(plant.outputs), np.nan)
+    return Refinement(
+        plant.parameters, dict.fromkeys(plant.names, np.nan), np.full((size, size), np.nan),
+        plant, plant, (), unknown, unknown, np.nan, np.nan,
+        [np.full(record.outputs.shape, np.nan) for record in records], 0, window, status, (),
+    )  # fmt: skip
+
+
+NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
+DIVERGED = (
+    "the free run from the starting parameters does not stay finite: start from other parameters "
+    "(`starts = 200` tries so many around them), or fit shorter runs with `window`"
+)
+ALL_DIVERGED = (
+    "no free run stays finite, neither from the starting parameters nor from the {} other starts: "
+    "fit shorter runs with `window`, or start nearer to what the plant does"
+)
+_ROUGH = (
+    "the free run has no derivatives where the fit ended: a function of the model has none there "
+    "(a root at zero), or the steps are too long for what is fast in it, so that the last digit of "
+    "a parameter decides. Keep its parameters off there with `bounds`, or ask for more `substeps`"
+)
+_UNTRACED = (
+    "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "
+    "parameters, or excite the plant so that they differ"
+)
+_MORE_STEPS = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
+_STALLED = (
+    "no step lowers the cost, though least squares promises {:.2g} of it: the free run is not "
+    "smooth in its parameters there (moments of rest that come and go, limits just met or just "
+    "missed). Fit shorter runs with `window` if the promise is large"
+)

@@ -1,0 +1,315 @@
+"""Initial states of free runs: least squares of each run over its first samples.
+
+Outputs and their derivatives start from local polynomials, internal states from where the model
+declares them. Gauss-Newton with halved steps (`_gauss_newton.py`) goes on from there; the
+derivatives of the errors are differences, for one of the simulation would take longer to compile
+than all else. All runs are simulated side by side.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from eoi_jax._gauss_newton import gauss_newton
+from eoi_jax.compiler.programs import jit
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import Drive, trajectory
+
+Samples = Float[np.ndarray, "time ny"]
+Starts = Float[np.ndarray, "runs unknowns"]
+Trials = Float[np.ndarray, "runs trials unknowns"]
+
+_ROUNDS = 20  # of Gauss-Newton; a linear plant needs one
+_DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
+_LANES = 32  # runs that are simulated at once
+_TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
+_SMALLEST_FALL = (
+    1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What all runs share."""
+
+    plant: Plant
+    friction: tuple[int, ...]
+    initial_samples: int
+    substeps: int
+
+
+def initial_states(
+    run: Run, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
+) -> Starts:
+    """Least squares of each free run over its first samples, by Gauss-Newton."""
+    period = float(heads.step[0]) * heads.substeps
+    z = np.zeros(0)
+    if run.plant.internal is not None:
+        z = np.asarray(run.plant.internal_start(jnp.asarray(run.plant.theta)))
+    starts = np.stack(
+        [
+            _polynomial_starts(run.plant, outputs, mask, period)
+            for outputs, mask in zip(y, valid, strict=True)
+        ]
+    )
+    starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
+    measured = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
+    spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
+    first_samples = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0))
+    cost, values = _descend(first_samples, starts, measured)
+    if len(z):
+        # Internal states stay where the model starts them, unless the first samples tell (BIC):
+        # from a few noisy ones they would come out anywhere.
+        freed_cost, freed_values = _descend(first_samples, values[:, None], np.ones_like(measured))
+        count = np.maximum(np.sum(valid, axis=1) * y.shape[2], 2)
+        significant = freed_cost < cost * np.exp(-2.0 * len(z) * np.log(count) / count)
+        values = np.where(significant[:, None], freed_values, values)
+    return values
+
+
+class _Start(NamedTuple):
+    """Initial values of one run.
+
+    Attributes:
+        run: its number.
+        cost: squared error over its first samples; infinite where the run diverges.
+        values: of the unknowns, shape (unknowns,).
+        error: over the first samples and the outputs, shape (rows,).
+        slopes: minus its derivatives with the free unknowns, shape (rows, free); None if not known.
+    """
+
+    run: int
+    cost: float
+    values: Float[np.ndarray, " unknowns"]
+    error: Float[np.ndarray, " rows"]
+    slopes: Float[np.ndarray, "rows free"] | None = None
+
+
+def _descend(
+    heads: "_Heads", starts: Trials, free: Bool[np.ndarray, " unknowns"]
+) -> tuple[Float[np.ndarray, " runs"], Starts]:
+    """Gauss-Newton over some of the unknowns, each run from its best start.
+
+    Returns:
+        The squared error of each run, and its values.
+    """
+    costs, errors = heads.errors(starts)
+    best = np.argmin(costs, axis=1)
+    points = [
+        _Start(run, costs[run, i], starts[run, i], errors[run, i]) for run, i in enumerate(best)
+    ]
+
+    def linearise(points: list[_Start]) -> list[tuple[np.ndarray, float]]:
+        return [_step(point.error, slopes, free) for point, slopes in _slopes(heads, points, free)]
+
+    def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
+        runs = np.asarray([point.run for point in points])
+        values = np.stack([point.values for point in points])
+        lengths = 0.5 ** np.arange(_TRIALS)[:, None]
+        trials = values[:, None] + np.stack(steps)[:, None] * lengths
+        costs, errors, slopes = heads.part(runs).errors_and_slopes(trials, free)
+        return [
+            [
+                _Start(run, costs[i, j], trials[i, j], errors[i, j], None if j else slopes[i])
+                for j in range(_TRIALS)
+            ]
+            for i, run in enumerate(runs)
+        ]
+
+    ends = gauss_newton(points, linearise, evaluate, _SMALLEST_FALL, _ROUNDS).points
+    return np.asarray([end.cost for end in ends]), np.stack([end.values for end in ends])
+
+
+def _slopes(
+    heads: "_Heads", points: list[_Start], free: Bool[np.ndarray, " unknowns"]
+) -> Iterable[tuple[_Start, np.ndarray]]:
+    """Points with their slopes; those that are not known are simulated side by side."""
+    missing = [point for point in points if point.slopes is None]
+    if missing:
+        runs = np.asarray([point.run for point in missing])
+        values = np.stack([point.values for point in missing])
+        errors = np.stack([point.error for point in missing])
+        simulated = iter(heads.part(runs).slopes(values, errors, free))
+    for point in points:
+        yield point, next(simulated) if point.slopes is None else point.slopes
+
+
+def _step(
+    error: Float[np.ndarray, " rows"],
+    slopes: Float[np.ndarray, "rows free"],
+    free: Bool[np.ndarray, " unknowns"],
+) -> tuple[Float[np.ndarray, " unknowns"], float]:
+    """Least-squares step on scaled columns, and the fall of the squared error that it predicts.
+
+    What leaves no trace in y stays where it is, and so does all where slopes are not known.
+    """
+    step = np.zeros(len(free))
+    if not np.all(np.isfinite(slopes)):
+        return step, 0.0
+    size = np.linalg.norm(slopes, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    step[free] = np.linalg.lstsq(slopes / size, error, rcond=1e-8)[0] / size
+    return step, float(step[free] @ (slopes.T @ error))
+
+
+@dataclass(frozen=True)
+class _Heads:
+    """The first samples of all runs, to which start states are fitted."""
+
+    run: Run
+    heads: Drive
+    y: Float[np.ndarray, "runs time ny"]
+    valid: Bool[np.ndarray, "runs time"]
+    period: float
+    spread: Float[np.ndarray, " ny"]
+
+    def part(self, runs: Int[np.ndarray, " some"]) -> "_Heads":
+        """The first samples of some of the runs."""
+        if len(runs) == len(self.y):
+            return self
+        return replace(self, heads=self._driving(runs), y=self.y[runs], valid=self.valid[runs])
+
+    def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
+        """What drives some of the runs; on the host, where another number is no compilation."""
+        heads = self.heads
+        time, step, inputs = (
+            np.asarray(part)[runs] for part in (heads.time, heads.step, heads.inputs)
+        )
+        return Drive(time, step, inputs, heads.substeps)
+
+    def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
+        """Squared error of each trial, infinite where it diverges, and the errors.
+
+        Each output counts by its own spread: metres and radians add up to nothing.
+        """
+        outputs = self._simulated(values)
+        error = np.where(self.valid[:, None, :, None], self.y[:, None] - outputs, 0.0) / self.spread
+        error = error.reshape(*values.shape[:2], -1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = np.sum(error**2, axis=-1)
+        return np.where(np.isfinite(cost), cost, np.inf), error
+
+    def slopes(
+        self, values: Starts, error: Float[np.ndarray, "runs rows"], free: np.ndarray
+    ) -> Float[np.ndarray, "runs rows free"]:
+        """Minus the derivatives of the errors with the free initial values.
+
+        By differences: a derivative of the simulation would take longer to compile than all else.
+        """
+        _, errors = self.errors(self._moved(values, free))
+        return self._slopes(values, error, errors, free)
+
+    def errors_and_slopes(
+        self, trials: Trials, free: np.ndarray
+    ) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"], np.ndarray]:
+        """`errors` of all trials, and in the same call the slopes at the first of each run."""
+        first, count = trials[:, 0], trials.shape[1]
+        costs, errors = self.errors(np.concatenate([trials, self._moved(first, free)], axis=1))
+        slopes = self._slopes(first, errors[:, 0], errors[:, count:], free)
+        return costs[:, :count], errors[:, :count], slopes
+
+    def _moved(self, values: Starts, free: np.ndarray) -> Trials:
+        return values[:, None] + np.eye(values.shape[1])[free] * self._small(values)[:, None]
+
+    def _slopes(
+        self, values: Starts, error: np.ndarray, errors: np.ndarray, free: np.ndarray
+    ) -> Float[np.ndarray, "runs rows free"]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = np.moveaxis(error[:, None] - errors, 1, 2)
+            return change / self._small(values)[:, None, free]
+
+    def _small(self, values: Starts) -> Starts:
+        """Steps of the differences: a small share of what each initial value is measured by."""
+        z = np.abs(values[:, self._reach.shape[1] :])
+        return _DIFFERENCE * np.concatenate([self._reach, np.where(z > 0, z, 1.0)], axis=1)
+
+    @cached_property
+    def _reach(self) -> Starts:
+        """How far outputs and their derivatives move in each run."""
+        rows, columns = owned(self.run.plant)
+        reach = np.ptp(self.y, axis=1) + 1e-3 * np.max(np.abs(self.y), axis=1)
+        reach = np.where(reach > 0, reach, 1.0)[:, columns]
+        return reach / (self.y.shape[1] * self.period) ** rows
+
+    def _simulated(self, values: Trials) -> Float[np.ndarray, "runs trials time ny"]:
+        run = self.run
+        lanes = values.reshape(-1, values.shape[-1])
+        owner = np.repeat(np.arange(len(values)), values.shape[1])
+        parts = []
+        # Always so many runs at once, whatever the number of windows: one kernel for each plant.
+        for first in range(0, len(lanes), _LANES):
+            index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
+            drives = self._driving(owner[index])
+            outputs = _runs(run.plant, drives, lanes[index], run.friction)
+            parts.append(np.asarray(outputs))
+        outputs = np.concatenate(parts)[: len(lanes)]
+        return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
+
+
+def _polynomial_starts(
+    plant: Plant, y: Samples, valid: Bool[np.ndarray, " time"], period: float
+) -> Float[np.ndarray, "trials owned"]:
+    """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
+
+    A long stretch averages noise, a short one follows fast motion: the free run decides later.
+    The last one is repeated where the head is too short for more.
+    """
+    degree = plant.relative_degree + 1
+    rows, columns = owned(plant)
+    factorial = np.cumprod([1.0, *range(1, degree + 1)])
+    (samples,) = np.nonzero(valid)
+    starts, count = [], len(samples)
+    while count >= min(degree + 1, len(samples)) and count > 0 and len(starts) < _TRIALS:
+        index = samples[:count]
+        # Time in units of the stretch: the columns are then of one size.
+        reach = max(float(index[-1]), 1.0)
+        powers = np.vander(index / reach, min(degree, count - 1) + 1, increasing=True)
+        coefficients = np.zeros((degree + 1, y.shape[1]))
+        coefficients[: powers.shape[1]] = np.linalg.lstsq(powers, y[index], rcond=None)[0]
+        scale = (factorial / (reach * period) ** np.arange(degree + 1))[:, None]
+        starts.append((coefficients * scale)[rows, columns])
+        count //= 2
+    starts = starts or [np.zeros(len(rows))]
+    return np.stack([*starts, *[starts[-1]] * (_TRIALS - len(starts))])
+
+
+def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of `State.y` that are states of a plant, output by output."""
+    pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
+    rows, columns = np.asarray(pairs).T
+    return rows, columns
+
+
+def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
+    """The state of which `values` are what is unknown: outputs and derivatives, then z."""
+    rows, columns = owned(plant)
+    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
+    return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
+
+
+@jit
+def states_of(plant: Plant, values: Float[Array | np.ndarray, "runs unknowns"]) -> State:
+    """`unpacked`, of several runs side by side."""
+    return jax.vmap(lambda values: unpacked(plant, values))(jnp.asarray(values))
+
+
+@jit(static=("friction",))
+def _runs(
+    plant: Plant,
+    drives: Drive,
+    values: Float[Array | np.ndarray, "runs unknowns"],
+    friction: tuple[int, ...],
+) -> Float[Array, "runs time ny"]:
+    """Short runs side by side, at the plant's own parameters."""
+    theta = jnp.asarray(plant.theta)
+
+    def outputs(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
+        return trajectory(plant, theta, driven_by, unpacked(plant, values), friction)[0][:, 0, :]
+
+    return jax.vmap(outputs)(drives, jnp.asarray(values))
