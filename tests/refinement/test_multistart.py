@@ -187,16 +187,14 @@ def test_one_step_a_sample_is_not_made_longer():
 
 
 def test_points_take_their_first_steps_in_longer_ones_and_end_in_short_ones(problem, monkeypatch):
-    from eoi_jax.refinement import levenberg_marquardt
-
     runs, unknowns = problem
-    rough, seen, solve_many = replace(runs), [], levenberg_marquardt.solve_many
+    rough, seen, solve_many = replace(runs), [], multistart.solve_many
 
     def watched(one, several, steps):
         seen.append((one is rough, len(several.theta), steps))
         return solve_many(runs, several, steps)
 
-    monkeypatch.setattr(levenberg_marquardt, "solve_many", watched)
+    monkeypatch.setattr(multistart, "solve_many", watched)
     points = np.tile(np.asarray(PLANT.theta), (20, 1))
     best(runs, rough, unknowns, points)
     assert seen == [(True, 20, 8), (False, 3, 8)]
