@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from eoi_jax._gauss_newton import gauss_newton
+from eoi_jax.simulation.gauss_newton import gauss_newton
 
 
 class Scalar(NamedTuple):

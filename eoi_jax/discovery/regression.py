@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax._gauss_newton import gauss_newton
+from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax.discovery.candidates import Atom
 from eoi_jax.discovery.cosine_modes import Stretch, model_rows
 from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds

@@ -1,7 +1,7 @@
 """Initial states of free runs: least squares of each run over its first samples.
 
 Outputs and their derivatives start from local polynomials, internal states from where the model
-declares them. Gauss-Newton with halved steps (`_gauss_newton.py`) goes on from there; the
+declares them. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the
 derivatives of the errors are differences, for one of the simulation would take longer to compile
 than all else. All runs are simulated side by side.
 """
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from eoi_jax._gauss_newton import gauss_newton
+from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import Drive, trajectory

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._gauss_newton import gauss_newton
+from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
