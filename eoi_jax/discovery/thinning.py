@@ -1,11 +1,14 @@
 """Signals along a record averaged as the r-th difference sees them, and thinned to a band."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+_PART = 4096  # samples at a time: what is computed on the way stays in the cache
 
 
 def thinning(step: float) -> Float[np.ndarray, "factor 4"]:
@@ -27,11 +30,44 @@ def thinned(values: Any, weight: Any, kernel: Any) -> Any:
     NumPy's arrays stay with NumPy: XLA would compile every operation for every length of record.
     """
     xp = jnp if isinstance(values, jax.Array) else np
-    factor = kernel.shape[0]
-    weighted = values * weight
-    before = [(0, 0)] * (weighted.ndim - 1)
-    padded = xp.pad(weighted, [*before, (0, -weighted.shape[-1] % factor)])
-    blocks = padded.reshape(*padded.shape[:-1], -1, factor) @ kernel
+    return _overlapped(xp, _blocks(xp, values * weight, kernel))
+
+
+def averaged_and_thinned(
+    values: Callable[[slice], Float[np.ndarray, "*batch part"]],
+    degree: int,
+    weight: Float[np.ndarray, " samples"],
+    kernel: Float[np.ndarray, "factor taps"],
+) -> Float[np.ndarray, "*batch nodes"]:
+    """`thinned` of `averaged` signals that are never there as a whole.
+
+    Args:
+        values: the signals at some steps, last axis.
+        degree: of the difference that averages.
+        weight: of each average.
+        kernel: of the thinning.
+    """
+    factor, beyond = len(kernel), len(averaging(degree)) - 1
+    length = max(_PART // factor, 1) * factor
+    parts = []
+    for first in range(0, len(weight), length):
+        last = min(first + length, len(weight))
+        along = averaged(degree, values(slice(first, last + beyond)))
+        parts.append(_blocks(np, along * weight[first:last], kernel))
+    return _overlapped(np, np.concatenate(parts, axis=-2))
+
+
+def _blocks(xp: Any, weighted: Any, kernel: Any) -> Any:
+    """What each block of samples adds to the four nodes around it."""
+    factor, missing = kernel.shape[0], -weighted.shape[-1] % kernel.shape[0]
+    if missing:
+        weighted = xp.pad(weighted, [*[(0, 0)] * (weighted.ndim - 1), (0, missing)])
+    return weighted.reshape(*weighted.shape[:-1], -1, factor) @ kernel
+
+
+def _overlapped(xp: Any, blocks: Any) -> Any:
+    """Nodes, from what the blocks add to them."""
+    before = [(0, 0)] * (blocks.ndim - 2)
     shifted = [xp.pad(blocks[..., i], [*before, (i, 3 - i)]) for i in range(4)]
     return shifted[0] + shifted[1] + shifted[2] + shifted[3]
 

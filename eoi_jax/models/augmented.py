@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from eoi_jax._checks import check
 from eoi_jax.models.effects.effect import (
@@ -133,7 +132,7 @@ def augmented(
     """
     if not placed:
         return plant
-    nz = len(np.asarray(plant.internal_start(jnp.asarray(plant.theta))))
+    nz = len(plant.initial_internal)
     own = plant.names
     several = tuple(placed)
     states = sum(one.effect.states for one in several)
@@ -192,7 +191,7 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
 
 def own_states(plant: Plant) -> int:
     """Number of internal states that the declared plant has: without those of effects."""
-    start, count = plant.internal_initial, len(plant.internal_start(jnp.asarray(plant.theta)))
+    start, count = plant.internal_initial, len(plant.initial_internal)
     while isinstance(start, _Start):
         start, count = start.base, count - start.states
     return count

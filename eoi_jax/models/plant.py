@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax._types import Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
-from eoi_jax.compiler.programs import jit
+from eoi_jax.compiler.pointwise import along
 
 # Velocity at which f is just above or just below rest: in whatever unit so small that only a jump
 # shows between the two, and that its square is still a number in single precision.
@@ -38,8 +38,8 @@ class State(eqx.Module):
         z: internal states, shape (nz,).
     """
 
-    y: Float[Array, "r ny"]
-    z: Float[Array, " nz"]
+    y: Float[Array | np.ndarray, "r ny"]
+    z: Float[Array | np.ndarray, " nz"]
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]
@@ -262,6 +262,14 @@ class Plant(eqx.Module):
         value = start(self.named(theta)) if callable(start) else start
         return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
 
+    @property
+    def initial_internal(self) -> Float[np.ndarray, " nz"]:
+        """z at the start of a record, at the plant's own parameters."""
+        if not callable(self.internal_initial):
+            return np.asarray(self.internal_initial, dtype=float)
+        theta = np.asarray(self.theta, dtype=float)[None]
+        return along(Plant.internal_start, ("fixed", "rows"), self, theta)[0]
+
     def regressor(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Regressor:
         r"""$\varphi = \partial f/\partial\theta$ at θ, eq. (2), shape (ny, np)."""
         return jax.jacfwd(lambda value: self.derivative(t, x, u, value))(theta)
@@ -326,7 +334,7 @@ class Plant(eqx.Module):
         positions = np.asarray(self.degrees) >= 2
         if np.sum(positions) < 2:
             return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
-        slopes, size = map(np.asarray, _pushed(self, *_probes(self)))
+        slopes, size = along(_pushed, ("fixed", "rows"), self, _probes(self))
         pushes = slopes > 1e2 * np.finfo(size.dtype).eps * size
         pushes = np.any(pushes, axis=0) & positions[:, None]
         return pushes & (np.sum(pushes, axis=0) > 1)
@@ -552,7 +560,8 @@ def _affine(
         x, named = State(y, jnp.zeros(0)), parameter_type(names)
         return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
-    line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
+    dtype = jnp.result_type(float)
+    line = [jax.ShapeDtypeStruct(one, dtype) for one in ((len(names),), (), shape, (inputs,))]
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
@@ -561,7 +570,7 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     """`Plant.jumps` of the plant of this structure, whose bounds play no part."""
     del dtype  # in which the probes are computed: another one, another answer
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
-    near, far, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
+    near, far, size = along(_across_rest, ("fixed", "rows"), plant, _probes(plant))
     # A slope grows with the distance between the two velocities, a jump does not.
     jumps = (near > 1e2 * np.finfo(near.dtype).eps * size) & (near > 0.5 * far)
     # What another output does where one of degree one changes sign is no friction.
@@ -571,33 +580,23 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     return jumps
 
 
-@jit(static=())
-def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-    """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
-
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-        x = State(y, plant.internal_start(theta) + 0.1)
-        size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
-        return jnp.abs(plant.input_slopes(t, x, u, theta)), size
-
-    return jax.vmap(one)(t, y, u, theta)
+def _pushed(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array]:
+    """|∂f/∂u|, shape (ny, nu); the size of f in units of each input, the same shape."""
+    t, y, u, theta = probe
+    x = State(y, plant.internal_start(theta) + 0.1)
+    size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
+    return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
 
-@jit(static=())
-def _across_rest(
-    plant: Plant, t: Array, y: Array, u: Array, theta: Array
-) -> tuple[Array, Array, Array]:
+def _across_rest(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array, Array]:
     """Change of f_i from below to above rest of output j: near rest, further off; and its size."""
+    t, y, u, theta = probe
+    x = State(y, plant.internal_start(theta) + 0.1)
 
-    def one(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
-        x = State(y, plant.internal_start(theta) + 0.1)
+    def change(distance: float) -> tuple[Array, Array]:
+        above = plant._with_velocities(t, x, u, theta, distance)
+        below = plant._with_velocities(t, x, u, theta, -distance)
+        return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
 
-        def change(distance: float) -> tuple[Array, Array]:
-            above = plant._with_velocities(t, x, u, theta, distance)
-            below = plant._with_velocities(t, x, u, theta, -distance)
-            return jnp.abs(above - below).T, (jnp.abs(above) + jnp.abs(below)).T
-
-        (near, size), (far, _) = change(REST), change(_APART * REST)
-        return near, far, size
-
-    return jax.vmap(one)(t, y, u, theta)
+    (near, size), (far, _) = change(REST), change(_APART * REST)
+    return near, far, size

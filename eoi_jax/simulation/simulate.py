@@ -189,7 +189,7 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
     return time
 
 
-def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
+def _initial(plant: Plant, initial: Any) -> Float[np.ndarray, "r ny"]:
     r, ny = plant.relative_degree, len(plant.outputs)
     value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
     if ny == 1 and value.shape == ():
@@ -199,17 +199,17 @@ def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
     check_shape("initial", value, (r, ny), "the outputs, then each of their derivatives")
     _check_finite("initial", value)
     owned = np.arange(r)[:, None] < np.asarray(plant.degrees)
-    return jnp.asarray(np.where(owned, value, 0.0))
+    return np.where(owned, value, 0.0)
 
 
-def _internal(plant: Plant, internal: ArrayLike | None) -> Float[Array, " nz"]:
-    start = plant.internal_start(jnp.asarray(plant.theta))
+def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " nz"]:
+    start = plant.initial_internal
     if internal is None:
         return start
     value = np.atleast_1d(np.asarray(internal, dtype=np.float64))
     check_shape("internal", value, start.shape, "one value an internal state")
     _check_finite("internal", value)
-    return jnp.asarray(value)
+    return value
 
 
 # -- the independent route ----------------------------------------------------------------

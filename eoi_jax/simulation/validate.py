@@ -140,7 +140,7 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
 
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
-    unknowns = plant.relative_degree + len(plant.internal_start(jnp.asarray(plant.theta)))
+    unknowns = plant.relative_degree + len(plant.initial_internal)
     check_count("initial_samples", initial_samples)
     check(
         initial_samples > unknowns,
@@ -254,9 +254,7 @@ def initial_states(
 ) -> Starts:
     """Least squares of each free run over its first samples, by damped Gauss-Newton."""
     period = float(heads.step[0]) * heads.substeps
-    z = np.zeros(0)
-    if run.plant.internal is not None:
-        z = np.asarray(run.plant.internal_start(jnp.asarray(run.plant.theta)))
+    z = run.plant.initial_internal
     starts = np.stack(
         [_polynomial_starts(run.plant, *one, period) for one in zip(y, valid, strict=True)]
     )

@@ -21,10 +21,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
 
 _TURNS = 0.01  # share of the samples
@@ -228,6 +230,17 @@ class AbstractActuator(AbstractEffect):
             Mean of what the model gets over each step, shape (S,).
         """
 
+    def sampled(
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+    ) -> Float[np.ndarray, "grid S"]:
+        """`along` of measured arrays, for several shapes; an effect that knows how uses NumPy."""
+        return np.asarray(_sampled(self, time, u, shapes))
+
+
+@jit
+def _sampled(effect: AbstractActuator, time: Any, u: Any, shapes: Any) -> Any:
+    return jax.vmap(lambda shape: effect.along(time, u, shape))(jnp.asarray(shapes))
+
 
 # What acts on an input, in whichever way.
 INPUT_EFFECTS = (AbstractInputEffect, AbstractActuator)
@@ -263,7 +276,7 @@ def internal_names(plant: Plant) -> tuple[str, ...]:
     own = getattr(plant.internal, "states", None)
     if isinstance(own, tuple):
         return own
-    count = len(plant.internal_start(jnp.asarray(plant.theta)))
+    count = len(plant.initial_internal)
     return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
 
 

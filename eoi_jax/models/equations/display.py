@@ -11,12 +11,14 @@ import itertools
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from tokenize import TokenError
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.printer import (
@@ -31,7 +33,7 @@ from eoi_jax.models.equations.printer import (
     text,
 )
 from eoi_jax.models.equations.system import TextDynamics, TextInternal
-from eoi_jax.models.plant import Plant, State, velocity_rows
+from eoi_jax.models.plant import Plant, State, parameter_type, velocity_rows
 
 
 def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
@@ -236,13 +238,29 @@ def _agrees(read: Sequence[Expression], function: Any, plant: Plant) -> bool:
     z = some([Symbol(name) for name in _states(plant)])
     u = some([Symbol(name) for name in plant.inputs])
     theta = some([Symbol(name, parameter=True) for name in plant.names])
-    x = State(jnp.asarray(y) * owned, jnp.asarray(z))
-    computed = function(jnp.asarray(0.3), x, jnp.asarray(u), plant.named(np.asarray(theta)))
+    row = (
+        np.full(1, 0.3),
+        np.asarray(y)[None] * owned,
+        *(np.asarray([one]) for one in (z, u, theta)),
+    )
+    computed = along(_Called(function, plant.names), ("rows",), row)
     for expression, value in zip(read, np.ravel(np.asarray(computed)), strict=True):
         mine = evaluate(expression, values)
         if mine is not None and not np.isclose(mine, value, rtol=1e-4):
             return False
     return True
+
+
+@dataclass(frozen=True)
+class _Called:
+    """A function of a model as one of the numbers that it gets."""
+
+    function: Any
+    names: tuple[str, ...]
+
+    def __call__(self, row: tuple[Any, ...]) -> Any:
+        t, y, z, u, theta = row
+        return jnp.asarray(self.function(t, State(y, z), u, parameter_type(self.names)(*theta)))
 
 
 _UNREADABLE = (

@@ -109,7 +109,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     taken = {*plant.names, *plant.inputs, *(one.name for one in states)}
     trees, definitions = _trees(rates, taken)
     names = [Symbol(name) for name in internal_names(plant)]
-    first = np.asarray(plant.internal_start(jnp.asarray(plant.theta)), dtype=float).tolist()
+    first = plant.initial_internal.tolist()
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
         plant.name,
