@@ -12,7 +12,6 @@ makes neighbours alike. Two samples per half period of the cut-off (a step of π
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -20,8 +19,8 @@ from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.data.recursion import states
 from eoi_jax.estimation.defaults import default_substeps, velocity_noise
+from eoi_jax.estimation.engines.single import alone
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import prepare, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
@@ -133,14 +132,14 @@ def _regressors(
     )
     sampled = [lowpass.discretise(record.sample_period) for record in fine]
     filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
-    sums, trace = run_pass(
-        plant, observer, filters, steps, jnp.asarray(plant.theta), store="signals"
-    )
+    one_pass = alone(plant, observer, filters, steps)
+    sums, trace = one_pass(np.asarray(plant.theta), "signals")
     sums = jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)
     arrays = []
     for i, record in enumerate(records):
         ends = slice(substeps - 1, (len(record) - 1) * substeps, substeps)
-        Phi = np.asarray(trace.Phi[i, ends])  # type: ignore[union-attr]
+        assert trace is not None
+        Phi = np.asarray(trace.Phi)[i, ends]
         arrays.append(np.concatenate([np.full_like(Phi[:1], np.nan), Phi]))
     return sums, arrays
 

@@ -18,7 +18,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.regression.bounded import bounded, outside
 from eoi_jax.estimation.regression.index import index as index_of
@@ -313,10 +312,6 @@ def _chosen(mask: Bool[np.ndarray, " lanes"], yes: Pass, no: Pass) -> Pass:
     return jax.tree.map(leaf, yes, no)
 
 
-_least_squares = jit(jax.vmap(least_squares, (0, 0, None, 0)), static=())
-_each_its_own = jit(jax.vmap(least_squares), static=())  # free parameters of each lane
-
-
 def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]) -> Pass:
     theta = _on_bounds(plant, theta)
     power = np.asarray(index_of(sums.square, sums.weight))
@@ -327,7 +322,7 @@ def _solve(plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, "
     weights = weights / np.maximum(np.max(weights, axis=1, keepdims=True), np.finfo(float).tiny)
     information = np.einsum("lj,ljab->lab", weights, sums.information)
     rhs = np.einsum("lj,lja->la", weights, sums.rhs)
-    solution = jax.tree.map(np.asarray, _least_squares(information, rhs, plant.free, damping))
+    solution = least_squares(information, rhs, plant.free, damping)
     solution, bound = _within(plant, theta, solution, information, rhs, damping)
     moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
     return Pass(theta, sums, power, weights, solution, moved - theta, bound)
@@ -353,12 +348,12 @@ def _within(
         return solution, np.zeros(theta.shape, bool)
 
     def solve(rhs: Thetas, inside: Bool[np.ndarray, "lanes np"]) -> Thetas:
-        return np.asarray(_each_its_own(information, rhs, free * inside, damping).increment)
+        return np.asarray(least_squares(information, rhs, free * inside, damping).increment)
 
     damped = damping[:, None, None] * np.eye(len(free)) * solution.scale[:, :, None] ** 2
     increment, side = bounded(solve, information + damped, rhs, unbounded, room)
     bound = ((side < 0) & (theta == lower)) | ((side > 0) & (theta == upper))
-    inverse = np.asarray(_each_its_own(information, rhs, free * ~bound, damping).inverse)
+    inverse = np.asarray(least_squares(information, rhs, free * ~bound, damping).inverse)
     inverse = np.where(np.any(bound, axis=1)[:, None, None], inverse, solution.inverse)
     leaves = (increment, inverse)
     return eqx.tree_at(lambda one: (one.increment, one.inverse), solution, leaves), bound

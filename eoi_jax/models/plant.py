@@ -36,10 +36,12 @@ class State(eqx.Module):
         y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
             relative degree than the plant's highest has zeros in the rows it does not own.
         z: internal states, shape (nz,).
+
+    Several states stand side by side on leading axes.
     """
 
-    y: Float[Array | np.ndarray, "r ny"]
-    z: Float[Array | np.ndarray, " nz"]
+    y: Float[Array | np.ndarray, "*states r ny"]
+    z: Float[Array | np.ndarray, "*states nz"]
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]

@@ -20,6 +20,7 @@ from eoi_jax.data.cleaning import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS, inputs_within_steps
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
 
 Pieces = Float[np.ndarray, "steps order nu"]
@@ -74,7 +75,6 @@ def simulate(
     start = State(_initial(plant, initial), _internal(plant, internal))
     check_choice("hold", hold, ("auto", *HOLDS))
     used, _ = choose_hold(u, hold)
-    theta = jnp.asarray(plant.theta)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
         slow = plant.actuator is not None
@@ -83,11 +83,18 @@ def simulate(
         rule = 'must be "fixed" for a plant with dry friction'
         check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
         pieces = jnp.asarray(_input_pieces(u, used))
-        y, _ = _adaptive(plant, theta, jnp.asarray(time), pieces, start)
+        y, _ = _adaptive(plant, jnp.asarray(plant.theta), jnp.asarray(time), pieces, start)
+        outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     else:
         driven_by = acted(plant, drive(time, u, used, substeps))
-        y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
-    outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
+        alone = Drive(
+            driven_by.time[None],
+            np.asarray(driven_by.step)[None],
+            driven_by.inputs[None],
+            driven_by.substeps,
+        )
+        begun = State(start.y[None], start.z[None])
+        outputs = outputs_of(plant, alone, begun, frictional(plant))[0]
     bad = ~np.all(np.isfinite(outputs), axis=1)
     when = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."

@@ -10,20 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
-from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import joined, late_starts, plan
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import Drive, chained, frictional, trajectory
+from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -33,7 +31,6 @@ Trials = Float[np.ndarray, "runs trials unknowns"]
 
 _ROUNDS = 20  # Gauss-Newton steps; a linear plant needs one
 _DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
-_LANES = 32  # runs that start states are found with, at once
 _TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
 _ENOUGH = 1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
 
@@ -215,9 +212,8 @@ def _free_runs(
     seen = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(whole, starts, first - 1)
     values = initial_states(run, head, record.outputs[seen], record.valid[seen])
-    begun = _all_unpacked(run.plant, values)
-    theta = jnp.asarray(run.plant.theta)
-    return chained(run.plant, theta, _parts(whole, starts, count), begun, run.friction)
+    begun = _unpacked(run.plant, values)
+    return outputs_of(run.plant, _parts(whole, starts, count), begun, run.friction)
 
 
 def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
@@ -228,22 +224,6 @@ def _parts(whole: Drive, starts: Sequence[int], count: int) -> Drive:
     steps = np.minimum(steps, len(whole.time) - 1)
     period = np.full(len(starts), whole.step)
     return Drive(whole.time[steps], period, whole.inputs[steps], n)
-
-
-@jit(static=("friction",))
-def _runs(
-    plant: Plant,
-    drives: Drive,
-    values: Float[Array | np.ndarray, "runs unknowns"],
-    friction: tuple[int, ...],
-) -> Float[Array, "runs time ny"]:
-    """Short runs side by side, at the plant's own parameters."""
-    theta = jnp.asarray(plant.theta)
-
-    def one(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
-        return trajectory(plant, theta, driven_by, unpacked(plant, values), friction)[0][:, 0, :]
-
-    return jax.vmap(one)(drives, jnp.asarray(values))
 
 
 # -- the initial state --------------------------------------------------------------------
@@ -398,14 +378,8 @@ class _Heads:
         run = self.run
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
-        parts = []
-        # Always so many runs at once, whatever the number of windows: one kernel for each plant.
-        for first in range(0, len(lanes), _LANES):
-            index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
-            drives = self._driving(owner[index])
-            out = _runs(run.plant, drives, lanes[index], run.friction)
-            parts.append(np.asarray(out))
-        out = np.concatenate(parts)[: len(lanes)]
+        begun = _unpacked(run.plant, lanes)
+        out = outputs_of(run.plant, self._driving(owner), begun, run.friction)
         return out.reshape(*values.shape[:2], *out.shape[1:])
 
 
@@ -416,16 +390,12 @@ def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
-    """The state of which `values` are what is unknown: outputs and derivatives, then z."""
+def _unpacked(plant: Plant, values: Starts) -> State:
+    """States of which `values` are what is unknown: outputs and derivatives, then z."""
     rows, columns = owned(plant)
-    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
-    return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
-
-
-@jit
-def _all_unpacked(plant: Plant, values: Float[Array | np.ndarray, "runs unknowns"]) -> State:
-    return jax.vmap(lambda one: unpacked(plant, one))(jnp.asarray(values))
+    y = np.zeros((len(values), plant.relative_degree, len(plant.outputs)))
+    y[:, rows, columns] = values[:, : len(rows)]
+    return State(y, values[:, len(rows) :])
 
 
 def _polynomial_starts(

@@ -141,7 +141,7 @@ def _prepared(one: Equation) -> tuple[Signals, _Gains, list[str]]:
     weights = 1.0 / np.where(size > 0, size, 1.0)
     middle, width = _intervals(plant, paper, phi, weights)
     moments = np.einsum("kj,j,kja,kjb->ab", mask, weights, phi, phi) / len(phi)
-    solution = least_squares(jnp.asarray(moments), jnp.zeros(len(theta)), jnp.asarray(plant.free))
+    solution = least_squares(moments, np.zeros(len(theta)), plant.free)
     lost = untraced(solution, plant.names, plant.free)
     lag = _LAG if paper else 1.0 / one.filters.narrow
     settling = _LAST * float(np.sum(period))

@@ -13,7 +13,6 @@ Source: T. Söderström, P. Stoica, *Instrumental Variable Methods for System Id
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -75,12 +74,7 @@ def solve(
     inverse = np.linalg.pinv(b / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     half = a.T @ (inverse / np.outer(scale, scale))
     information = half @ a
-    solution = least_squares(
-        jnp.asarray(0.5 * (information + information.T)),
-        jnp.asarray(half @ rhs),
-        jnp.asarray(free),
-        damping,
-    )
+    solution = least_squares(0.5 * (information + information.T), half @ rhs, free, damping)
     return Solved(np.asarray(solution.increment), solution, half, weights, power)
 
 
