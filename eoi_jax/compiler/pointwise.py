@@ -11,6 +11,7 @@ Rows are taken in blocks, so that what is computed on the way stays in the proce
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,7 +27,7 @@ from eoi_jax.compiler.translation import kept_translation
 
 # Leading axes that the arrays of an argument may have.
 AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
-_BLOCK = 16384  # numbers of one intermediate result
+_BLOCK = 131072  # numbers of one intermediate result
 _MOST = 256  # programs kept, of some ten kilobytes each
 
 Kind = tuple[tuple[int, ...], str]  # shape and kind of type of a leaf
@@ -81,16 +82,16 @@ class Along:
             )
         rows = range(self.rows)[part]
         lead = (len(rows),) if self.grid is None else (self.grid, len(rows))
-        out = [np.empty(lead, self._program.dtype) for _ in self._program.outputs]
+        out = np.empty((len(self._program.outputs), *lead), self._program.dtype)
         step = max(_BLOCK // max(self.grid or 1, 1), 1)
         with np.errstate(all="ignore"):
             for first in range(0, len(rows), step):
                 last = min(first + step, len(rows))
                 block = slice(rows.start + first, rows.start + last)
                 values = self._program.values(functools.partial(self._read, block))
-                for array, value in zip(out, values, strict=True):
-                    array[..., first:last] = value
-        return self._program.tree(out, lead)
+                for component, value in zip(out, values, strict=True):
+                    component[..., first:last] = value
+        return self._program.tree(out)
 
     def _read(self, block: slice, at: tuple[int, int]) -> Any:
         """One input at some rows, in the shape in which it meets the others."""
@@ -182,16 +183,15 @@ class _Program:
                 del known[place]
         return (known[place] for place in self.outputs)
 
-    def tree(self, components: Sequence[np.ndarray], lead: tuple[int, ...]) -> Any:
-        """The results, from their components with leading axes."""
-        leaves, rest = [], iter(components)
+    def tree(self, components: np.ndarray) -> Any:
+        """The results with their leading axes in front: views of all components."""
+        leaves, first = [], 0
         for shape in self.shapes:
-            parts = list(itertools.islice(rest, int(np.prod(shape))))
-            if shape == ():
-                leaves.append(parts[0])
-            else:
-                stacked = np.stack(parts, axis=-1) if parts else np.empty((*lead, 0), self.dtype)
-                leaves.append(stacked.reshape(*lead, *shape))
+            last = first + math.prod(shape)
+            leaf = components[first:last].reshape(*shape, *components.shape[1:])
+            axes = range(len(shape))
+            leaves.append(np.moveaxis(leaf, axes, range(-len(shape), 0)) if shape else leaf)
+            first = last
         return jax.tree.unflatten(self.structure, leaves)
 
 

@@ -208,7 +208,8 @@ def _thinned_term(
     def values(part: slice) -> Float[np.ndarray, "grid gains part"]:
         return np.moveaxis(term(part), 2, 1)
 
-    return averaged_and_thinned(values, degree, one.weight[k], one.kernel)
+    batch = len(shapes), len(effect.gains)
+    return averaged_and_thinned(values, batch, degree, one.weight[k], one.kernel)
 
 
 @dataclass(frozen=True)

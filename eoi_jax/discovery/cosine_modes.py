@@ -383,7 +383,8 @@ def _static_along(
         def values(part: slice, row: Along = row) -> Float[np.ndarray, "grid values part"]:
             return np.moveaxis(row(part), 2, 1)
 
-        nodes = averaged_and_thinned(values, degree, one.weight[j], one.kernel)
+        batch = len(inputs), 1 + len(plant.names)
+        nodes = averaged_and_thinned(values, batch, degree, one.weight[j], one.kernel)
         f.append(nodes[:, 0])
         phi.append(nodes[:, 1:])
     return f, phi
