@@ -41,7 +41,11 @@ def save_drawn(path: Path, make: Callable[[], Any]) -> None:
     """
 
     def save() -> bool:
-        make().savefig(path)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+
+        figure = make()
+        # Not `savefig`, which draws everything once more, only to lay it out.
+        FigureCanvasAgg(figure).print_png(path)
         return True
 
     if not drawn(path.stem, save):
