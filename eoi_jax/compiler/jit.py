@@ -183,6 +183,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lanes")
 
 
+if hasattr(os, "register_at_fork"):  # threads do not come along
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 def together(job: Callable[[], None], threads: int) -> None:
     """The same call in several threads; compiled code runs without Python's lock."""
     others = [_pool(threads - 1).submit(job) for _ in range(threads - 1)] if threads > 1 else []

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from eoi_jax.compiler import indexing
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
 from eoi_jax.compiler.jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
 
@@ -221,7 +222,7 @@ _INDEXED = {
 
 
 def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
-    """Which component ends where: asked of JAX itself, with running numbers as components."""
+    """Which component ends where: told by running numbers in place of components."""
     name = equation.primitive.name
     movable = _INDEXED[name]
     flat, operands = [], []
@@ -232,8 +233,7 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
             operands.append(np.arange(first, len(flat), dtype=np.int32).reshape(array.shape))
         else:
             operands.append(_known(name, array, atom))
-    with jax.ensure_compile_time_eval():
-        places = np.asarray(equation.primitive.bind(*operands, **equation.params))
+    places = getattr(indexing, name)(equation.params, *operands)
     if not np.all((places >= 0) & (places < len(flat))):
         raise Untranslatable(f"{name} beyond its array")
     components = np.empty(len(flat), object)
@@ -252,18 +252,11 @@ def _known(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
 def _scatter_add(
     graph: Graph, equation: Any, array: np.ndarray, where: np.ndarray, added: np.ndarray
 ) -> np.ndarray:
-    params = equation.params
+    name = "scatter-add"
     numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
-    with jax.ensure_compile_time_eval():
-        places = jax.lax.scatter(
-            np.full(array.shape, -1, np.int32),
-            _known("scatter-add", where, equation.invars[1]),
-            numbers,
-            params["dimension_numbers"],
-            mode=params["mode"],
-        )
+    none, places = np.full(array.shape, -1, np.int32), _known(name, where, equation.invars[1])
+    hits = indexing.scatter(equation.params, none, places, numbers)
     out, flat = array.copy(), added.ravel()
-    hits = np.asarray(places)
     if np.sum(hits >= 0) != added.size:
         raise Untranslatable("scatter-add beyond its array, or twice at one place")
     for at in np.ndindex(hits.shape):

@@ -11,20 +11,21 @@ from typing import Any
 
 from eoi_jax.compiler.graph import Untranslatable
 
-_MOST = 64  # translations kept, the least recently used go with their code
+_MOST = 64  # of machine code
 
 
-def kept_translation(function: Callable) -> Callable:
+def kept_translation(function: Callable, most: int = _MOST) -> Callable:
     """A translation that is done once for the same arguments; so is one that fails.
 
     Args:
         function: of hashable arguments.
+        most: translations that are kept, the least recently used go first.
 
     Returns:
         The same function; it raises `Untranslatable`, whatever the failure was.
     """
 
-    @functools.lru_cache(maxsize=_MOST)
+    @functools.lru_cache(maxsize=most)
     def attempt(*arguments: Hashable) -> Any:
         try:
             return function(*arguments)

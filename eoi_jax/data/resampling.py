@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
+from eoi_jax.data.recursion import substituted
 from eoi_jax.data.uniform_spline import within_steps
 
 # A number as a caller may write it.
@@ -269,26 +270,52 @@ def low_pass(values: Signals, cutoff: float) -> Signals:
         values: a segment.
         cutoff: fraction of the Nyquist frequency, in (0, 1).
 
-    Source: scipy.signal.sosfiltfilt (odd extension at the ends).
+    Source: as `scipy.signal.sosfiltfilt` (odd extension at the ends) of `scipy.signal.butter`.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     if not values.shape[1] or len(values) < 2:
         return values
     # The extension must be longer than the filter's memory, or its transient enters the record.
     memory = int(np.ceil(4 / cutoff)) + 15
-    sections = butter(4, cutoff, output="sos")
-    return sosfiltfilt(sections, values, axis=0, padlen=min(memory, len(values) - 1))
+    count = min(memory, len(values) - 1)
+    first, last = 2.0 * values[:1], 2.0 * values[-1:]
+    ends = first - values[count:0:-1], last - values[-2 : -count - 2 : -1]
+    extended = np.concatenate([ends[0], values, ends[1]])
+    for _ in range(2):
+        extended = _filtered(cutoff, extended)[::-1]
+    return extended[count : len(extended) - count]
+
+
+def _filtered(cutoff: float, values: Signals) -> Signals:
+    """Forward, from a state that has settled at the first sample."""
+    for numerator, denominator in _sections(cutoff):
+        # Both recursions count from the first sample, which they pass unchanged.
+        change = values - values[:1]
+        padded = np.concatenate([np.zeros((2, values.shape[1])), change])
+        taps = zip(numerator, (padded[2:], padded[1:-1], padded[:-2]), strict=True)
+        right = sum(weight * part for weight, part in taps)
+        values = substituted(denominator[:, None], right) + values[:1]
+    return values
+
+
+def _sections(cutoff: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Numerator and denominator in 1/z of each half of the filter, bilinear and prewarped."""
+    k = np.tan(0.5 * np.pi * cutoff)
+    sections = []
+    for angle in (np.pi / 8.0, 3.0 * np.pi / 8.0):
+        damping = 2.0 * k * np.cos(angle)
+        a = np.array([1.0 + damping + k**2, 2.0 * (k**2 - 1.0), 1.0 - damping + k**2])
+        sections.append((k**2 * np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]))
+    return sections
 
 
 def low_pass_noise(*cutoffs: float) -> float:
     """Standard deviation of unit white noise after `low_pass` at each of the cut-offs in turn."""
-    from scipy.signal import butter, sosfreqz
-
     power = np.ones(4096)
+    delay = np.exp(-1j * np.pi * np.arange(len(power)) / len(power))  # 1/z
     for cutoff in cutoffs:
-        response = sosfreqz(butter(4, cutoff, output="sos"), worN=len(power))[1]
-        power *= np.abs(response) ** 4
+        for numerator, denominator in _sections(cutoff):
+            power *= np.abs(np.polyval(numerator[::-1], delay)) ** 4
+            power /= np.abs(np.polyval(denominator[::-1], delay)) ** 4
     return float(np.sqrt(np.mean(power)))
 
 

@@ -6,33 +6,32 @@ effect of an input or of an internal state replaces the declared part of the mod
 effect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.compiler.programs import jit
-from eoi_jax.discovery.cosine_modes import Stretch, each_of, integrated, internal_along, model_rows
-from eoi_jax.discovery.thinning import averaged, thinned
+from eoi_jax.compiler.pointwise import Along, along
+from eoi_jax.discovery.cosine_modes import Stretch, internal_along, model_rows
+from eoi_jax.discovery.own_states import Signals, states_along
+from eoi_jax.discovery.thinning import averaged_and_thinned
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import (
-    INPUT_EFFECTS,
     AbstractActuator,
-    AbstractEffect,
     AbstractInputEffect,
     AbstractTerm,
     At,
     Grid,
     Seen,
 )
-from eoi_jax.models.jacobians import Values, input_slopes
+from eoi_jax.models.jacobians import input_slopes
 from eoi_jax.models.plant import Plant
 
 _OVERFLOW = 1e100
+_SHAPES = 16  # of a grid, evaluated at once
 
 
 @dataclass(frozen=True)
@@ -167,116 +166,108 @@ def _term_rows(
     assert isinstance(effect, AbstractTerm)
     parts = []
     for one in stretches:
-        h, signals = np.asarray(one.sample_period), _signals(one, placed)
+        signals, change = _signals(one, placed)
+        z = states_along(effect, shapes, signals, change, one.sample_period)
         pushes = _pushes(plant, placed, one)
         for k, degree in enumerate(plant.degrees):
-            if np.any(pushes[:, k]):
-                thin = (one.weight[k], one.kernel)
-                along = _term_along(effect, degree, *signals, pushes[:, k], shapes, thin, h)
-                parts.append(one.rows(np.asarray(along)))
+            push = pushes[:, k]
+            if np.any(push):
+                part = [
+                    _thinned_term(effect, (signals, push), *some, degree, one, k)
+                    for some in _in_parts(shapes, z)
+                ]
+                parts.append(one.rows(np.concatenate(part)))
             else:
                 parts.append(np.zeros((len(shapes), len(effect.gains), len(one.omega))))
     return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)
 
 
+def _in_parts(shapes: Grid, z: Float[np.ndarray, "grid S states"]) -> Iterator[tuple[Grid, Any]]:
+    """A few shapes at a time, and their states."""
+    for first in range(0, len(shapes), _SHAPES):
+        part = slice(first, first + _SHAPES)
+        yield shapes[part], z[part]
+
+
+def _thinned_term(
+    effect: AbstractTerm, rows: tuple, shapes: Grid, z: Any, degree: int, one: Stretch, k: int
+) -> Float[np.ndarray, "grid gains nodes"]:
+    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is.
+
+    Args:
+        effect: the term.
+        rows: its signals, and what one unit of it adds to y^(r) of output `k`.
+        shapes: of the effect.
+        z: its states at each shape.
+        degree: of that output.
+        one: the stretch.
+        k: which output.
+    """
+    term = Along(_Term(effect), ("rows", "grid", "grid rows"), rows, shapes, z)
+
+    def values(part: slice) -> Float[np.ndarray, "grid gains part"]:
+        return np.moveaxis(term(part), 2, 1)
+
+    batch = len(shapes), len(effect.gains)
+    return averaged_and_thinned(values, batch, degree, one.weight[k], one.kernel)
+
+
+@dataclass(frozen=True)
+class _Term:
+    """What an effect adds to y^(r) at one instant, for one unit of each gain."""
+
+    effect: AbstractTerm
+
+    def __call__(self, row: tuple, shape: Any, z: Any) -> Array:
+        (t, y, v, u), push = row
+        at, count = At(t, y, v, u, z), len(self.effect.gains)
+        units = np.eye(count).tolist()
+        terms = [jnp.asarray(self.effect.term(at, unit, shape)) * push for unit in units]
+        return jnp.stack(terms)
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """The input that the model gets at one instant."""
+
+    effect: AbstractInputEffect
+
+    def __call__(self, row: tuple, shape: Any, z: Any) -> Any:
+        t, y, v, u = row
+        return self.effect.changed(At(t, y, v, u, z), shape)
+
+
 def _pushes(plant: Plant, placed: Placed, one: Stretch) -> Float[np.ndarray, "S ny"]:
     """What one unit of an effect adds to y^(r) of each output."""
     if placed.through is not None:
-        return np.asarray(input_slopes(plant, one.time, one.y, one.u, placed.through))
+        return input_slopes(plant, one.time, one.y, one.u, placed.through)
     own = np.arange(len(plant.outputs)) == placed.channel
     return np.broadcast_to(own.astype(float), (len(one.time), len(own)))
 
 
 def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndarray, "grid S nu"]:
     """The inputs as the model gets them."""
-    assert isinstance(placed.effect, INPUT_EFFECTS)
-    changed = _input_along(
-        placed.effect,
-        *_signals(one, placed),
-        shapes,
-        np.asarray(one.sample_period),
-    )
+    effect, (signals, change) = placed.effect, _signals(one, placed)
     inputs = np.repeat(one.u[None], len(shapes), axis=0)
-    inputs[:, :, placed.channel] = changed
+    if isinstance(effect, AbstractActuator):
+        inputs[:, :, placed.channel] = effect.sampled(one.time, signals[3], shapes)
+        return inputs
+    assert isinstance(effect, AbstractInputEffect)
+    z = states_along(effect, shapes, signals, change, one.sample_period)
+    axes = ("rows", "grid", "grid rows")
+    inputs[:, :, placed.channel] = along(_Changed(effect), axes, signals, shapes, z)
     return inputs
 
 
-@jit
-def _input_along(
-    effect: AbstractInputEffect | AbstractActuator,
-    signals: tuple,
-    bend: tuple,
-    shapes: Values,
-    h: Values,
-) -> Float[Array, "grid S"]:
-    def one(shape: Array) -> Array:
-        if isinstance(effect, AbstractActuator):
-            return effect.along(signals[0], signals[3], shape)
-        z, changed = _states_along(effect, shape, signals, bend, h), effect.changed
-
-        def instant(t: Any, y: Any, v: Any, u: Any, z: Any) -> Any:
-            return changed(At(t, y, v, u, z), shape)
-
-        time, y, v, u = signals
-        return jax.vmap(instant)(time, y, v, u, z)
-
-    return jax.vmap(one)(jnp.asarray(shapes))
-
-
-@jit
-def _term_along(
-    effect: AbstractTerm,
-    degree: int,
-    signals: tuple,
-    bend: tuple,
-    push: Values,
-    shapes: Values,
-    thin: tuple,
-    h: Values,
-) -> Float[Array, "grid gains nodes"]:
-    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is.
-
-    `push` is what one unit of it adds to y^(r), shape (S,).
-    """
-    time, y, v, u = signals
-    unit = jnp.eye(len(effect.gains))
-
-    def one(shape: Array) -> Array:
-        z = _states_along(effect, shape, signals, bend, h)
-
-        def instant(t: Any, y: Any, v: Any, u: Any, z: Any) -> Array:
-            at = At(t, y, v, u, z)
-            return jnp.stack([effect.term(at, gain, shape) for gain in unit])
-
-        along = jax.vmap(instant)(time, y, v, u, z).T * push
-        return thinned(averaged(degree, along), *thin)
-
-    return each_of(one, jnp.asarray(shapes), bool(effect.states))
-
-
-def _signals(one: Stretch, placed: Placed) -> tuple[tuple, tuple]:
+def _signals(one: Stretch, placed: Placed) -> tuple[Signals, Signals]:
     """Time, output, velocity and an input, in the middle of each step; their change over it."""
     row, channel = placed.row, placed.channel if placed.on_input else 0
     known = row < one.y.shape[1]
     time, y, u = one.bend
 
-    def chosen(t: Any, y: Any, u: Any) -> tuple:
+    def chosen(t: Any, y: Any, u: Any) -> Signals:
         v = placed.coordinate(y[:, row]) if known else 0.0 * t  # an output without one has none
         own = u[:, channel] if u.shape[1] else 0.0 * t
         return t, placed.coordinate(y[:, 0]), v, own
 
     return chosen(one.time, one.y, one.u), chosen(time, y, u)
-
-
-def _states_along(
-    effect: AbstractEffect, shape: Array, signals: tuple, bend: tuple, h: Values
-) -> Array:
-    """Own states in the middle of each step, from zero."""
-    if not effect.states:
-        return jnp.zeros((signals[0].shape[0], 0))
-
-    def rate(z: Array, row: tuple) -> Array:
-        t, y, v, u = row
-        return effect.rate(At(t, y, v, u, z), shape)
-
-    return integrated(rate, jnp.zeros(effect.states), signals, bend, h)

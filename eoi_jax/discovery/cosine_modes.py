@@ -26,12 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.compiler.pointwise import Along
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.masks import consecutive, moving, tapered, valid_steps
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
-from eoi_jax.discovery.thinning import averaged, averaging, thinned, thinning
+from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
 from eoi_jax.estimation.defaults import velocity_noise
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
@@ -52,6 +53,7 @@ _LEAK = 2e-3  # noise that the edges may let in, over y^(r), rms: the floor of `
 _QUIET, _LOST, _SLOPE = 1.5, 2e-3, 8
 _LEAST_END = 0.01  # of the record
 _MOST_LOST = 0.5  # of the weight of all samples, to moments of rest
+_AXES = ("fixed", "rows", "grid rows")  # of what a model is evaluated at
 _MOST_POWER = 0.99  # of y^(r), below the frequency half of the band
 
 Rows = Float[np.ndarray, "*batch modes"]
@@ -358,6 +360,47 @@ def model_along(
     return each_of(both, jnp.asarray(inputs), recursive)
 
 
+def _recursive_along(plant: Plant, one: Stretch, inputs: np.ndarray) -> tuple[Any, Any]:
+    """`model_along` of a plant with internal states, or behind an actuator."""
+    h, thin = np.asarray(one.sample_period), (one.weight, one.kernel)
+    return model_along(plant, plant.theta, (one.time, one.y), inputs, one.bend, thin, h)
+
+
+def _static_along(
+    plant: Plant, one: Stretch, inputs: Float[np.ndarray, "grid S nu"]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """`model_along` of a plant of which each instant stands for itself."""
+    f, phi = [], []
+    for j, degree in enumerate(plant.degrees):
+        row = Along(_Output(j), _AXES, plant, (one.time, one.y), inputs)
+
+        def values(part: slice, row: Along = row) -> Float[np.ndarray, "grid values part"]:
+            return np.moveaxis(row(part), 2, 1)
+
+        batch = len(inputs), 1 + len(plant.names)
+        nodes = averaged_and_thinned(values, batch, degree, one.weight[j], one.kernel)
+        f.append(nodes[:, 0])
+        phi.append(nodes[:, 1:])
+    return f, phi
+
+
+@dataclass(frozen=True)
+class _Output:
+    """f of one output at one instant, and behind it ∂f/∂θ."""
+
+    output: int
+
+    def __call__(self, plant: Plant, row: tuple, u: Array) -> Float[Array, " values"]:
+        (t, y), z = row, jnp.zeros(0)
+
+        def both(theta: Array) -> tuple[Array, Array]:
+            f = plant.derivative(t, State(y, z), u, theta)[self.output]
+            return f, f
+
+        slopes, f = jax.jacfwd(both, has_aux=True)(plant.theta)
+        return jnp.concatenate([f[None], slopes])
+
+
 def each_of(function: Callable[[Array], Any], several: Array, recursive: bool) -> Any:
     """A function of each of several inputs or shapes (leading axis), one after the other.
 
@@ -400,15 +443,25 @@ def integrated(
         bend: their change over the step; a staircase would excite fast states.
         h: step [s].
     """
+    return jax.lax.scan(lambda z, row: moved_through(rate, z, row, h), start, (rows, bend))[1]
 
-    def body(z: Array, both: tuple) -> tuple[Array, Array]:
-        middle, change = both
-        before = jax.tree.map(lambda value, step: value - 0.5 * step, middle, change)
-        after = jax.tree.map(lambda value, step: value + 0.5 * step, middle, change)
-        end, slopes = runge_kutta_step(rate, z, h, (before, middle, after))
-        return end, middle_of_step(z, end, slopes, h)
 
-    return jax.lax.scan(body, start, (rows, bend))[1]
+def moved_through(
+    rate: Callable[[Array, tuple], Array], z: Array, row: tuple[tuple, tuple], h: Any
+) -> tuple[Array, Array]:
+    """States at the end of a step and in its middle, from those at its start (Runge–Kutta).
+
+    Args:
+        rate: dz/dt of z and of one row.
+        z: at the start of the step.
+        row: signals in the middle of the step, and their change over it.
+        h: step [s].
+    """
+    middle, change = row
+    before = jax.tree.map(lambda value, step: value - 0.5 * step, middle, change)
+    after = jax.tree.map(lambda value, step: value + 0.5 * step, middle, change)
+    end, slopes = runge_kutta_step(rate, z, h, (before, middle, after))
+    return end, middle_of_step(z, end, slopes, h)
 
 
 def model_rows(
@@ -422,11 +475,11 @@ def model_rows(
         inputs: for each stretch several inputs, shape (grid, S, nu), instead of the recorded one.
     """
     errors, slopes = [], []
+    recursive = plant.internal is not None or plant.actuator is not None
     for i, one in enumerate(stretches):
         u = one.u[None] if inputs is None else inputs[i]
         u = _as_averaged(u, max(plant.degrees)) if one.held else u
-        h, thin = np.asarray(one.sample_period), (one.weight, one.kernel)
-        f, phi = model_along(plant, plant.theta, (one.time, one.y), u, one.bend, thin, h)
+        f, phi = (_recursive_along if recursive else _static_along)(plant, one, u)
         for j in range(len(plant.outputs)):
             errors.append(one.rows(one.highest[j] - np.asarray(f[j])))
             slopes.append(one.rows(np.asarray(phi[j])))

@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -384,7 +383,7 @@ def _excitation(
     stretches = [stretch for view in views for stretch in _stretches(view, weights, views)]
     total = np.sum([stretch[3] for stretch in stretches], axis=0)
     count = max(sum(stretch[4] for stretch in stretches), 1)
-    solution = least_squares(jnp.asarray(total), jnp.zeros(len(free)), jnp.asarray(free))
+    solution = least_squares(total, np.zeros(len(free)), free)
     kept = free > 0
     scale = np.sqrt(np.maximum(np.diagonal(total)[kept], np.finfo(float).tiny) / count)
 

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax.discovery.candidates import Atom
 from eoi_jax.discovery.cosine_modes import Stretch, model_rows
 from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.gauss_newton import gauss_newton
 
 _STEPS = 6  # of Gauss–Newton
 _STEP = 1e-3  # of the numerical derivative, in units of the distance on the grid

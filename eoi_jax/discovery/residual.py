@@ -12,19 +12,19 @@ makes neighbours alike. Two samples per half period of the cut-off (a step of π
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from eoi_jax.compiler.programs import jit
+from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
+from eoi_jax.data.recursion import states
 from eoi_jax.estimation.defaults import default_substeps, velocity_noise
+from eoi_jax.estimation.engines.single import alone
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
-from eoi_jax.models.jacobians import state_slopes
+from eoi_jax.models.jacobians import driven, state_slopes
 from eoi_jax.models.plant import Plant, State
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -132,14 +132,14 @@ def _regressors(
     )
     sampled = [lowpass.discretise(record.sample_period) for record in fine]
     filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
-    sums, trace = run_pass(
-        plant, observer, filters, steps, jnp.asarray(plant.theta), store="signals"
-    )
+    one_pass = alone(plant, observer, filters, steps)
+    sums, trace = one_pass(np.asarray(plant.theta), "signals")
     sums = jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)
     arrays = []
     for i, record in enumerate(records):
         ends = slice(substeps - 1, (len(record) - 1) * substeps, substeps)
-        Phi = np.asarray(trace.Phi[i, ends])  # type: ignore[union-attr]
+        assert trace is not None
+        Phi = np.asarray(trace.Phi)[i, ends]
         arrays.append(np.concatenate([np.full_like(Phi[:1], np.nan), Phi]))
     return sums, arrays
 
@@ -173,45 +173,25 @@ def variable_names(plant: Plant) -> list[str]:
     return [*states, *plant.inputs, "time"]
 
 
-@jit
-def _scan(lowpass: DiscreteFilter, columns: Float[Array, "steps c"]) -> Float[Array, "steps c"]:
-    def step(state: Any, row: Any) -> tuple[Any, Any]:
-        state = lowpass.step(state, row)
-        return state, state[0]
-
-    start = jnp.zeros((lowpass.entry.shape[0], columns.shape[1]), columns.dtype)
-    return jax.lax.scan(step, start, columns)[1]
-
-
 def _filtered(
     lowpass: DiscreteFilter, columns: Float[np.ndarray, "steps c"]
 ) -> Float[np.ndarray, "steps c"]:
     """F of each column."""
-    return np.asarray(_scan(lowpass, jnp.asarray(columns)))
+    return states(np.asarray(lowpass.transition), np.asarray(lowpass.entry), columns)[:, 0]
 
 
-@jit
-def _change(plant: Plant, time: Any, states: Any, inputs: Any, others: Any) -> Any:
-    """f with other inputs less f, at every step: others (variant, steps, nu)."""
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-
-    def one(t: Any, y: Any, u: Any, other: Any) -> Any:
-        x = State(y, z)
-        return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
-
-    def along(u: Any) -> Any:
-        return plant.driven(jnp.asarray(time), jnp.asarray(u), theta)
-
-    given = along(inputs)
-    return jax.vmap(lambda other: jax.vmap(one)(time, states, given, along(other)))(others)
+def _changed(plant: Plant, row: tuple[Any, ...], other: Any) -> Any:
+    """f with another input less f."""
+    t, y, u = row
+    x, theta = State(y, plant.internal_start(plant.theta)), plant.theta
+    return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
 
 
 def _late(
     plant: Plant,
     lowpass: DiscreteFilter,
     time: Float[np.ndarray, " steps"],
-    states: Float[np.ndarray, "steps r ny"],
+    measured: Float[np.ndarray, "steps r ny"],
     inputs: Float[np.ndarray, "steps nu"],
     delays: Int[np.ndarray, " delays"],
     thin: int,
@@ -222,7 +202,9 @@ def _late(
         others = np.repeat(inputs[None], len(delays), axis=0)
         for row, delay in zip(others, delays, strict=True):
             row[:, k] = inputs[np.maximum(index - delay, 0), k]
-        change = np.asarray(_change(plant, time, states, inputs, others))
+        rows = (time, measured, driven(plant, time, inputs))
+        late_inputs = np.stack([driven(plant, time, one) for one in others])
+        change = along(_changed, ("fixed", "rows", "grid rows"), plant, rows, late_inputs)
         columns = np.moveaxis(np.nan_to_num(change), 0, -1).reshape(len(index), -1)
         filtered = _filtered(lowpass, columns)
         filtered = np.concatenate([np.zeros_like(filtered[:1]), filtered])[::thin]

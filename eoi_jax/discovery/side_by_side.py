@@ -24,15 +24,15 @@ Result = TypeVar("Result")
 
 def waits(plant: Plant) -> bool:
     """Whether XLA waits for threads of its own where it evaluates a plant."""
-    theta = jnp.asarray(plant.theta)
-    y = jnp.zeros((2, plant.relative_degree, len(plant.outputs)))
-    u = jnp.zeros((2, len(plant.inputs)))
 
     def both(y: Any, u: Any) -> Any:
+        theta = jnp.asarray(plant.theta)
         x, t = State(y, plant.internal_start(theta)), jnp.zeros(())
         return plant.derivative(t, x, u, theta), plant.internal_rate(t, x, u, theta)
 
-    text = jax.jit(jax.vmap(both)).lower(y, u).as_text()
+    y, u = (plant.relative_degree, len(plant.outputs)), (len(plant.inputs),)
+    shapes = (jax.ShapeDtypeStruct((2, *one), jnp.result_type(float)) for one in (y, u))
+    text = jax.jit(jax.vmap(both)).lower(*shapes).as_text()
     return any(one in text for one in _WAITS)
 
 

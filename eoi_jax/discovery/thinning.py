@@ -1,11 +1,15 @@
 """Signals along a record averaged as the r-th difference sees them, and thinned to a band."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+_NUMBERS = 131072  # at a time: what is computed on the way stays in the processor's cache
 
 
 def thinning(step: float) -> Float[np.ndarray, "factor 4"]:
@@ -27,13 +31,47 @@ def thinned(values: Any, weight: Any, kernel: Any) -> Any:
     NumPy's arrays stay with NumPy: XLA would compile every operation for every length of record.
     """
     xp = jnp if isinstance(values, jax.Array) else np
-    factor = kernel.shape[0]
-    weighted = values * weight
-    before = [(0, 0)] * (weighted.ndim - 1)
-    padded = xp.pad(weighted, [*before, (0, -weighted.shape[-1] % factor)])
-    blocks = padded.reshape(*padded.shape[:-1], -1, factor) @ kernel
+    blocks = _blocks(xp, values * weight, kernel)
+    before = [(0, 0)] * (blocks.ndim - 2)
     shifted = [xp.pad(blocks[..., i], [*before, (i, 3 - i)]) for i in range(4)]
     return shifted[0] + shifted[1] + shifted[2] + shifted[3]
+
+
+def averaged_and_thinned(
+    values: Callable[[slice], Float[np.ndarray, "*batch part"]],
+    batch: tuple[int, ...],
+    degree: int,
+    weight: Float[np.ndarray, " samples"],
+    kernel: Float[np.ndarray, "factor taps"],
+) -> Float[np.ndarray, "*batch nodes"]:
+    """`thinned` of `averaged` signals that are never there as a whole.
+
+    Args:
+        values: the signals at some steps, last axis.
+        batch: lengths of the axes before it.
+        degree: of the difference that averages.
+        weight: of each average.
+        kernel: of the thinning.
+    """
+    factor, beyond = len(kernel), len(averaging(degree)) - 1
+    out = np.zeros((*batch, -(-len(weight) // factor) + 3))
+    length = max(_NUMBERS // max(math.prod(batch), 1) // factor, 1)  # blocks
+    for first in range(0, out.shape[-1] - 3, length):
+        steps = slice(first * factor, min((first + length) * factor, len(weight)))
+        along = averaged(degree, values(slice(steps.start, steps.stop + beyond)))
+        along *= weight[steps]
+        blocks = _blocks(np, along, kernel)
+        for i in range(4):
+            out[..., first + i : first + i + blocks.shape[-2]] += blocks[..., i]
+    return out
+
+
+def _blocks(xp: Any, weighted: Any, kernel: Any) -> Any:
+    """What each block of samples adds to the four nodes around it."""
+    factor, missing = kernel.shape[0], -weighted.shape[-1] % kernel.shape[0]
+    if missing:
+        weighted = xp.pad(weighted, [*[(0, 0)] * (weighted.ndim - 1), (0, missing)])
+    return weighted.reshape(*weighted.shape[:-1], -1, factor) @ kernel
 
 
 def averaging(degree: int) -> Float[np.ndarray, " taps"]:
@@ -53,4 +91,15 @@ def averaged(degree: int, values: Array | np.ndarray) -> Any:
     """Moving average of signals (last axis: steps) as the r-th difference sees them."""
     taps = averaging(degree)
     size = values.shape[-1] - len(taps) + 1
-    return sum(tap * values[..., i : i + size] for i, tap in enumerate(taps))  # type: ignore
+    last, half = len(taps) - 1, len(taps) // 2
+
+    def lagged(i: int) -> Any:
+        return values[..., i : i + size]
+
+    # They are symmetric.
+    out = taps[0] * (lagged(0) + lagged(last))
+    for i in range(1, half):
+        out += taps[i] * (lagged(i) + lagged(last - i))
+    if len(taps) % 2:
+        out += taps[half] * lagged(half)
+    return out

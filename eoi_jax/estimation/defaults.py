@@ -17,13 +17,10 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.programs import jit
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.masks import longest_run
 from eoi_jax.data.record import Record
@@ -31,7 +28,8 @@ from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.jacobians import derivatives
+from eoi_jax.models.plant import Plant
 
 _NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
 _NOISY_RATE = 0.01  # rms noise of the velocity over the velocity, above which records are smoothed
@@ -331,13 +329,4 @@ def _model_values(
         rate = np.diff(record.outputs, degree, axis=0) / h**degree
         rows.append(np.pad(rate, ((0, len(rows[0]) - len(rate)), (0, 0)), mode="edge"))
     states = np.stack(rows, axis=1)
-    return np.asarray(_evaluate(plant, record.time[:-1], states, inputs))
-
-
-@jit(static=())
-def _evaluate(plant: Plant, time: Any, states: Any, inputs: Any) -> Float[Array, "steps ny"]:
-    """f at every step, with the internal states at their initial values."""
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-    u = plant.driven(jnp.asarray(time), jnp.asarray(inputs), theta)
-    return jax.vmap(lambda t, y, u: plant.derivative(t, State(y, z), u, theta))(time, states, u)
+    return derivatives(plant, record.time[:-1], states, inputs)

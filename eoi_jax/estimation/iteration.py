@@ -23,7 +23,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 from eoi_jax.estimation.regression.index import index as index_of
@@ -324,10 +323,6 @@ def _selected(
     return jax.tree.map(leaf, chosen, alternative)
 
 
-_least_squares = jit(jax.vmap(least_squares, (0, 0, None, 0)), static=())
-_least_squares_per_lane = jit(jax.vmap(least_squares), static=())  # free parameters of each lane
-
-
 def _solve(
     plant: Plant, theta: Thetas, sums: Sums, damping: Float[np.ndarray, " lanes"]
 ) -> Iteration:
@@ -341,7 +336,7 @@ def _solve(
     weights = weights / np.maximum(np.max(weights, axis=1, keepdims=True), np.finfo(float).tiny)
     information = np.einsum("lj,ljab->lab", weights, sums.information)
     rhs = np.einsum("lj,lja->la", weights, sums.rhs)
-    solution = jax.tree.map(np.asarray, _least_squares(information, rhs, plant.free, damping))
+    solution = least_squares(information, rhs, plant.free, damping)
     solution, bound = _solve_within_bounds(plant, theta, solution, information, rhs, damping)
     moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
     return Iteration(theta, sums, power, weights, solution, moved - theta, bound)
@@ -367,14 +362,12 @@ def _solve_within_bounds(
         return solution, np.zeros(theta.shape, bool)
 
     def solve(rhs: Thetas, is_free: Bool[np.ndarray, "lanes np"]) -> Thetas:
-        return np.asarray(
-            _least_squares_per_lane(information, rhs, free * is_free, damping).increment
-        )
+        return np.asarray(least_squares(information, rhs, free * is_free, damping).increment)
 
     damped = damping[:, None, None] * np.eye(len(free)) * solution.scale[:, :, None] ** 2
     increment, side = bounded(solve, information + damped, rhs, unbounded, room)
     bound = ((side < 0) & (theta == lower)) | ((side > 0) & (theta == upper))
-    inverse = np.asarray(_least_squares_per_lane(information, rhs, free * ~bound, damping).inverse)
+    inverse = np.asarray(least_squares(information, rhs, free * ~bound, damping).inverse)
     inverse = np.where(np.any(bound, axis=1)[:, None, None], inverse, solution.inverse)
     leaves = (increment, inverse)
     return eqx.tree_at(lambda leaf: (leaf.increment, leaf.inverse), solution, leaves), bound

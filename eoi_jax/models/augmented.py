@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from eoi_jax._checks import check
 from eoi_jax.models.effects.effect import (
@@ -133,7 +132,7 @@ def augmented(
     """
     if not placed:
         return plant
-    nz = len(np.asarray(plant.internal_start(jnp.asarray(plant.theta))))
+    nz = len(plant.initial_internal)
     declared_names = plant.names
     placements = tuple(placed)
     states = sum(placement.effect.states for placement in placements)
@@ -198,7 +197,7 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
 
 def own_states(plant: Plant) -> int:
     """Number of internal states of the declared plant, without those of effects."""
-    start, count = plant.internal_initial, len(plant.internal_start(jnp.asarray(plant.theta)))
+    start, count = plant.internal_initial, len(plant.initial_internal)
     while isinstance(start, _Start):
         start, count = start.base, count - start.states
     return count

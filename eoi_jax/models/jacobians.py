@@ -1,10 +1,13 @@
 """Jacobians of a plant's highest derivatives along measured signals."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.compiler.pointwise import along
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
 
@@ -12,9 +15,8 @@ from eoi_jax.models.plant import Plant, State
 Values = Array | np.ndarray
 
 
-@jit(static=())
-def state_slopes(plant: Plant, time: Values, y: Values, u: Values) -> Float[Array, "S ny r ny"]:
-    """∂f/∂y, ∂f/∂ẏ, … at every instant, with the internal states at their initial values.
+def derivatives(plant: Plant, time: Values, y: Values, u: Values) -> Float[np.ndarray, "S ny"]:
+    """f at every instant, with the internal states at their initial values.
 
     Args:
         plant: with its parameter values.
@@ -22,24 +24,55 @@ def state_slopes(plant: Plant, time: Values, y: Values, u: Values) -> Float[Arra
         y: outputs and their derivatives, (S, r, ny).
         u: inputs before any actuator, (S, nu).
     """
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-
-    def slopes_at(t: Array, y: Array, u: Array) -> Array:
-        return jax.jacfwd(lambda y: plant.derivative(t, State(y, z), u, theta))(y)
-
-    time, u = jnp.asarray(time), jnp.asarray(u)
-    return jax.vmap(slopes_at)(time, jnp.asarray(y), plant.driven(time, u, theta))
+    return along(_derivative, ("fixed", "rows"), plant, (time, y, driven(plant, time, u)))
 
 
-@jit(static=("i",))
-def input_slopes(plant: Plant, time: Values, y: Values, u: Values, i: int) -> Float[Array, "S ny"]:
+def state_slopes(
+    plant: Plant, time: Values, y: Values, u: Values
+) -> Float[np.ndarray, "S ny r ny"]:
+    """∂f/∂y, ∂f/∂ẏ, … at every instant; arguments as of `derivatives`."""
+    return along(_state_slope, ("fixed", "rows"), plant, (time, y, driven(plant, time, u)))
+
+
+def input_slopes(
+    plant: Plant, time: Values, y: Values, u: Values, i: int
+) -> Float[np.ndarray, "S ny"]:
     """∂f/∂u_i at every instant, for the inputs behind the actuator; arguments as above."""
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
+    rows = (time, y, driven(plant, time, u))
+    return along(_input_slope, ("fixed", "rows"), plant, rows)[..., i]
 
-    def slopes_at(t: Array, y: Array, u: Array) -> Array:
-        return plant.input_slopes(t, State(y, z), u, theta)[:, i]
 
-    time, u = jnp.asarray(time), jnp.asarray(u)
-    return jax.vmap(slopes_at)(time, jnp.asarray(y), plant.driven(time, u, theta))
+def driven(plant: Plant, time: Values, u: Values) -> Values:
+    """Inputs along a record behind the actuators of a plant, at its parameters.
+
+    Args:
+        plant: the plant.
+        time: middle of each step, (S,) [s].
+        u: mean over each step, (S, nu).
+    """
+    return u if plant.actuator is None else np.asarray(_driven(plant, time, u))
+
+
+@jit(static=())
+def _driven(plant: Plant, time: Values, u: Values) -> Float[Array, "S nu"]:
+    return plant.driven(jnp.asarray(time), jnp.asarray(u), jnp.asarray(plant.theta))
+
+
+def _derivative(plant: Plant, row: tuple[Any, ...]) -> Any:
+    t, y, u = row
+    return plant.derivative(t, _state(plant, y), u, plant.theta)
+
+
+def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Any:
+    t, y, u = row
+    slope = jax.jacfwd(lambda y: plant.derivative(t, _state(plant, y), u, plant.theta))
+    return slope(y)
+
+
+def _input_slope(plant: Plant, row: tuple[Any, ...]) -> Any:
+    t, y, u = row
+    return plant.input_slopes(t, _state(plant, y), u, plant.theta)
+
+
+def _state(plant: Plant, y: Any) -> State:
+    return State(y, plant.internal_start(plant.theta))

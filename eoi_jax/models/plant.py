@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax._types import Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
-from eoi_jax.compiler.programs import jit
+from eoi_jax.compiler.pointwise import along
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
 # differs between the two only by a jump; its square is representable in single precision.
@@ -36,10 +36,12 @@ class State(eqx.Module):
         y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
             relative degree than the plant's highest has zeros in the remaining rows.
         z: internal states, shape (nz,).
+
+    Several states stand side by side on leading axes.
     """
 
-    y: Float[Array, "r ny"]
-    z: Float[Array, " nz"]
+    y: Float[Array | np.ndarray, "*states r ny"]
+    z: Float[Array | np.ndarray, "*states nz"]
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]
@@ -262,6 +264,14 @@ class Plant(eqx.Module):
         value = start(self.named(theta)) if callable(start) else start
         return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
 
+    @property
+    def initial_internal(self) -> Float[np.ndarray, " nz"]:
+        """z at the start of a record, at the plant's own parameters."""
+        if not callable(self.internal_initial):
+            return np.asarray(self.internal_initial, dtype=float)
+        theta = np.asarray(self.theta, dtype=float)[None]
+        return along(Plant.internal_start, ("fixed", "rows"), self, theta)[0]
+
     def regressor(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Regressor:
         r"""$\varphi = \partial f/\partial\theta$ at θ, eq. (2), shape (ny, np)."""
         return jax.jacfwd(lambda value: self.derivative(t, x, u, value))(theta)
@@ -327,7 +337,7 @@ class Plant(eqx.Module):
         positions = np.asarray(self.degrees) >= 2
         if np.sum(positions) < 2:
             return np.zeros((len(self.outputs), len(self.inputs)), dtype=bool)
-        slopes, size = map(np.asarray, _pushed(self, *_probes(self)))
+        slopes, size = along(_pushed, ("fixed", "rows"), self, _probes(self))
         pushes = slopes > 1e2 * np.finfo(size.dtype).eps * size
         pushes = np.any(pushes, axis=0) & positions[:, None]
         return pushes & (np.sum(pushes, axis=0) > 1)
@@ -555,7 +565,8 @@ def _affine(
         x, named = State(y, jnp.zeros(0)), parameter_type(names)
         return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
-    line = jnp.zeros(len(names)), jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs)
+    dtype = jnp.result_type(float)
+    line = [jax.ShapeDtypeStruct(one, dtype) for one in ((len(names),), (), shape, (inputs,))]
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
@@ -564,7 +575,7 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     """`Plant.jumps` of the plant of this structure; its bounds have no influence."""
     del dtype  # part of the cache key: the probes are computed in this type
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
-    near_change, far_change, size = map(np.asarray, _across_rest(plant, *_probes(plant)))
+    near_change, far_change, size = along(_across_rest, ("fixed", "rows"), plant, _probes(plant))
     # A slope grows with the distance between the two velocities, a jump does not.
     rounding = 1e2 * np.finfo(near_change.dtype).eps * size
     jumps = (near_change > rounding) & (near_change > 0.5 * far_change)
@@ -575,33 +586,23 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     return jumps
 
 
-@jit(static=())
-def _pushed(plant: Plant, t: Array, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-    """|∂f/∂u|, shape (probes, ny, nu); the size of f in units of each input, the same shape."""
-
-    def slopes_at_probe(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-        x = State(y, plant.internal_start(theta) + 0.1)
-        size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
-        return jnp.abs(plant.input_slopes(t, x, u, theta)), size
-
-    return jax.vmap(slopes_at_probe)(t, y, u, theta)
+def _pushed(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array]:
+    """|∂f/∂u|, shape (ny, nu); the size of f in units of each input, the same shape."""
+    t, y, u, theta = probe
+    x = State(y, plant.internal_start(theta) + 0.1)
+    size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
+    return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
 
-@jit(static=())
-def _across_rest(
-    plant: Plant, t: Array, y: Array, u: Array, theta: Array
-) -> tuple[Array, Array, Array]:
+def _across_rest(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array, Array]:
     """Change of f_i across rest of output j, at a small and a larger velocity, and size of f_i."""
+    t, y, u, theta = probe
+    x = State(y, plant.internal_start(theta) + 0.1)
 
-    def changes_at_probe(t: Scalar, y: Array, u: Array, theta: Array) -> tuple[Array, Array, Array]:
-        x = State(y, plant.internal_start(theta) + 0.1)
+    def change(distance: float) -> tuple[Array, Array]:
+        above_rest = plant._with_velocities(t, x, u, theta, distance)
+        below_rest = plant._with_velocities(t, x, u, theta, -distance)
+        return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
 
-        def change(distance: float) -> tuple[Array, Array]:
-            above_rest = plant._with_velocities(t, x, u, theta, distance)
-            below_rest = plant._with_velocities(t, x, u, theta, -distance)
-            return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
-
-        (near_change, size), (far_change, _) = change(REST), change(_FAR_FACTOR * REST)
-        return near_change, far_change, size
-
-    return jax.vmap(changes_at_probe)(t, y, u, theta)
+    (near_change, size), (far_change, _) = change(REST), change(_FAR_FACTOR * REST)
+    return near_change, far_change, size

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.discovery.acceptance import DENIED
@@ -13,7 +11,8 @@ from eoi_jax.discovery.confirm import only_short
 from eoi_jax.discovery.result import Added, Discovery, Evidence, Lead, Texts
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.models.equations.display import equation_text
-from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.jacobians import input_slopes
+from eoi_jax.models.plant import Plant
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 
@@ -328,19 +327,11 @@ def _input_gain(plant: Plant, parameters: dict[str, float], output: int) -> floa
     """∂f/∂u of a single input where it is constant; else None."""
     if len(plant.inputs) != 1 or plant.internal is not None:
         return None
-    theta = jnp.asarray([parameters[name] for name in plant.names])
+    estimate = plant.with_parameters({name: parameters[name] for name in plant.names})
     draw = np.random.default_rng(0)
-
-    def slope(y: Any, u: Any) -> Any:
-        x = State(y, jnp.zeros(0))
-        return jax.jacfwd(lambda v: plant.derivative(jnp.zeros(()), x, v, theta)[output])(u)[0]
-
     shape = (plant.relative_degree, len(plant.outputs))
-    gains = [
-        float(
-            slope(jnp.asarray(draw.uniform(0.1, 1.0, shape)), jnp.asarray(draw.uniform(-1, 1, 1)))
-        )
-        for _ in range(3)
-    ]
+    points = [(draw.uniform(0.1, 1.0, shape), draw.uniform(-1, 1, 1)) for _ in range(3)]
+    y, u = (np.stack(values) for values in zip(*points, strict=True))
+    gains = input_slopes(estimate, np.zeros(3), y, u, 0)[:, output].tolist()
     constant = np.ptp(gains) <= 1e-9 * abs(gains[0]) and gains[0] != 0.0
     return gains[0] if constant else None

@@ -42,7 +42,11 @@ def save_figure(path: Path, make: Callable[[], Any]) -> None:
     """
 
     def save() -> bool:
-        make().savefig(path)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+
+        figure = make()
+        # Not `savefig`, which draws the figure a second time only to lay it out.
+        FigureCanvasAgg(figure).print_png(path)
         return True
 
     if not draw_or_warn(path.stem, save):

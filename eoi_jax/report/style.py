@@ -4,9 +4,11 @@ A figure is dark where the current style of matplotlib is dark, e.g. after
 ``matplotlib.style.use("dark_background")``, else light.
 """
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,8 @@ WIDE = 10.0  # [inch] of a figure of `.plot()`
 BASE, ACCENT = 0, 1  # numbers of the series: the declared model, and the result
 
 
-def sheet(dark: bool) -> Any:
+@functools.cache
+def sheet(dark: bool) -> Mapping[str, Any]:
     """Settings of matplotlib for a theme.
 
     Args:
@@ -35,13 +38,9 @@ def sheet(dark: bool) -> Any:
     from matplotlib import rc_params_from_file
 
     folder = Path(__file__).parent
-    return {
-        key: value
-        for name in ("base", "dark" if dark else "light")
-        for key, value in rc_params_from_file(
-            folder / f"{name}.mplstyle", use_default_template=False
-        ).items()
-    }
+    files = (folder / f"{name}.mplstyle" for name in ("base", "dark" if dark else "light"))
+    parts = (rc_params_from_file(file, use_default_template=False) for file in files)
+    return MappingProxyType({key: value for part in parts for key, value in part.items()})
 
 
 @contextmanager

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from eoi_jax.simulation.gauss_newton import gauss_newton
-from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import Drive, trajectory
+from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.gauss_newton import gauss_newton
+from eoi_jax.simulation.integrator import Drive
 
 Samples = Float[np.ndarray, "time ny"]
 Starts = Float[np.ndarray, "runs unknowns"]
@@ -27,7 +25,6 @@ Trials = Float[np.ndarray, "runs trials unknowns"]
 
 _ROUNDS = 20  # of Gauss-Newton; a linear plant needs one
 _DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
-_LANES = 32  # runs that are simulated at once
 _TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
 _SMALLEST_FALL = (
     1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
@@ -49,9 +46,7 @@ def initial_states(
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton."""
     period = float(heads.step[0]) * heads.substeps
-    z = np.zeros(0)
-    if run.plant.internal is not None:
-        z = np.asarray(run.plant.internal_start(jnp.asarray(run.plant.theta)))
+    z = run.plant.initial_internal
     starts = np.stack(
         [
             _polynomial_starts(run.plant, outputs, mask, period)
@@ -241,14 +236,8 @@ class _Heads:
         run = self.run
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
-        parts = []
-        # Always so many runs at once, whatever the number of windows: one kernel for each plant.
-        for first in range(0, len(lanes), _LANES):
-            index = np.minimum(np.arange(first, first + _LANES), len(lanes) - 1)
-            drives = self._driving(owner[index])
-            outputs = _runs(run.plant, drives, lanes[index], run.friction)
-            parts.append(np.asarray(outputs))
-        outputs = np.concatenate(parts)[: len(lanes)]
+        starts = states_of(run.plant, lanes)
+        outputs = outputs_of(run.plant, self._driving(owner), starts, run.friction)
         return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
 
 
@@ -286,30 +275,9 @@ def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def unpacked(plant: Plant, values: Float[Array, " unknowns"]) -> State:
-    """The state of which `values` are what is unknown: outputs and derivatives, then z."""
+def states_of(plant: Plant, values: Starts) -> State:
+    """States of which `values` are the unknowns: outputs and derivatives, then z."""
     rows, columns = owned(plant)
-    empty = jnp.zeros((plant.relative_degree, len(plant.outputs)), dtype=values.dtype)
-    return State(empty.at[rows, columns].set(values[: len(rows)]), values[len(rows) :])
-
-
-@jit
-def states_of(plant: Plant, values: Float[Array | np.ndarray, "runs unknowns"]) -> State:
-    """`unpacked`, of several runs side by side."""
-    return jax.vmap(lambda values: unpacked(plant, values))(jnp.asarray(values))
-
-
-@jit(static=("friction",))
-def _runs(
-    plant: Plant,
-    drives: Drive,
-    values: Float[Array | np.ndarray, "runs unknowns"],
-    friction: tuple[int, ...],
-) -> Float[Array, "runs time ny"]:
-    """Short runs side by side, at the plant's own parameters."""
-    theta = jnp.asarray(plant.theta)
-
-    def outputs(driven_by: Drive, values: Float[Array, " unknowns"]) -> Array:
-        return trajectory(plant, theta, driven_by, unpacked(plant, values), friction)[0][:, 0, :]
-
-    return jax.vmap(outputs)(drives, jnp.asarray(values))
+    y = np.zeros((len(values), plant.relative_degree, len(plant.outputs)))
+    y[:, rows, columns] = values[:, : len(rows)]
+    return State(y, values[:, len(rows) :])

@@ -20,6 +20,7 @@ from eoi_jax.data.cleaning import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS, inputs_within_steps
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
 
 Pieces = Float[np.ndarray, "steps order nu"]
@@ -74,7 +75,6 @@ def simulate(
     start = State(_initial(plant, initial), _internal(plant, internal))
     check_choice("hold", hold, ("auto", *HOLDS))
     used, _ = choose_hold(u, hold)
-    theta = jnp.asarray(plant.theta)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
         slow = plant.actuator is not None
@@ -83,11 +83,18 @@ def simulate(
         rule = 'must be "fixed" for a plant with dry friction'
         check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
         pieces = jnp.asarray(_input_pieces(u, used))
-        y, _ = _adaptive(plant, theta, jnp.asarray(time), pieces, start)
+        y, _ = _adaptive(plant, jnp.asarray(plant.theta), jnp.asarray(time), pieces, start)
+        outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     else:
         driven_by = acted(plant, drive(time, u, used, substeps))
-        y, _ = free_run(plant, theta, driven_by, start, frictional(plant))
-    outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
+        alone = Drive(
+            driven_by.time[None],
+            np.asarray(driven_by.step)[None],
+            driven_by.inputs[None],
+            driven_by.substeps,
+        )
+        begun = State(start.y[None], start.z[None])
+        outputs = outputs_of(plant, alone, begun, frictional(plant))[0]
     bad = ~np.all(np.isfinite(outputs), axis=1)
     failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
@@ -190,7 +197,7 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
     return time
 
 
-def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
+def _initial(plant: Plant, initial: Any) -> Float[np.ndarray, "r ny"]:
     r, ny = plant.relative_degree, len(plant.outputs)
     value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
     if ny == 1 and value.shape == ():
@@ -200,17 +207,17 @@ def _initial(plant: Plant, initial: Any) -> Float[Array, "r ny"]:
     check_shape("initial", value, (r, ny), "the outputs, then each of their derivatives")
     _check_finite("initial", value)
     owned = np.arange(r)[:, None] < np.asarray(plant.degrees)
-    return jnp.asarray(np.where(owned, value, 0.0))
+    return np.where(owned, value, 0.0)
 
 
-def _internal(plant: Plant, internal: ArrayLike | None) -> Float[Array, " nz"]:
-    start = plant.internal_start(jnp.asarray(plant.theta))
+def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " nz"]:
+    start = plant.initial_internal
     if internal is None:
         return start
     value = np.atleast_1d(np.asarray(internal, dtype=np.float64))
     check_shape("internal", value, start.shape, "one value an internal state")
     _check_finite("internal", value)
-    return jnp.asarray(value)
+    return value
 
 
 # -- the independent route ----------------------------------------------------------------

@@ -7,7 +7,6 @@ estimated from the first samples of each run (`initial_state.py`), which are not
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,8 +18,9 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import joined, late_starts, plan
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of
-from eoi_jax.simulation.integrator import Drive, chained, frictional
+from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -129,7 +129,7 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
 
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
-    unknowns = plant.relative_degree + len(plant.internal_start(jnp.asarray(plant.theta)))
+    unknowns = plant.relative_degree + len(plant.initial_internal)
     check_count("initial_samples", initial_samples)
     check(
         initial_samples > unknowns,
@@ -197,9 +197,8 @@ def _free_runs(
     first_samples = np.asarray(starts)[:, None] + np.arange(first)
     head = _parts(record_drive, starts, first - 1)
     values = initial_states(run, head, record.outputs[first_samples], record.valid[first_samples])
-    theta = jnp.asarray(run.plant.theta)
     begun = states_of(run.plant, values)
-    return chained(run.plant, theta, _parts(record_drive, starts, count), begun, run.friction)
+    return outputs_of(run.plant, _parts(record_drive, starts, count), begun, run.friction)
 
 
 def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
@@ -19,6 +18,7 @@ from eoi_jax.comparison.methods.weighed import WeightedSolution, covariance, sol
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.gauss_newton import gauss_newton
 
 _STEPS, _LENGTHS = 30, 20  # most steps; lengths of each, a half of the one before
 _ENOUGH = 1e-14  # relative fall of the power of the residuals below which they have settled

@@ -157,7 +157,7 @@ def _prepared(filtered: Equation) -> tuple[Signals, _Gains, list[str]]:
     weights = 1.0 / np.where(size > 0, size, 1.0)
     middle, width = _intervals(plant, is_paper_plant, phi, weights)
     moments = np.einsum("kj,j,kja,kjb->ab", mask, weights, phi, phi) / len(phi)
-    solution = least_squares(jnp.asarray(moments), jnp.zeros(len(theta)), jnp.asarray(plant.free))
+    solution = least_squares(moments, np.zeros(len(theta)), plant.free)
     unidentified = untraced(solution, plant.names, plant.free)
     lag = _LAG if is_paper_plant else 1.0 / filtered.filters.narrow
     settling = _LAST * float(np.sum(period))

@@ -13,7 +13,6 @@ Source: T. Söderström, P. Stoica, *Instrumental Variable Methods for System Id
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -72,11 +71,7 @@ def solve(rows: Rows, instruments: Rows, free: Float[np.ndarray, " np"]) -> Weig
     inverse = np.linalg.pinv(b / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     projection = a.T @ (inverse / np.outer(scale, scale))
     information = projection @ a
-    solution = least_squares(
-        jnp.asarray(0.5 * (information + information.T)),
-        jnp.asarray(projection @ rhs),
-        jnp.asarray(free),
-    )
+    solution = least_squares(0.5 * (information + information.T), projection @ rhs, free)
     return WeightedSolution(np.asarray(solution.increment), solution, projection, weights, power)
 
 

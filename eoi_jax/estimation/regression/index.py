@@ -6,16 +6,17 @@ The paper divides by N + 1 while it sums N samples; N makes P the mean square th
 to be. Only samples that are scored count: after the transient, not in a gap, not stuck.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax.compiler.programs import jit
+Host = Array | np.ndarray
 
 
-@jit(static=())
-def index(
-    square_sum: Float[Array, "*channel"], weight: Float[Array, "*channel"]
-) -> Float[Array, "*channel"]:
+def index(square_sum: Float[Host, "*channel"], weight: Float[Host, "*channel"]) -> Any:
     """P from the sum of squares [unit of y^(r), squared].
 
     Args:
@@ -23,6 +24,8 @@ def index(
         weight: Σ F[m]² over the same samples: their number, where nothing is left out.
 
     Returns:
-        P; without a scored sample NaN, for no evidence is not a perfect fit.
+        P, (*channel); without a scored sample NaN, for no evidence is not a perfect fit. NumPy's
+        arrays stay with NumPy.
     """
-    return jnp.where(weight > 0, square_sum / jnp.where(weight > 0, weight, 1.0), jnp.nan)
+    xp = jnp if isinstance(square_sum, jax.Array) else np
+    return xp.where(weight > 0, square_sum / xp.where(weight > 0, weight, 1.0), xp.nan)

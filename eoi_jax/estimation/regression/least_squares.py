@@ -6,22 +6,26 @@ Columns are scaled to unit length first, so that parameters of different size an
 weight. θ does not move in directions without information (the smallest Δθ), which are reported.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._types import Scalar
 from eoi_jax.compiler.programs import jit
 
 # Eigenvalues of the scaled information matrix below this many rounding errors count as zero.
 _ROUNDING = 100.0
 
 
+Host = Array | np.ndarray
+
+
 class Solution(eqx.Module):
-    """Δθ and the directions in which the data determine it.
+    """Δθ and the directions in which the data determine it; of several systems on leading axes.
 
     Attributes:
         increment: Δθ, shape (np,); zero for fixed parameters.
@@ -32,20 +36,19 @@ class Solution(eqx.Module):
         scale: length of each regressor column [unit of y^(r) per unit of the parameter].
     """
 
-    increment: Float[Array, " np"]
-    inverse: Float[Array, "np np"]
-    eigenvalues: Float[Array, " np"]
-    directions: Float[Array, "np np"]
-    identified: Bool[Array, " np"]
-    scale: Float[Array, " np"]
+    increment: Float[Host, "*systems np"]
+    inverse: Float[Host, "*systems np np"]
+    eigenvalues: Float[Host, "*systems np"]
+    directions: Float[Host, "*systems np np"]
+    identified: Bool[Host, "*systems np"]
+    scale: Float[Host, "*systems np"]
 
 
-@jit(static=())
 def least_squares(
-    information: Float[Array, "np np"],
-    rhs: Float[Array, " np"],
-    free: Float[Array, " np"],
-    damping: float | Scalar = 0.0,
+    information: Float[Host, "*systems np np"],
+    rhs: Float[Host, "*systems np"],
+    free: Float[Host, "*#systems np"],
+    damping: float | Float[Host, "*#systems"] = 0.0,
 ) -> Solution:
     r"""Solve $\sum\varphi^\top\varphi\,\Delta\theta = \sum\varphi^\top u_{eq}$, eq. (11).
 
@@ -57,26 +60,57 @@ def least_squares(
             small (Levenberg); for a model that is not affine in θ.
 
     Returns:
-        Δθ, and the directions of θ that the data determine.
+        Δθ, and the directions of θ that the data determine. NumPy arrays give NumPy arrays.
     """
-    length = jnp.sqrt(jnp.maximum(jnp.diagonal(information), 0.0)) * free
-    scale = jnp.where(length > 0, length, 1.0)
+    arguments = information, rhs, free, damping
+    if any(isinstance(array, jax.Array) for array in arguments):
+        return _compiled(*arguments)
+    with np.errstate(all="ignore"):  # of what is not finite
+        return _solved(np, _eigen, *arguments)
+
+
+@jit(static=())
+def _compiled(information: Any, rhs: Any, free: Any, damping: Any) -> Solution:
+    return _solved(jnp, jnp.linalg.eigh, information, rhs, free, damping)
+
+
+def _solved(
+    xp: Any, eigen: Callable, information: Any, rhs: Any, free: Any, damping: Any
+) -> Solution:
+    """`least_squares` by NumPy or JAX."""
+    length = xp.sqrt(xp.maximum(xp.diagonal(information, axis1=-2, axis2=-1), 0.0)) * free
+    scale = xp.where(length > 0, length, 1.0)
     active = free * (length > 0)
-    scaled = information / jnp.outer(scale, scale) * jnp.outer(active, active)
-    scaled = scaled + jnp.diag(1.0 - free)  # fixed parameters: directions of their own
-    eigenvalues, directions = jnp.linalg.eigh(scaled)
-    threshold = _ROUNDING * information.shape[0] * jnp.finfo(information.dtype).eps
-    identified = eigenvalues > threshold * jnp.maximum(eigenvalues[-1], 0.0)
+    sizes, both_active = _outer(scale), _outer(active)
+    # Fixed parameters: directions of their own.
+    fixed = (1.0 - free)[..., None] * xp.eye(free.shape[-1], dtype=information.dtype)
+    eigenvalues, directions = eigen(information / sizes * both_active + fixed)
+    threshold = _ROUNDING * information.shape[-1] * xp.finfo(information.dtype).eps
+    identified = eigenvalues > threshold * xp.maximum(eigenvalues[..., -1:], 0.0)
     identified &= eigenvalues > 0
-    safe = jnp.where(identified, eigenvalues, 1.0)
+    safe = xp.where(identified, eigenvalues, 1.0)
     # Only rounding puts a parameter without information into an identified direction.
-    unscale = jnp.outer(active, active) / jnp.outer(scale, scale)
+    unscale = both_active / sizes
 
-    def inverted(values: Float[Array, " np"]) -> Float[Array, "np np"]:
-        return (directions * jnp.where(identified, 1.0 / values, 0.0)) @ directions.T * unscale
+    def inverted(values: Any) -> Any:
+        weighed = directions * xp.where(identified, 1.0 / values, 0.0)[..., None, :]
+        return weighed @ xp.swapaxes(directions, -1, -2) * unscale
 
-    increment = inverted(safe + damping) @ rhs
+    damped = safe + xp.asarray(damping)[..., None]
+    increment = (inverted(damped) @ rhs[..., None])[..., 0]
     return Solution(increment, inverted(safe), eigenvalues, directions, identified, scale)
+
+
+def _outer(values: Any) -> Any:
+    return values[..., :, None] * values[..., None, :]
+
+
+def _eigen(matrix: Float[np.ndarray, "*systems np np"]) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues and directions; NaN of a matrix that is not finite."""
+    finite = np.all(np.isfinite(matrix), axis=(-1, -2))
+    values, vectors = np.linalg.eigh(np.where(finite[..., None, None], matrix, 0.0))
+    values = np.where(finite[..., None], values, np.nan)
+    return values, np.where(finite[..., None, None], vectors, np.nan)
 
 
 def untraced(solution: Solution, names: Sequence[str], free: Float[np.ndarray, " np"]) -> list[str]:

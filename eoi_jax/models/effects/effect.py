@@ -20,10 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
 
 _TURNS = 0.01  # share of the samples
@@ -217,6 +219,17 @@ class AbstractActuator(AbstractEffect):
             Mean of what the model gets over each step, shape (S,).
         """
 
+    def sampled(
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+    ) -> Float[np.ndarray, "grid S"]:
+        """`along` of measured arrays, for several shapes; an effect that knows how uses NumPy."""
+        return np.asarray(_sampled(self, time, u, shapes))
+
+
+@jit
+def _sampled(effect: AbstractActuator, time: Any, u: Any, shapes: Any) -> Any:
+    return jax.vmap(lambda shape: effect.along(time, u, shape))(jnp.asarray(shapes))
+
 
 # What acts on an input, in whichever way.
 INPUT_EFFECTS = (AbstractInputEffect, AbstractActuator)
@@ -246,7 +259,7 @@ def internal_names(plant: Plant) -> tuple[str, ...]:
     names = getattr(plant.internal, "states", None)
     if isinstance(names, tuple):
         return names
-    count = len(plant.internal_start(jnp.asarray(plant.theta)))
+    count = len(plant.initial_internal)
     return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
 
 

@@ -6,7 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from eoi_jax.data.recursion import states
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractInputEffect,
@@ -100,6 +102,19 @@ class ActuatorLag(AbstractActuator):
 
         return jax.lax.scan(step, u[0], u)[1]
 
+    def sampled(
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+    ) -> Float[np.ndarray, "grid S"]:
+        period = time[1] - time[0]
+        out = []
+        for (lag,) in shapes:
+            decay = np.exp(-period / max(lag, _INSTANT * period))
+            late = (1.0 - decay) * lag / period
+            after = states(np.full((1, 1), decay), np.full(1, 1.0 - decay), u[:, None], u[:1, None])
+            before = np.concatenate([u[:1], after[:-1, 0, 0]])
+            out.append(u + (before - u) * late)
+        return np.stack(out)
+
 
 class InputDelay(AbstractActuator):
     """u(t - τ); before the record the input had been what it is at its start."""
@@ -122,6 +137,15 @@ class InputDelay(AbstractActuator):
         late = jnp.arange(len(u)) - whole_steps.astype(int)
         after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
         return after + (steps - whole_steps) * (before - after)
+
+    def sampled(
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+    ) -> Float[np.ndarray, "grid S"]:
+        steps = shapes[:, :1] / (time[1] - time[0])
+        whole = np.floor(steps)
+        late = np.arange(len(u)) - whole.astype(int)
+        after, before = u[np.maximum(late, 0)], u[np.maximum(late - 1, 0)]
+        return after + (steps - whole) * (before - after)
 
 
 def _times(seen: Seen) -> Grid:

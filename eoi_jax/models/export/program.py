@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-import numpy as np
 
 from eoi_jax._checks import check
 from eoi_jax.compiler.graph import Node, Untranslatable
@@ -108,7 +107,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     free = (name for i in itertools.count(1) if (name := f"w{i}") not in taken)
     trees, definitions = shared_formulas(rates, free)
     names = [Symbol(name) for name in internal_names(plant)]
-    values = np.asarray(plant.internal_start(jnp.asarray(plant.theta)), dtype=float).tolist()
+    values = plant.initial_internal.tolist()
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
         plant.name,

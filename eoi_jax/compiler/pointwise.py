@@ -1,0 +1,262 @@
+"""Functions of one instant, evaluated along a whole record by NumPy.
+
+What a model or an effect says of one instant is a scalar program (`graph.py`) of a few dozen
+operations, and along the samples of a record each of them is one call of NumPy. XLA would compile
+every such function for every length of record, which takes longer than most records take.
+
+    forces = along(force, ("fixed", "rows"), theta, (time, y))  # as `jax.vmap`, with named axes
+
+Rows are taken in blocks, so that what is computed on the way stays in the processor's cache.
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable, ordered
+from eoi_jax.compiler.programs import jit
+from eoi_jax.compiler.trace import translated
+from eoi_jax.compiler.translation import kept_translation
+
+# Leading axes that the arrays of an argument may have.
+AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
+_BLOCK = 131072  # numbers of one intermediate result
+_MOST = 256  # programs kept, of some ten kilobytes each
+
+Kind = tuple[tuple[int, ...], str]  # shape and kind of type of a leaf
+
+Read = Callable[[tuple[int, int]], Any]  # a component of a leaf
+
+
+def along(function: Callable, axes: tuple[str, ...], *args: Any) -> Any:
+    """A function at every row of a record, and at every point of a grid where there is one.
+
+    Args:
+        function: of one tree of arrays for each argument, gives a tree of arrays; hashable, and
+            equal to what computes the same.
+        axes: of each argument, the leading axes that its arrays have: ``"fixed"`` for none,
+            ``"rows"``, ``"grid"``, or ``"grid rows"``.
+        args: trees of arrays.
+
+    Returns:
+        The function's result as NumPy arrays, with leading axes (rows,), or (grid, rows) where an
+        argument has a grid.
+    """
+    return Along(function, axes, *args)(slice(None))
+
+
+class Along:
+    """A function along a record, of which any rows can be asked for; arguments as of `along`.
+
+    Attributes:
+        rows: of the record.
+        grid: points of the grid; None without one.
+    """
+
+    def __init__(self, function: Callable, axes: tuple[str, ...], *args: Any):
+        self._function, self._axes, self._args = function, axes, args
+        self.rows, self.grid = _length(axes, args, "rows"), _length(axes, args, "grid")
+        dtype = np.dtype(jnp.result_type(float))
+        leaves, structures = zip(*(jax.tree.flatten(one) for one in args), strict=True)
+        pairs = [(leaf, axis) for some, axis in zip(leaves, axes, strict=True) for leaf in some]
+        kinds = tuple((np.shape(leaf)[AXES[axis] :], leaf.dtype.kind) for leaf, axis in pairs)
+        try:
+            self._program = _program(function, structures, kinds, dtype)
+        except Untranslatable:
+            self._program = None
+        else:
+            self._columns = [_columns(leaf, axis, dtype) for leaf, axis in pairs]
+
+    def __call__(self, part: slice) -> Any:
+        """The result at some rows; as of `along`."""
+        if self._program is None:
+            return jax.tree.map(
+                lambda leaf: leaf[part] if self.grid is None else leaf[:, part], self._by_xla
+            )
+        rows = range(self.rows)[part]
+        lead = (len(rows),) if self.grid is None else (self.grid, len(rows))
+        out = np.empty((len(self._program.outputs), *lead), self._program.dtype)
+        step = max(_BLOCK // max(self.grid or 1, 1), 1)
+        with np.errstate(all="ignore"):
+            for first in range(0, len(rows), step):
+                last = min(first + step, len(rows))
+                block = slice(rows.start + first, rows.start + last)
+                values = self._program.values(functools.partial(self._read, block))
+                for component, value in zip(out, values, strict=True):
+                    component[..., first:last] = value
+        return self._program.tree(out)
+
+    def _read(self, block: slice, at: tuple[int, int]) -> Any:
+        """One input at some rows, in the shape in which it meets the others."""
+        leaf, component = at
+        by_rows, columns = self._columns[leaf]
+        return columns[component][..., block] if by_rows else columns[component]
+
+    @functools.cached_property
+    def _by_xla(self) -> Any:
+        """At all rows, where the function is more than arithmetic of scalars."""
+        return jax.tree.map(np.asarray, _compiled(self._function, self._axes, self._args))
+
+
+@jit
+def _compiled(function: Callable, axes: tuple[str, ...], args: tuple) -> Any:
+    def at_point(*args: Any) -> Any:
+        return jax.vmap(function, [0 if "rows" in axis else None for axis in axes])(*args)
+
+    args = jax.tree.map(jnp.asarray, args)
+    gridded = ["grid" in axis for axis in axes]
+    if not any(gridded):
+        return at_point(*args)
+
+    def at(point: list) -> Any:
+        rest = iter(point)
+        pairs = zip(args, gridded, strict=True)
+        return at_point(*(next(rest) if moves else one for one, moves in pairs))
+
+    # Side by side XLA evaluates for each point what is the same for all.
+    return jax.lax.map(at, list(itertools.compress(args, gridded)))
+
+
+def _length(axes: tuple[str, ...], args: tuple, name: str) -> Any:
+    """Of one of the leading axes; None if no argument has it."""
+    for tree, axis in zip(args, axes, strict=True):
+        leaves = jax.tree.leaves(tree)
+        if name in axis and leaves:
+            return np.shape(leaves[0])[axis.split().index(name)]
+    return None
+
+
+def _columns(leaf: Any, axis: str, dtype: Any) -> tuple[bool, np.ndarray]:
+    """Whether a leaf has rows, and its components in front; of a grid alone each (grid, 1)."""
+    array, count = np.asarray(leaf, dtype), AXES[axis]
+    columns = np.moveaxis(array.reshape(*array.shape[:count], -1), -1, 0)
+    return "rows" in axis, columns[..., None] if axis == "grid" else columns
+
+
+# -- the program --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One operation: where its result and its arguments are, and what nothing needs after it."""
+
+    function: Callable
+    place: int
+    args: tuple[int, ...]
+    done: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Operations in the order in which they are done.
+
+    Attributes:
+        steps: the operations.
+        inputs: what is read from the arguments, by place: a leaf and its component.
+        constants: by place.
+        outputs: places of the results, component by component.
+        structure, shapes: of the tree of results.
+        dtype: of all numbers.
+    """
+
+    steps: tuple[_Step, ...]
+    inputs: dict[int, tuple[int, int]]
+    constants: dict[int, Any]
+    outputs: tuple[int, ...]
+    structure: Any
+    shapes: tuple[tuple[int, ...], ...]
+    dtype: Any
+
+    def values(self, read: Read) -> Iterator[Any]:
+        """The components of the results, given what reads an input."""
+        known = self.constants | {place: read(at) for place, at in self.inputs.items()}
+        for step in self.steps:
+            known[step.place] = step.function(*[known[arg] for arg in step.args])
+            for place in step.done:
+                del known[place]
+        return (known[place] for place in self.outputs)
+
+    def tree(self, components: np.ndarray) -> Any:
+        """The results with their leading axes in front: views of all components."""
+        leaves, first = [], 0
+        for shape in self.shapes:
+            last = first + math.prod(shape)
+            leaf = components[first:last].reshape(*shape, *components.shape[1:])
+            axes = range(len(shape))
+            leaves.append(np.moveaxis(leaf, axes, range(-len(shape), 0)) if shape else leaf)
+            first = last
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+@functools.partial(kept_translation, most=_MOST)
+def _program(
+    function: Callable,
+    structures: tuple,
+    kinds: tuple[Kind, ...],
+    dtype: Any,
+) -> _Program:
+    """Trace a function and put its operations in order, once."""
+    if any(kind not in "fb" for _, kind in kinds):
+        raise Untranslatable("arguments that are whole numbers")
+    graph, structure = Graph(), None
+    counts = [one.num_leaves for one in structures]
+    shapes = [jax.ShapeDtypeStruct(shape, dtype if kind == "f" else bool) for shape, kind in kinds]
+    inputs = [_inputs(graph, leaf, shape) for leaf, shape in enumerate(shapes)]
+    results: list[tuple[int, ...]] = []
+
+    def flat(*leaves: Any) -> list:
+        nonlocal structure
+        rest = iter(leaves)
+        parts = [list(itertools.islice(rest, count)) for count in counts]
+        trees = [jax.tree.unflatten(one, part) for one, part in zip(structures, parts, strict=True)]
+        out, structure = jax.tree.flatten(function(*trees))
+        results[:] = [jnp.shape(one) for one in out]
+        return out
+
+    with jax.enable_x64(dtype == np.float64):
+        out = translated(graph, flat, shapes, inputs)
+    outputs = [node for array in out for node in array.ravel()]
+    needed = ordered(outputs)
+    return _Program(
+        steps=_steps(needed, outputs),
+        inputs={node.order: node.value for node in needed if node.op == "input"},
+        constants={node.order: _number(node, dtype) for node in needed if node.op == "constant"},
+        outputs=tuple(node.order for node in outputs),
+        structure=structure,
+        shapes=tuple(results),
+        dtype=dtype,
+    )
+
+
+def _steps(nodes: Sequence[Node], outputs: Sequence[Node]) -> tuple[_Step, ...]:
+    """The operations among some nodes, and when each result is no more needed."""
+    last = {arg.order: node.order for node in nodes for arg in node.args}
+    kept = {node.order for node in outputs}
+    steps = []
+    for node in nodes:
+        if node.args:
+            done = {arg.order for arg in node.args if arg.args and last[arg.order] == node.order}
+            places = tuple(arg.order for arg in node.args)
+            function = OPERATIONS[node.op].function
+            steps.append(_Step(function, node.order, places, tuple(done - kept)))
+    return tuple(steps)
+
+
+def _number(node: Node, dtype: Any) -> Any:
+    return node.value if node.is_bool else np.asarray(node.value, dtype)[()]
+
+
+def _inputs(graph: Graph, leaf: int, shape: jax.ShapeDtypeStruct) -> np.ndarray:
+    """A leaf as an array of inputs; flags come as numbers."""
+    out = np.empty(shape.shape, object)
+    for component, where in enumerate(np.ndindex(shape.shape)):
+        node = graph.input((leaf, component))
+        out[where] = graph.make("ne", node, graph.constant(0.0)) if shape.dtype == bool else node
+    return out

@@ -1,0 +1,147 @@
+"""Free runs of one plant, one after the other in one compiled loop.
+
+A row of the loop is a step; where a run begins its row holds the start. So the whole record, its
+windows and the many short runs that initial states are fitted by share one program, whatever their
+number and length. What cannot be compiled is scanned (`integrator.chained`).
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.compiler.graph import Untranslatable
+from eoi_jax.compiler.jit import numbers
+from eoi_jax.compiler.loop import AbstractLoop, shapes_of
+from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import Drive, advanced, chained
+
+_CHUNK = 8192  # steps at a time
+_RUNS = 8  # scanned runs are filled up to a multiple: few lengths, few compilations
+
+
+class _Row(eqx.Module):
+    """One step.
+
+    Attributes:
+        time: of its start [s].
+        inputs: at its start, middle and end, shape (3, nu).
+        begins: 1 where a run begins.
+        start: the state there; anything finite elsewhere.
+    """
+
+    time: Any
+    inputs: Any
+    begins: Any
+    start: State
+
+
+class _Model(eqx.Module):
+    """The equations, and which outputs stick."""
+
+    plant: Plant
+    friction: tuple[int, ...] = eqx.field(static=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain(AbstractLoop):
+    """What is traced. There is one lane, and nothing of it is a lane's own."""
+
+    model: _Model
+    lane: Any
+    step: _Row
+    dtype: np.dtype
+    branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
+
+    @property
+    def row(self) -> _Row:
+        """What a step reads."""
+        return self.step
+
+    @property
+    def fixed(self) -> tuple:
+        """The plant and the length of a step."""
+        return self.model, jax.ShapeDtypeStruct((), self.dtype)
+
+    def begin(self, lane: Any, fixed: tuple) -> State:
+        """Before the first row, in which the first run begins."""
+        del lane, fixed
+        return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, self.dtype), self.step.start)
+
+    def advance(self, lane: Any, fixed: tuple, carry: State, row: _Row) -> tuple[State, Any]:
+        """One step; the outputs after it are shown."""
+        del lane
+        (model, h), first = fixed, row.begins > 0
+        x = jax.tree.map(lambda old, new: jnp.where(first, new, old), carry, row.start)
+        plant = model.plant
+        x = advanced(plant, jnp.asarray(plant.theta), row.time, h, row.inputs, x, model.friction)
+        return x, x.y[0]
+
+    def result(self, carry: State) -> Any:
+        """Nothing: all of it is shown."""
+        del carry
+        return ()
+
+
+def outputs_of(
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]
+) -> Float[np.ndarray, "runs time ny"]:
+    """Outputs of several runs of one length and one step, at the plant's own parameters.
+
+    Args:
+        plant: the equations.
+        drives: runs on the leading axis.
+        starts: likewise, NumPy arrays.
+        friction: which outputs stick, see `integrator.frictional`.
+
+    Returns:
+        Outputs at every sample, the first one too.
+    """
+    try:
+        code = _code(plant, starts, friction)
+    except Untranslatable:
+        return _scanned(plant, drives, starts, friction)
+    runs, steps = np.shape(drives.time)
+    time, inputs = np.ravel(drives.time), np.reshape(drives.inputs, (runs * steps, -1))
+    first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
+    fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
+    begun, shown = code.begin(np.zeros((1, 1)), fixed), []
+    for at in range(0, runs * steps, _CHUNK):
+        index = np.arange(at, min(at + _CHUNK, runs * steps))
+        begins = (index % steps == 0)[:, None]
+        own = begins * first[index // steps]
+        rows = np.concatenate([time[index, None], inputs[index], begins, own], axis=1)
+        (part,) = begun.through(rows, len(rows))
+        shown.append(part[:, : len(plant.outputs)])
+    y = np.concatenate(shown).reshape(runs, steps, -1)
+    every = slice(drives.substeps - 1, None, drives.substeps)
+    return np.concatenate([starts.y[:, :1], y[:, every]], axis=1)
+
+
+def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> FewLanes:
+    dtype, none = np.dtype(float), np.zeros(())
+    start = State(starts.y[0], starts.z[0])
+    row = _Row(none, np.zeros((3, len(plant.inputs))), none, start)
+    what = shapes_of((_Model(plant, friction), none, row), dtype)
+    columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
+    return few_lanes(_Chain(*what, dtype), columns, 1)
+
+
+def _scanned(
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]
+) -> Float[np.ndarray, "runs time ny"]:
+    runs = len(drives.time)
+    index = np.minimum(np.arange(-(-runs // _RUNS) * _RUNS) if runs > 1 else np.arange(1), runs - 1)
+    more = Drive(
+        np.asarray(drives.time)[index],
+        np.asarray(drives.step)[index],
+        np.asarray(drives.inputs)[index],
+        drives.substeps,
+    )
+    begun = State(starts.y[index], starts.z[index])
+    return chained(plant, jnp.asarray(plant.theta), more, begun, friction)[:runs]
