@@ -170,7 +170,7 @@ def test_progress_is_drawn_on_a_terminal_and_quiet_draws_nothing(tmp_path: Path)
     assert "estimate" in shown
     *_, last = re.finditer(r"\d+/10", shown)
     assert "\x1b[2K" in shown[last.end() : shown.index("estimate")]  # it is wiped out at the end
-    with progress(wanted=False) as shown:
+    with progress(enabled=False) as shown:
         assert shown is None
 
 
