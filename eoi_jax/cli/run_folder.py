@@ -117,7 +117,7 @@ def check_place(folder: Path, field: str) -> None:
                 check(
                     not too_long,
                     field,
-                    "must be short enough for the name of a folder",
+                    "must be short enough for a folder name",
                     folder.name,
                 )
                 is_file = isinstance(error, FileExistsError)
