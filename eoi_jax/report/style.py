@@ -5,7 +5,7 @@ as ``matplotlib.style.use("dark_background")``), else light.
 """
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
@@ -26,7 +26,7 @@ BEFORE, AFTER = 0, 1  # numbers of the series: the declared model, and what was 
 
 
 @functools.cache
-def sheet(dark: bool) -> Mapping[str, Any]:
+def sheet(dark: bool) -> Any:
     """Settings of matplotlib for one theme.
 
     Args:
