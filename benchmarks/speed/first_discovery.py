@@ -66,7 +66,7 @@ class Run:
     processor: float
 
 
-def process(code: str, words: list[str], folder: Path, **settings: str) -> Run:
+def process(code: str, words: list[str], folder: Path, settings: dict[str, str]) -> Run:
     """Python with some code, in a folder of its own."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"} | settings
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -80,12 +80,11 @@ def process(code: str, words: list[str], folder: Path, **settings: str) -> Run:
     return Run(wall, spent)
 
 
-def discovery(code: str, cache: Path, **settings: str) -> Run:
-    """`eoi discover` with a cache."""
+def discovery(code: str, cache: Path, counts: Path | None = None) -> Run:
+    """`eoi discover` with a cache, and a file for what `COUNTED` counts."""
+    settings = {"EOI_CACHE": str(cache), "COUNTS": str(counts)}
     with tempfile.TemporaryDirectory() as folder:
-        return process(
-            code, ["discover", "--quiet"], Path(folder), EOI_CACHE=str(cache), **settings
-        )
+        return process(code, ["discover", "--quiet"], Path(folder), settings)
 
 
 def compilations() -> list[list[str]]:
@@ -94,7 +93,7 @@ def compilations() -> list[list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts"
         for name in ("first process", "next process"):
-            discovery(COUNTED, Path(folder) / "cache", COUNTS=str(counts))
+            discovery(COUNTED, Path(folder) / "cache", counts)
             rows.append([name, *counts.read_text(encoding="utf-8").split()])
     return rows
 
@@ -105,7 +104,7 @@ def times(turns: int) -> dict[str, list[Run]]:
     for _ in range(turns):
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder) / "cache"
-            runs["import jax"].append(process("import jax", [], Path(folder)))
+            runs["import jax"].append(process("import jax", [], Path(folder), {}))
             runs["cold"].append(discovery(DISCOVER, cache))
             runs["warm"].append(discovery(DISCOVER, cache))
     return runs

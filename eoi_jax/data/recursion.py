@@ -21,13 +21,14 @@ def substituted(bands: Float[np.ndarray, "band period"], right: Columns) -> Colu
     Returns:
         y.
     """
-    from scipy.linalg.lapack import dtbtrs  # 0.1 s of import
+    from scipy.linalg import get_lapack_funcs  # 0.1 s of import
 
     right = np.asarray(right, float)
     if not right.size:
         return right.copy()
     whole = np.asfortranarray(np.tile(bands, len(right) // bands.shape[1]))
-    return dtbtrs(whole, right, uplo="L", diag="U")[0]
+    (solve,) = get_lapack_funcs(("tbtrs",), (whole,))
+    return solve(whole, right, uplo="L", diag="U")[0]
 
 
 def states(

@@ -291,8 +291,8 @@ def _filtered(cutoff: float, values: Signals) -> Signals:
         # Both recursions count from the first sample, which they pass unchanged.
         change = values - values[:1]
         padded = np.concatenate([np.zeros((2, values.shape[1])), change])
-        taps = zip(numerator, (padded[2:], padded[1:-1], padded[:-2]), strict=True)
-        right = sum(weight * part for weight, part in taps)
+        right = numerator[0] * padded[2:] + numerator[1] * padded[1:-1]
+        right += numerator[2] * padded[:-2]
         values = substituted(denominator[:, None], right) + values[:1]
     return values
 

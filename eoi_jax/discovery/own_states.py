@@ -60,9 +60,9 @@ def states_along(
         return np.zeros((len(shapes), steps, 0))
     dtype = np.dtype(jnp.result_type(float))
     scalars = tuple(np.zeros(()) for _ in signals)
-    what = shapes_of((_Own(effect), shapes[0], _Row(scalars, scalars)), dtype)
+    own, lane, step = shapes_of((_Own(effect), shapes[0], _Row(scalars, scalars)), dtype)
     try:
-        code = few_lanes(_States(*what, dtype), 2 * len(signals), _LANES)
+        code = few_lanes(_States(own, lane, step, dtype), 2 * len(signals), _LANES)
     except Untranslatable:
         return np.asarray(_by_xla(effect, shapes, signals, change, np.asarray(h)))
     rows = np.stack([*signals, *change], axis=1).astype(dtype)

@@ -12,6 +12,7 @@ makes neighbours alike. Two samples per half period of the cut-off (a step of π
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -183,7 +184,8 @@ def _filtered(
 def _changed(plant: Plant, row: tuple[Any, ...], other: Any) -> Any:
     """f with another input less f."""
     t, y, u = row
-    x, theta = State(y, plant.internal_start(plant.theta)), plant.theta
+    theta = jnp.asarray(plant.theta)
+    x = State(y, plant.internal_start(theta))
     return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
 
 

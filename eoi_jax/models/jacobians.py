@@ -60,19 +60,19 @@ def _driven(plant: Plant, time: Values, u: Values) -> Float[Array, "S nu"]:
 
 def _derivative(plant: Plant, row: tuple[Any, ...]) -> Any:
     t, y, u = row
-    return plant.derivative(t, _state(plant, y), u, plant.theta)
+    return plant.derivative(t, _state(plant, y), u, jnp.asarray(plant.theta))
 
 
 def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Any:
     t, y, u = row
-    slope = jax.jacfwd(lambda y: plant.derivative(t, _state(plant, y), u, plant.theta))
+    slope = jax.jacfwd(lambda y: plant.derivative(t, _state(plant, y), u, jnp.asarray(plant.theta)))
     return slope(y)
 
 
 def _input_slope(plant: Plant, row: tuple[Any, ...]) -> Any:
     t, y, u = row
-    return plant.input_slopes(t, _state(plant, y), u, plant.theta)
+    return plant.input_slopes(t, _state(plant, y), u, jnp.asarray(plant.theta))
 
 
 def _state(plant: Plant, y: Any) -> State:
-    return State(y, plant.internal_start(plant.theta))
+    return State(y, plant.internal_start(jnp.asarray(plant.theta)))

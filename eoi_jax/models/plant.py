@@ -40,8 +40,8 @@ class State(eqx.Module):
     Several states stand side by side on leading axes.
     """
 
-    y: Float[Array | np.ndarray, "*states r ny"]
-    z: Float[Array | np.ndarray, "*states nz"]
+    y: Float[Any, "*states r ny"]
+    z: Float[Any, "*states nz"]
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]

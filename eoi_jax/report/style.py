@@ -5,7 +5,7 @@ A figure is dark where the current style of matplotlib is dark, e.g. after
 """
 
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
@@ -26,7 +26,7 @@ BASE, ACCENT = 0, 1  # numbers of the series: the declared model, and the result
 
 
 @functools.cache
-def sheet(dark: bool) -> Mapping[str, Any]:
+def sheet(dark: bool) -> Any:
     """Settings of matplotlib for a theme.
 
     Args:

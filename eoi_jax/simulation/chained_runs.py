@@ -127,9 +127,9 @@ def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> FewLanes:
     dtype, none = np.dtype(float), np.zeros(())
     start = State(starts.y[0], starts.z[0])
     row = _Row(none, np.zeros((3, len(plant.inputs))), none, start)
-    what = shapes_of((_Model(plant, friction), none, row), dtype)
+    model, lane, step = shapes_of((_Model(plant, friction), none, row), dtype)
     columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
-    return few_lanes(_Chain(*what, dtype), columns, 1)
+    return few_lanes(_Chain(model, lane, step, dtype), columns, 1)
 
 
 def _scanned(
