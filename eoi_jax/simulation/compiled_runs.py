@@ -2,7 +2,7 @@
 
 The sums of many lanes are added up as they run. A single lane's run shows c of every sample: there
 the state is of single numbers, and its derivatives with the unknowns stand side by side in a vector
-(`one_vector.py`), which takes a half to a third of the time.
+(inline, as `instructions.py` has it), which takes a half to a third of the time.
 """
 
 import functools
@@ -18,15 +18,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eoi_jax._status import NATIVE, EngineUsed
-from eoi_jax.compiler.graph import Untranslatable, evaluated
-from eoi_jax.compiler.jit import Compiled, aligned, cores, numbers, spread, together, translated
+from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
-from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, together
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
 _ALONE = 4  # so many lanes run one by one: a vector of them would take longer
-_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
+_CHUNK = 8192  # rows of outputs at a time
 
 Table = Float[np.ndarray, "runs rows columns"]
 
@@ -179,7 +178,7 @@ def summed(
     code = _code(kernel, lanes.start.shape[2], many)
     jobs = [_Job(code, kernel, lanes, tables, steps, counts, i, part)
             for i in range(runs) for part in _parts(many, code.where.width, runs)]  # fmt: skip
-    out = np.empty((many, runs, *code.program.sums.shape))
+    out = np.empty((many, runs, *code.program.result.shape))
     waiting = iter(jobs)
 
     def work() -> None:
@@ -271,29 +270,29 @@ class _OneLane:
         fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
         begun, count = self._code.begin(self._along, fixed), max(_CHUNK // substeps, 1) * substeps
-        first = [place.start for place in self._code.shown[::2]]
-        for shown in begun.through(rows, count):
-            yield [shown[::substeps, at : at + self.size] for at in first]
+        first = [place.start for place in self._code.outputs[::2]]
+        for outputs in begun.outputs(rows, count):
+            yield [outputs[::substeps, at : at + self.size] for at in first]
 
 
-def _one_run(kernel: RunKernel, own: int) -> FewLanes:
+def _one_run(kernel: RunKernel, own: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     run, step = _shapes(len(plant.names), own, nu, ny)
     along = kernel.directions(own)
     lane = shapes_of(along, dtype, skip=1)
     what = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    code = few_lanes(what, 1 + 3 * nu + 2 * ny, len(along.theta))
-    if any(place.stop - place.start < len(along.theta) for place in code.shown[1::2]):
+    code = compiled_loop(what, 1 + 3 * nu + 2 * ny, len(along.theta), True)
+    if any(place.stop - place.start < len(along.theta) for place in code.outputs[1::2]):
         raise Untranslatable("an output that no unknown moves")
     return code
 
 
-def _code(kernel: RunKernel, own: int, lanes: int) -> Compiled:
+def _code(kernel: RunKernel, own: int, lanes: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     what = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), own, nu, ny), dtype)
-    return translated(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
+    return compiled_loop(what, 1 + 3 * nu + 2 * ny, 1 if lanes < _ALONE else None)
 
 
 @functools.cache
@@ -318,7 +317,7 @@ class _Job:
 
     def __init__(
         self,
-        code: Compiled,
+        code: CompiledLoop,
         kernel: RunKernel,
         lanes: RunLane,
         tables: Table,
@@ -328,68 +327,12 @@ class _Job:
         which: slice,
     ):
         self.run, self.which = run, which
-        self._code = code
         self._rows = np.ascontiguousarray(tables[run, : counts[run]], float)
-        own = jax.tree.map(lambda leaf: np.asarray(leaf)[which, run], lanes)
-        self._count = len(own.theta)
-        self._begin(kernel, own, float(steps[run]))
-
-    def _begin(self, kernel: RunKernel, lanes: RunLane, h: float) -> None:
-        program, where = self._code.program, self._code.where
-        groups = {"lane": numbers(lanes, float, skip=1).T, "fixed": numbers((kernel, h), float)}
-        vectors = -(-self._count // where.width)
-        room = np.minimum(np.arange(vectors * where.width), self._count - 1)
-        memory = aligned((vectors, where.rows, where.width), float)
-        wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
-        values = evaluated(wanted, lambda at: groups[at[0]][at[1]], float)
-        rows = spread(values, self._count, float)
-        self._spoilt = np.any(np.isnan(rows), axis=0)
-        lines = rows[:, room].reshape(len(rows), vectors, where.width)
-        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
-        self._memory = memory
-        self._fixed, self._carries = (
-            np.array([*evaluated(nodes, lambda at: groups[at[0]][at[1]], float), 0.0])
-            for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
-        )
+        lane = jax.tree.map(lambda leaf: np.asarray(leaf)[which, run], lanes)
+        fixed = numbers((kernel, float(steps[run])), float)
+        self._run = code.begin(numbers(lane, float, skip=1).T, fixed)
 
     def sums(self) -> np.ndarray:
         """The normal equations of the lanes."""
-        self._go()
-        program, where = self._code.program, self._code.where
-        carries = [program.same[i] for i in program.sums.flat]
-        rows = np.array([where.carries.get(i, -1) for i in carries])
-        out = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
-        for at in np.flatnonzero(rows < 0):
-            out[:, at] = program.initial[carries[at]].value
-        out[self._spoilt] = np.nan
-        return out.reshape(-1, *program.sums.shape)
-
-    def _go(self) -> None:
-        where, total = self._code.where, len(self._rows)
-        count, vectors = min(_CHUNK, total), len(self._memory)
-        shared = aligned((count, max(len(where.shared), 1)), float)
-        none, zeros = np.zeros(1), np.zeros(count, np.int64)
-        for first in range(0, total, count):
-            now = min(count, total - first)
-            self._code.steps(
-                self._rows[first:].ctypes.data,
-                self._fixed.ctypes.data,
-                self._carries.ctypes.data,
-                shared.ctypes.data,
-                now,
-            )
-            taken = np.zeros(1, np.int64)
-            self._code.lanes(
-                self._memory.ctypes.data,
-                vectors,
-                vectors,
-                0,
-                taken.ctypes.data,
-                shared.ctypes.data,
-                zeros.ctypes.data,  # no row has a flag
-                self._fixed.ctypes.data,
-                none.ctypes.data,
-                zeros.ctypes.data,
-                1,
-                now,
-            )
+        self._run.advance(self._rows)
+        return self._run.result()

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.graph import Graph, Node, Untranslatable, ordered
-from eoi_jax.compiler.trace import translated
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable, topological_order
+from eoi_jax.compiler.trace import translate
 from eoi_jax.models.augmented import actuators
 from eoi_jax.models.effects import ActuatorLag
 from eoi_jax.models.effects.effect import internal_names
@@ -208,7 +208,7 @@ def _traced(
     arguments.append(_row(inputs))
     dtype = jnp.result_type(float)
     shapes = [jax.ShapeDtypeStruct(one.shape, dtype) for one in arguments]
-    f, g, start = translated(graph, rates, shapes, arguments)
+    f, g, start = translate(graph, rates, shapes, arguments)
     return list(f.ravel()), list(g.ravel()), list(start.ravel())
 
 
@@ -252,7 +252,7 @@ def _trees(
     trees: dict[int, tuple[Expression, int]] = {}
     definitions: list[tuple[Symbol, Expression]] = []
     free = (name for i in range(1, 10**6) if (name := f"w{i}") not in (taken or ()))
-    for node in ordered(roots):
+    for node in topological_order(roots):
         if node.order not in seen:
             continue
         kind, args = _form(node)
