@@ -43,11 +43,6 @@ from eoi_jax.compiler.llvm import (
 )
 from eoi_jax.compiler.loop import BLOCK, FIXED, LANE, LANE_ROW, Body, LaneProgram, Path
 
-# A register for each number: of two, most would lie in memory, for there are only sixteen or
-# thirty-two, and a loop of passes carries dozens of numbers. For the same reason a turn of the loop
-# goes through a single row: two are no faster where flags divide the paths.
-_TURN = 1
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -62,7 +57,6 @@ class Layout:
         scalars: place of each carry that all lanes share, by its number.
         fixed: place of each fixed number.
         columns: numbers in a row of the table that the loop goes through.
-        together: rows between two turns of the loop, where no flag is set.
     """
 
     inline: bool
@@ -73,7 +67,6 @@ class Layout:
     scalars: dict[int, int]
     fixed: dict[Node, int]
     columns: int
-    together: int
 
 
 def layout(
@@ -90,11 +83,9 @@ def layout(
     """
     count = len(program.lane_carries)
     rows = count + len(program.lane_constants)
-    # What happens is seen after each row; and an odd last row is left to the general path, which
-    # a program without flags does not have.
-    single = program.events or not program.flagged
     return Layout(
         inline=inline,
+        # Of two registers for each number most would lie in memory: a pass carries dozens.
         width=lanes or register_bytes() // np.dtype(dtype).itemsize,
         # Odd: vectors a power of two apart would compete for the same lines of the cache.
         rows=rows + 1 - rows % 2,
@@ -103,7 +94,6 @@ def layout(
         scalars={i: place for place, i in enumerate(program.shared_carries)},
         fixed={node: place for place, node in enumerate(program.fixed)},
         columns=columns,
-        together=1 if single else _TURN,
     )
 
 
@@ -156,7 +146,7 @@ row.body:"""
 
 
 class _Loop:
-    """Lines of one loop: two scopes for each row of a turn, of single numbers and of vectors."""
+    """Lines of one loop: two scopes, of single numbers and of vectors."""
 
     def __init__(
         self,
@@ -170,12 +160,12 @@ class _Loop:
         self._text, self._name, self._columns = text, name, columns
         self._program, self._body, self._where = program, body, where
         self._places = output_places(program, body, where.width)
-        self._scalars, self._vectors = self._scopes(where.together if body.flagged else 1)
+        self._scalar, self._vector = self._scopes()
         self._fixed: dict[Node, tuple[str, str]] = {}
         self._constants: dict[Node, str] = {}
-        self._rows: list[str] = []
+        self._table_row = ""
         self._carried: dict[int, str] = {}
-        self._numbers: dict[tuple[int, Node], str] = {}
+        self._numbers: dict[Node, str] = {}
         paths = (
             zip((*body.scalars, *body.vectors), (*path.scalars, *path.vectors), strict=True)
             for path in (body.common, body.general)
@@ -192,7 +182,7 @@ class _Loop:
         self._read_memory()
         text.add(*_NEXT_ROW.split("\n"))
         self._carried = {i: text.let(f"load {self._kind(i)}, ptr %c{i}") for i in self._common}
-        self._rows = [self._row("%rows", self._columns, j) for j in range(len(self._scalars))]
+        self._table_row = text.place("%rows", text.let(f"mul i64 %row.k, {self._columns}"))
         if body.flagged:
             flag = text.let("getelementptr i8, ptr %flags, i64 %row.k")
             flag = text.let(f"icmp ne i8 {text.let(f'load i8, ptr {flag}')}, 0")
@@ -201,10 +191,10 @@ class _Loop:
         if body.flagged:
             text.add("flagged:")
             # Names of the common path do not hold here, for it does not come before.
-            self._scalars, self._vectors = self._scopes(1)
+            self._scalar, self._vector = self._scopes()
             self._numbers = {}
-            self._write_path(body.general, self._general, 0)
-            self._turn(1)
+            self._write_path(body.general, self._general)
+            self._next_row()
         text.add("row.out:")
         self._write_memory()
         text.add("  br label %vector", "vector.out:")
@@ -214,40 +204,33 @@ class _Loop:
         """What is computed where no flag is set, and where something happens all the same."""
         text, body = self._text, self._body
         if not body.events:
-            last = len(self._scalars) - 1
-            for j in range(last):
-                self._write_path(body.common, {}, j)
-            self._write_path(body.common, self._common, last)
-            self._turn(last + 1)
+            self._write_path(body.common, self._common)
+            self._next_row()
             return
         # The common path is computed before the branch: the general one uses much of it.
-        self._computed(body.common, self._common, 0)
+        self._computed(body.common, self._common)
         event = self._any_event()
         text.add(f"  br i1 {event}, label %event, label %usual", "usual:")
-        self._write_path(body.common, self._common, 0)
-        self._turn(1)
+        self._write_path(body.common, self._common)
+        self._next_row()
         text.add("event:")
-        self._write_path(body.general, self._general, 0)
-        self._turn(1)
+        self._write_path(body.general, self._general)
+        self._next_row()
 
-    def _turn(self, rows: int) -> None:
-        after = self._text.let(f"add i64 %row.k, {rows}")
+    def _next_row(self) -> None:
+        after = self._text.let("add i64 %row.k, 1")
         self._text.add(f"  store i64 {after}, ptr %row.at", "  br label %row")
 
-    def _scopes(self, rows: int) -> tuple[list[Scope], list[Scope]]:
-        """Of single numbers and of vectors, for each row of a turn."""
-        text, width = self._text, self._where.width
+    def _scopes(self) -> tuple[Scope, Scope]:
+        """Of single numbers and of vectors."""
         never_nan = _is_constant if self._where.inline else self._same_in_all_rows
-        outside = functools.partial
-        return (
-            [Scope(text, 1, outside(self._outside_scalars, j), _is_constant) for j in range(rows)],
-            [Scope(text, width, outside(self._outside_vectors, j), never_nan) for j in range(rows)],
-        )
+        scalar = Scope(self._text, 1, self._outside_scalar, _is_constant)
+        return scalar, Scope(self._text, self._where.width, self._outside_vector, never_nan)
 
     # -- memory -------------------------------------------------------------------------------
 
     def _kind(self, carry: int) -> str:
-        return (self._scalars if carry in self._body.scalars else self._vectors)[0].real
+        return self._scope(carry).real
 
     def _memory_places(self) -> dict[int, tuple[str, int]]:
         """Where each carried number lies between two calls."""
@@ -259,7 +242,7 @@ class _Loop:
     def _read_memory(self) -> None:
         """Carries, and what stays the same in all rows."""
         text, where = self._text, self._where
-        scalar, vector = self._scalars[0], self._vectors[0]
+        scalar, vector = self._scalar, self._vector
         offset = text.let(f"mul i64 %number, {where.rows * where.width}")
         text.add(f"  %vector.at = getelementptr {text.real}, ptr %memory, i64 {offset}")
         for i, (pointer, place) in self._memory_places().items():
@@ -280,37 +263,31 @@ class _Loop:
             kind = self._kind(i)
             text.store(text.let(f"load {kind}, ptr %c{i}"), pointer, place, kind)
 
-    def _row(self, pointer: str, columns: int, ahead: int) -> str:
-        k = self._text.let(f"add i64 %row.k, {ahead}")
-        return self._text.place(pointer, self._text.let(f"mul i64 {k}, {columns}"))
-
     # -- values -------------------------------------------------------------------------------
 
-    def _scope(self, carry: int, j: int) -> Scope:
-        return (self._scalars if carry in self._body.scalars else self._vectors)[j]
+    def _scope(self, carry: int) -> Scope:
+        return self._scalar if carry in self._body.scalars else self._vector
 
-    def _computed(
-        self, path: Path, carries: dict[int, Node], j: int
-    ) -> tuple[dict[int, str], list[str]]:
+    def _computed(self, path: Path, carries: dict[int, Node]) -> tuple[dict[int, str], list[str]]:
         """Names of the carries after a row, and of its outputs, each as wide as its place."""
         outputs = []
         for place, node in zip(self._places, path.outputs, strict=True):
-            scope = (self._vectors if place.stop - place.start > 1 else self._scalars)[j]
+            scope = self._vector if place.stop - place.start > 1 else self._scalar
             outputs.append(as_number(scope, self._text, node, scope.value(node)))
-        return {i: self._scope(i, j).value(node) for i, node in carries.items()}, outputs
+        return {i: self._scope(i).value(node) for i, node in carries.items()}, outputs
 
-    def _write_path(self, path: Path, carries: dict[int, Node], j: int) -> None:
+    def _write_path(self, path: Path, carries: dict[int, Node]) -> None:
         """Outputs of a row, and what is carried after it."""
         text = self._text
-        new, outputs = self._computed(path, carries, j)
+        new, outputs = self._computed(path, carries)
         if outputs:
             # Outputs of one vector lie behind those of the vector before.
             first = text.let("mul i64 %number, %count")
-            row = text.let(f"add i64 {first}, {text.let(f'add i64 %row.k, {j}')}")
+            row = text.let(f"add i64 {first}, %row.k")
             line = text.place("%outputs", text.let(f"mul i64 {row}, {self._places[-1].stop}"))
             for value, place in zip(outputs, self._places, strict=True):
                 wide = place.stop - place.start > 1
-                scope = (self._vectors if wide else self._scalars)[j]
+                scope = self._vector if wide else self._scalar
                 text.store(value, line, place.start, scope.real)
         for i, value in new.items():
             text.add(f"  store {self._kind(i)} {value}, ptr %c{i}")
@@ -320,9 +297,9 @@ class _Loop:
         text, program, width = self._text, self._program, self._where.width
         by_lane = [event for event in self._body.events if program.level(event) & LANE]
         shared = [event for event in self._body.events if not program.level(event) & LANE]
-        flags = [self._scalars[0].value(event) for event in shared]
+        flags = [self._scalar.value(event) for event in shared]
         if by_lane:
-            scope = self._vectors[0]
+            scope = self._vector
             flag = self._either(scope.flag, [scope.value(event) for event in by_lane])
             if width > 1:
                 name = f"@llvm.vector.reduce.or.v{width}i1"
@@ -340,49 +317,43 @@ class _Loop:
         """The host answers for lanes with a NaN of their own."""
         return self._program.level(node) in (FIXED, LANE)
 
-    def _carry(self, j: int, i: int) -> str:
-        """A carried number before row j of the turn."""
-        return self._scope(i, j - 1).value(self._common[i]) if j else self._carried[i]
-
-    def _number(self, j: int, node: Node) -> str:
+    def _number(self, node: Node) -> str:
         """What a row holds, as it is there."""
-        if (j, node) not in self._numbers:
-            place = self._body.columns[node]
-            self._numbers[j, node] = self._text.load(self._rows[j], place)
-        return self._numbers[j, node]
+        if node not in self._numbers:
+            self._numbers[node] = self._text.load(self._table_row, self._body.columns[node])
+        return self._numbers[node]
 
-    def _outside_scalars(self, j: int, node: Node) -> str | None:
+    def _outside_scalar(self, node: Node) -> str | None:
         if node in self._fixed:
             return self._fixed[node][0]
         if node in self._body.columns:
-            return as_flag(self._scalars[j], self._text, node, self._number(j, node))
-        return self._carry(j, node.value[1]) if node.op == "input" else None
+            return as_flag(self._scalar, self._text, node, self._number(node))
+        return self._carried[node.value[1]] if node.op == "input" else None
 
-    def _outside_vectors(self, j: int, node: Node) -> str | None:
-        scope, text, level = self._vectors[j], self._text, self._program.level(node)
+    def _outside_vector(self, node: Node) -> str | None:
+        scope, text, level = self._vector, self._text, self._program.level(node)
         if level == LANE_ROW:
             if node.op != "input":
                 return None
             group, i = node.value
-            return self._block_value(j) if group == BLOCK else self._carry(j, i)
+            return self._block_value() if group == BLOCK else self._carried[i]
         if level == LANE:
             return self._constants[node]
         if node in self._fixed:
             return self._fixed[node][1]
         if node in self._body.columns:  # a comparison of vectors is quicker than a flag spread
-            number = scope.spread(self._number(j, node), text.real)
+            number = scope.spread(self._number(node), text.real)
             return as_flag(scope, text, node, number)
-        return scope.spread(self._scalars[j].value(node), "i1" if node.is_bool else text.real)
+        return scope.spread(self._scalar.value(node), "i1" if node.is_bool else text.real)
 
-    def _block_value(self, j: int) -> str:
+    def _block_value(self) -> str:
         """Of this vector's lanes, in the block of this row."""
         let, width = self._text.let, self._where.width
-        k = let(f"add i64 %row.k, {j}")
-        block = let(f"getelementptr i64, ptr %blocks, i64 {k}")
+        block = let("getelementptr i64, ptr %blocks, i64 %row.k")
         block = let(f"load i64, ptr {block}")
         line = let(f"add i64 {let('mul i64 %number, %block_count')}, {block}")
         line = let(f"mul i64 {line}, {width}")
-        return self._text.load("%block_values", line, self._vectors[j].real)
+        return self._text.load("%block_values", line, self._vector.real)
 
 
 def _is_constant(node: Node) -> bool:

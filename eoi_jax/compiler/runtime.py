@@ -166,9 +166,9 @@ class Run:
             rare: of these rows; None for a loop without flags.
             threads: among which the lanes are divided.
         """
-        code, where, total = self.code, self.code.where, len(rows)
+        code, total = self.code, len(rows)
         width = max(len(code.program.shared), 1)
-        count = max(where.together, _CHUNK_BYTES // (width * code.dtype.itemsize))
+        count = max(1, _CHUNK_BYTES // (width * code.dtype.itemsize))
         shared = _aligned((min(count, total), width), code.dtype)
         rows = np.ascontiguousarray(rows, code.dtype)
         flags, blocks, values = self._flags(rare, total)
@@ -176,11 +176,9 @@ class Run:
             now = slice(first, min(first + count, total))
             if code.shared is not None:
                 self._call(code.shared, rows[now], shared)
-            chunk = flags[now].copy()
-            chunk[max(0, len(chunk) - where.together + 1) :] = 1  # no pair reaches into the next
             taken = np.zeros(1, np.int64)  # like the others it lives until all threads are done
-            seen = rows[now] if code.shared is None else shared[: len(chunk)]
-            job = self._job(taken, chunk, blocks[now], values, seen)
+            seen = rows[now] if code.shared is None else shared[: now.stop - first]
+            job = self._job(taken, flags[now], blocks[now], values, seen)
             together(job, min(threads, len(self.memory)))
 
     def outputs(
@@ -227,21 +225,19 @@ class Run:
     def _flags(
         self, rare: RowFlags | None, total: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Whether the next few rows hold a flag, the block of each row, values of the blocks."""
+        """Whether each row has a flag, the block of each row, values of the blocks."""
         none, nowhere = np.zeros((1, 1)), np.zeros(total, np.int64)
         if rare is None:
             return np.zeros(total, np.uint8), nowhere, none
-        flags = rare.flags.copy()
-        for ahead in range(1, self.code.where.together):
-            flags[:-ahead] |= rare.flags[ahead:]
+        flags = rare.flags.astype(np.uint8)
         if rare.values is None or rare.blocks is None:
-            return flags.astype(np.uint8), nowhere, none
+            return flags, nowhere, none
         values = np.asarray(rare.values, self.code.dtype)
         lines = values[self.padding].reshape(-1, self.code.where.width, values.shape[1])
         by_vector = _aligned((len(lines), values.shape[1], self.code.where.width), lines.dtype)
         by_vector[...] = lines.transpose(0, 2, 1)
         blocks = np.minimum(rare.blocks, values.shape[1] - 1)
-        return flags.astype(np.uint8), blocks.astype(np.int64), by_vector
+        return flags, blocks.astype(np.int64), by_vector
 
     def _call(self, function: Callable, rows: np.ndarray, out: np.ndarray) -> None:
         """A loop without flags over a vector, or none, in this thread."""
