@@ -28,7 +28,7 @@ class Node:
         op: name, a key of `OPERATIONS`; or ``"constant"`` or ``"input"``.
         args: what it works on.
         is_bool: whether it is true or false (all other nodes are numbers).
-        value: of a constant; of an input, whatever its owner tells it by.
+        value: of a constant; of an input, whatever identifies it to who made it.
         order: when it was made; arguments come before what uses them.
     """
 
@@ -105,14 +105,14 @@ class Graph:
 
     Attributes:
         branches: conditions on which a program takes its rarer way, in the order in which they
-            were met; None while nobody asks.
+            were met; None where they are not collected.
         as_written: whether operands stay in their order, for formulas that are to be read.
     """
 
     def __init__(self, *, as_written: bool = False):
         self.as_written = as_written
         self.branches: list[Node] | None = None
-        self._known: dict[tuple, Node] = {}
+        self._nodes: dict[tuple, Node] = {}
         self._order = itertools.count()
 
     def constant(self, value: Any) -> Node:
@@ -122,14 +122,14 @@ class Graph:
         return self._node("constant", (), is_bool, value)
 
     def input(self, value: Any, is_bool: bool = False) -> Node:
-        """What is known only when the program runs."""
+        """What has a value only when the program runs."""
         return self._node("input", (), is_bool, value)
 
     def make(self, op: str, *args: Node) -> Node:
         """An operation, simplified."""
-        found = _simplified(self, op, args)
-        if found is not None:
-            return found
+        simpler = _simplify(self, op, args)
+        if simpler is not None:
+            return simpler
         operation = OPERATIONS[op]
         if all(arg.op == "constant" for arg in args):
             with np.errstate(all="ignore"):
@@ -142,12 +142,12 @@ class Graph:
     def _node(self, op: str, args: tuple[Node, ...], is_bool: bool, value: Any) -> Node:
         # repr, because NaN does not equal itself; `is_bool`, because True equals 1.0.
         key = (op, *(arg.order for arg in args), is_bool, repr(value))
-        if key not in self._known:
-            self._known[key] = Node(op, args, is_bool, value, next(self._order))
-        return self._known[key]
+        if key not in self._nodes:
+            self._nodes[key] = Node(op, args, is_bool, value, next(self._order))
+        return self._nodes[key]
 
 
-def ordered(nodes: Iterable[Node]) -> list[Node]:
+def topological_order(nodes: Iterable[Node]) -> list[Node]:
     """These nodes and all that they depend on, arguments first."""
     seen: dict[int, Node] = {}
     open_nodes = list(nodes)
@@ -159,20 +159,20 @@ def ordered(nodes: Iterable[Node]) -> list[Node]:
     return [seen[order] for order in sorted(seen)]
 
 
-def rewritten(
+def rewrite(
     nodes: Sequence[Node],
-    known: dict[Node, Node],
+    replaced: dict[Node, Node],
     make: Callable[..., Node],
 ) -> list[Node]:
-    """The same nodes with some replaced, made anew from there on.
+    """The same nodes with some replaced, and what depends on these made again.
 
     Args:
         nodes: what is wanted.
-        known: what replaces what.
+        replaced: the new node of each that is replaced.
         make: makes an operation, as `Graph.make` does.
     """
-    new: dict[int, Node] = {node.order: other for node, other in known.items()}
-    for node in ordered(nodes):
+    new: dict[int, Node] = {node.order: instead for node, instead in replaced.items()}
+    for node in topological_order(nodes):
         if node.order not in new:
             args = [new[arg.order] for arg in node.args]
             # `make` may choose another form of a node whose arguments stay.
@@ -180,7 +180,7 @@ def rewritten(
     return [new[node.order] for node in nodes]
 
 
-def evaluated(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) -> list[Any]:
+def evaluate(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) -> list[Any]:
     """Values of nodes by NumPy, for inputs that are numbers or arrays of one shape.
 
     Args:
@@ -190,7 +190,7 @@ def evaluated(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) -
     """
     values: dict[int, Any] = {}
     with np.errstate(all="ignore"):
-        for node in ordered(nodes):
+        for node in topological_order(nodes):
             if node.op == "constant":
                 value = node.value if node.is_bool else np.asarray(node.value, dtype)
             elif node.op == "input":
@@ -208,7 +208,7 @@ def _is(node: Node, value: float) -> bool:
     return node.op == "constant" and not node.is_bool and node.value == value
 
 
-def _simplified(graph: Graph, op: str, args: tuple[Node, ...]) -> Node | None:
+def _simplify(graph: Graph, op: str, args: tuple[Node, ...]) -> Node | None:
     """A simpler node of the same value; None if there is none."""
     rule = _RULES.get(op)
     return None if rule is None else rule(graph, *args)
@@ -235,19 +235,19 @@ def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
 
 
 def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
-    for one, other in ((a, b), (b, a)):
-        if _is(one, 0.0):
-            return one
-        if _is(one, 1.0):
-            return other
-        if _is(one, -1.0):
-            return graph.make("neg", other)
-        if one.op == "neg":
-            sides = (one.args[0], other) if one is a else (other, one.args[0])
+    for x, y in ((a, b), (b, a)):
+        if _is(x, 0.0):
+            return x
+        if _is(x, 1.0):
+            return y
+        if _is(x, -1.0):
+            return graph.make("neg", y)
+        if x.op == "neg":
+            sides = (x.args[0], y) if x is a else (y, x.args[0])
             return graph.make("neg", graph.make("mul", *sides))
-        flag = one.op == "select" and _is(one.args[1], 1.0) and _is(one.args[2], 0.0)
+        flag = x.op == "select" and _is(x.args[1], 1.0) and _is(x.args[2], 0.0)
         if flag and not graph.as_written:
-            return graph.make("select", one.args[0], other, one.args[2])
+            return graph.make("select", x.args[0], y, x.args[2])
     return None
 
 
@@ -273,17 +273,17 @@ def _select(graph: Graph, which: Node, a: Node, b: Node) -> Node | None:
 
 def _and(graph: Graph, a: Node, b: Node) -> Node | None:
     del graph
-    for one, other in ((a, b), (b, a)):
-        if one.op == "constant":
-            return other if one.value else one
+    for x, y in ((a, b), (b, a)):
+        if x.op == "constant":
+            return y if x.value else x
     return a if a is b else None
 
 
 def _or(graph: Graph, a: Node, b: Node) -> Node | None:
     del graph
-    for one, other in ((a, b), (b, a)):
-        if one.op == "constant":
-            return one if one.value else other
+    for x, y in ((a, b), (b, a)):
+        if x.op == "constant":
+            return x if x.value else y
     return a if a is b else None
 
 

@@ -1,27 +1,36 @@
-r"""A lane program as code of the machine, by way of LLVM: one vector instruction for several lanes.
+r"""A sorted loop as code of the machine, by way of LLVM: one vector instruction for several lanes.
 
-Two functions. `steps` goes through the samples and writes what all lanes share, one row a step;
-`lanes` goes through the samples for a tile of lanes, whose carries stay in the core's first cache:
+One writer serves one lane and many. Its loop goes through the rows for one vector of lanes after
+the other, with all that it carries in variables that LLVM keeps in registers:
 
-    every few steps:  read their shared rows
-        for each vector of lanes in the tile:  read carries, compute, write those that changed
+    for each vector of lanes:  read carries
+        for each row:  compute, update
+        write carries
+
+What all lanes share of a row comes to them in one of two ways:
+
+    from a row  a loop before, of single numbers (the same writer), has left it there; for many
+                vectors, of which each would compute it again
+    inline      single numbers beside the vector's, carried in registers too; for one vector: the
+                two wait for each other hardly at all, and nothing goes through memory
 
 Memory is the host's. A vector's numbers lie together, one row of `width` lanes for each carry and
-each of the lane's own constants, so that all offsets are known when the code is written.
+each of the lane's constants, so that all offsets are fixed when the code is written.
 
-LLVM is that of `llvmlite`, which Numba brings along. Writing its language directly keeps the
-precision of every operation and the width of the vectors in our hands, and compiles in tenths of
-a second, because there are no types to infer.
+LLVM is that of `llvmlite`, which Numba brings along. Writing its language directly leaves the
+precision of every operation and the width of the vectors to us, and compiles in tenths of a second,
+because there are no types to infer.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from eoi_jax.compiler.graph import Node, ordered
+from eoi_jax.compiler.graph import Node
 from eoi_jax.compiler.llvm import (
     Scope,
     Text,
@@ -29,16 +38,10 @@ from eoi_jax.compiler.llvm import (
     as_number,
     begin,
     end,
-    loop,
-    loop_end,
     module,
     register_bytes,
 )
-from eoi_jax.compiler.loop import BLOCK, BOTH, CARRY, LANE, ONCE, STEP, LaneProgram, Update
-
-# Two registers for each number: the arithmetic of one fills the waiting times of the other. Two
-# steps before a sum goes back to memory: half the traffic. More of either fills no more of them.
-_REGISTERS, TOGETHER = 2, 2
+from eoi_jax.compiler.loop import BLOCK, FIXED, LANE, LANE_ROW, Body, LaneProgram, Path
 
 
 @dataclass(frozen=True)
@@ -46,257 +49,313 @@ class Layout:
     """Where things lie.
 
     Attributes:
+        inline: whether what lanes share is computed beside them, else read from a row.
         width: lanes in one vector.
-        rows: of a vector's block of memory; carries first, then the lane's own constants.
-        carries: row of each carry, by its number.
-        own: row of each of the lane's constants.
-        shared: column of each shared number in a step's row.
+        rows: of a vector's block of memory; carries first, then the lane's constants.
+        carries: row of each carry of the lanes, by its number.
+        constants: row of each constant of a lane.
+        scalars: place of each carry that all lanes share, by its number.
         fixed: place of each fixed number.
-        steps: place of each carry that all lanes share, by its number.
-        columns: numbers of a step in the record.
-        together: steps between one reading and writing of carries, where no flag is set.
+        columns: numbers in a row of the table that the loop goes through.
     """
 
+    inline: bool
     width: int
     rows: int
     carries: dict[int, int]
-    own: dict[Node, int]
-    shared: dict[Node, int]
+    constants: dict[Node, int]
+    scalars: dict[int, int]
     fixed: dict[Node, int]
-    steps: dict[int, int]
     columns: int
-    together: int
 
 
-def layout(program: LaneProgram, columns: int, dtype: Any, width: int | None = None) -> Layout:
+def layout(
+    program: LaneProgram, columns: int, dtype: Any, lanes: int | None = None, inline: bool = False
+) -> Layout:
     """Where a program's numbers lie.
 
     Args:
         program: sorted.
-        columns: numbers in a row of the record.
+        columns: numbers in a row of the table.
         dtype: of all numbers.
-        width: lanes in one vector; what fills two registers if None.
+        lanes: in one vector; what fills a register if None.
+        inline: whether what lanes share is computed beside them; they then fill one vector.
     """
     count = len(program.lane_carries)
-    # What happens is known after each step; and an odd last step is left to the way of rare events,
-    # which a program without flags does not have.
-    single = program.events or not program.flagged
-    rows = count + len(program.own)
+    rows = count + len(program.lane_constants)
     return Layout(
-        width=width or _REGISTERS * register_bytes() // np.dtype(dtype).itemsize,
-        # Odd: rows of vectors a power of two apart would compete for the same lines of the cache.
+        inline=inline,
+        # Of two registers for each number most would lie in memory: a pass carries dozens.
+        width=lanes or register_bytes() // np.dtype(dtype).itemsize,
+        # Odd: vectors a power of two apart would compete for the same lines of the cache.
         rows=rows + 1 - rows % 2,
         carries={i: row for row, i in enumerate(program.lane_carries)},
-        own={node: count + row for row, node in enumerate(program.own)},
-        shared={node: column for column, node in enumerate(program.shared)},
+        constants={node: count + row for row, node in enumerate(program.lane_constants)},
+        scalars={i: place for place, i in enumerate(program.shared_carries)},
         fixed={node: place for place, node in enumerate(program.fixed)},
-        steps={i: place for place, i in enumerate(program.step_carries)},
         columns=columns,
-        together=1 if single else TOGETHER,
     )
 
 
-# -- the two functions ------------------------------------------------------------------------
-
-_STEPS = (
-    "define void @steps(ptr noalias readonly %record, ptr noalias readonly %fixed, "
-    "ptr noalias %carries, ptr noalias %shared, i64 %count) #0 {"
-)
-_LANES = (
-    "define void @lanes(ptr noalias %memory, i64 %vectors, i64 %size, i64 %stride, "
-    "ptr noalias %taken, "
-    "ptr noalias readonly %shared, ptr noalias readonly %rares, ptr noalias readonly %fixed, "
-    "ptr noalias readonly %emphasis, ptr noalias readonly %block, i64 %blocks, "
-    "i64 %count) #0 {"
-)
-# Threads take tiles from one counter, so that none waits for Python or for a slower one.
-_TILE = """  br label %tile
-tile:
-  %number = atomicrmw add ptr %taken, i64 1 monotonic
-  %first = mul i64 %number, %size
-  %left = sub i64 %vectors, %first
-  %any = icmp sgt i64 %left, 0
-  br i1 %any, label %tile.body, label %tile.out
-tile.body:
-  %offset = mul i64 %number, %stride
-  %last = icmp slt i64 %left, %size
-  %own = select i1 %last, i64 %left, i64 %size
-  br label %step
-"""
+def width_for(lanes: int, dtype: Any) -> int:
+    """Numbers of a vector for so many lanes: a power of two, which LLVM splits into registers."""
+    least = register_bytes() // np.dtype(dtype).itemsize
+    return max(least, 1 << (lanes - 1).bit_length())
 
 
-def _write_steps(text: Text, program: LaneProgram, where: Layout) -> None:
-    begin(text, _STEPS)
-    text.add("  br label %step")
-    loop(text, "step", "entry", "%count")
-    row = text.let(f"mul i64 %step.k, {where.columns}")
-    row = text.place("%record", row)
-
-    def outside(node: Node) -> str | None:
-        if node in where.fixed:
-            return as_flag(scope, text, node, text.load("%fixed", where.fixed[node]))
-        if node.op == "input":
-            group, i = node.value
-            return text.load(row, i) if group == "step" else text.load("%carries", where.steps[i])
-        return None
-
-    scope = Scope(text, 1, outside, lambda node: node.op == "constant")
-    target = text.let(f"mul i64 %step.k, {len(where.shared)}")
-    target = text.place("%shared", target)
-    for node, column in where.shared.items():
-        text.store(as_number(scope, text, node, scope.value(node)), target, column)
-    new = [(update, scope.value(update.node)) for update in program.step_updates]
-    for update, value in new:
-        text.store(value, "%carries", where.steps[update.carry])
-    loop_end(text, "step")
-    end(text)
-
-
-def _write_lanes(text: Text, program: LaneProgram, where: Layout) -> None:
-    ways = (
-        [("plain", where.together), ("rare", 1)] if program.flagged else [("plain", where.together)]
-    )
-    ends = ", ".join(f"[ %{name}.after, %{name}.out ]" for name, _ in ways)
-    begin(text, _LANES)
-    text.add(
-        _TILE,
-        "step:",
-        f"  %step.k = phi i64 [ 0, %tile.body ], {ends}",
-        "  %step.more = icmp slt i64 %step.k, %count",
-        "  br i1 %step.more, label %step.body, label %step.out",
-        "step.body:",
-    )
-    if program.flagged:
-        flag = text.let("getelementptr i8, ptr %rares, i64 %step.k")
-        flag = text.let(f"load i8, ptr {flag}")
-        flag = text.let(f"icmp ne i8 {flag}, 0")
-        text.add(f"  br i1 {flag}, label %rare.head, label %plain.head")
-    else:
-        text.add("  br label %plain.head")
-    for name, steps in ways:
-        text.add(f"{name}.head:")
-        rows = []
-        for j in range(steps):
-            k = text.let(f"add i64 %step.k, {j}")
-            k = text.let(f"mul i64 {k}, {len(where.shared)}")
-            rows.append(text.place("%shared", k))
-        text.add(f"  br label %{name}")
-        loop(text, name, f"{name}.head", "%own")
-        _VectorSteps(text, program, where, name, rows).write()
-        loop_end(text, name)
-        text.add(f"  %{name}.after = add i64 %step.k, {steps}", "  br label %step")
-    text.add("step.out:", "  br label %tile", "tile.out:")
-    end(text)
-
-
-class _VectorSteps:
-    """Some steps of one vector of lanes: one scope for each step, one for what they share."""
-
-    def __init__(
-        self, text: Text, program: LaneProgram, where: Layout, name: str, rows: Sequence[str]
-    ):
-        self._text, self._program, self._where = text, program, where
-        self._name, self._vector, self._rows = name, f"%{name}.k", rows
-        self._updates = program.plain if name == "plain" else program.rare
-        self._next = {one.carry: one.node for one in self._updates}
-        offset = text.let(f"mul i64 {self._vector}, {where.rows * where.width}")
-        self._base = text.place("%memory", text.let(f"add i64 %offset, {offset}"))
-        self._always = self._scope(self._outside_steps)
-        self._each = [self._scope(functools.partial(self._outside, j)) for j in range(len(rows))]
-        self._first: dict[int, str] = {}
-
-    def write(self) -> None:
-        """All lines: what is needed for each carry's last value, and that value's way back."""
-        usual, rare = self._program.plain, self._program.rare
-        if self._name == "rare" or not self._program.events:
-            way = self._name == "rare"
-            self._stored(rare if way else usual)
-            return
-        # The usual way is computed before the branch: the other one uses much of it.
-        for one in usual:
-            self._each[0].value(one.node)
-        self._text.add(f"  br i1 {self._any_event()}, label %event, label %usual", "usual:")
-        self._stored(usual)
-        self._text.add(f"  br label %{self._name}.end", "event:")
-        self._stored(rare)
-
-    def _any_event(self) -> str:
-        """Whether anything happens to any lane of the vector."""
-        scope, width, let = self._each[0], self._where.width, self._text.let
-        flag = scope.value(self._program.events[0])
-        for event in self._program.events[1:]:
-            flag = let(f"or {scope.flag} {flag}, {scope.value(event)}")
-        if width == 1:
-            return flag
-        name = f"@llvm.vector.reduce.or.v{width}i1"
-        self._text.declared.add(f"declare i1 {name}({scope.flag})")
-        return let(f"call i1 {name}({scope.flag} {flag})")
-
-    def _stored(self, updates: Sequence[Update]) -> None:
-        scope, width = self._each[-1], self._where.width
-        # What is stored as it was read needs no line.
-        changed = [one for one in updates if one.node.value != (CARRY, one.carry)]
-        nodes = ordered([one.node for one in changed])
-        old = {node.value[1] for node in nodes if node.op == "input" and node.value[0] == CARRY}
-        for update in changed:
-            value = scope.value(update.node)
-            if update.carry in old:  # others may still want what is about to be overwritten
-                self._carry(0, update.carry)
-            place = self._where.carries[update.carry] * width
-            self._text.store(value, self._base, place, self._always.real)
-
-    def _scope(self, outside: Callable[[Node], str | None]) -> Scope:
-        def never_nan(node: Node) -> bool:
-            # The host answers for lanes with a NaN of their own.
-            return self._program.level(node) in (ONCE, LANE)
-
-        return Scope(self._text, self._where.width, outside, never_nan)
-
-    def _outside(self, j: int, node: Node) -> str | None:
-        """What step j does not compute itself."""
-        level = self._program.level(node)
-        if level == BOTH and node.op == "input":
-            group, i = node.value
-            return self._emphasis() if group == BLOCK else self._carry(j, i)
-        if level == STEP:
-            return self._spread(node, self._text.load(self._rows[j], self._where.shared[node]))
-        return None if level == BOTH else self._always.value(node)
-
-    def _outside_steps(self, node: Node) -> str:
-        if self._program.level(node) == LANE:
-            place = self._where.own[node] * self._where.width
-            number = self._text.load(self._base, place, self._always.real)
-            return as_flag(self._always, self._text, node, number)
-        return self._spread(node, self._text.load("%fixed", self._where.fixed[node]))
-
-    def _spread(self, node: Node, number: str) -> str:
-        number = self._always.spread(number, self._text.real)
-        return as_flag(self._always, self._text, node, number)
-
-    def _carry(self, j: int, i: int) -> str:
-        """A carried number before step j."""
-        if j > 0:
-            return self._each[j - 1].value(self._next[i])
-        if i not in self._first:
-            place = self._where.carries[i] * self._where.width
-            self._first[i] = self._text.load(self._base, place, self._always.real)
-        return self._first[i]
-
-    def _emphasis(self) -> str:
-        """Of this vector's lanes, in the block of this step."""
-        let = self._text.let
-        block = let("getelementptr i64, ptr %block, i64 %step.k")
-        block = let(f"load i64, ptr {block}")
-        vector = let(f"add i64 %first, {self._vector}")
-        line = let(f"mul i64 {vector}, %blocks")
-        line = let(f"add i64 {line}, {block}")
-        line = let(f"mul i64 {line}, {self._where.width}")
-        return self._text.load("%emphasis", line, self._always.real)
+def output_places(program: LaneProgram, body: Body, width: int) -> list[slice]:
+    """Where a row of outputs has each: a vector, or a single number if all lanes share it."""
+    pairs = zip(body.common.outputs, body.general.outputs, strict=True)
+    by_lane = [any(program.level(node) & LANE for node in pair) for pair in pairs]
+    ends = np.cumsum([0, *(width if differs else 1 for differs in by_lane)])
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
 
 def source(program: LaneProgram, where: Layout, dtype: Any) -> str:
-    """Both functions in LLVM's language."""
+    """All loops in LLVM's language: `lanes`, and `shared` before it where they read rows."""
     text = Text("float" if np.dtype(dtype) == np.float32 else "double")
-    _write_steps(text, program, where)
-    _write_lanes(text, program, where)
+    if where.inline:
+        _Loop(text, "lanes", program, program.whole_body, where, where.columns).write()
+    else:
+        _Loop(text, "shared", program, program.shared_body, where, where.columns).write()
+        _Loop(text, "lanes", program, program.lane_body, where, len(program.shared)).write()
     return module(text)
+
+
+# Vectors come from a counter, so that no thread waits for Python or for a slower one.
+_DEFINITION = (
+    "define void @{name}(ptr noalias %memory, ptr noalias %next, i64 %vectors, "
+    "ptr noalias readonly %rows, ptr noalias %scalars, ptr noalias readonly %fixed, "
+    "ptr noalias readonly %flags, ptr noalias readonly %blocks, "
+    "ptr noalias readonly %block_values, i64 %block_count, "
+    "ptr noalias %outputs, i64 %count) #0 {{"
+)
+_NEXT_VECTOR = """  br label %vector
+vector:
+  %number = atomicrmw add ptr %next, i64 1 monotonic
+  %vector.more = icmp slt i64 %number, %vectors
+  br i1 %vector.more, label %vector.body, label %vector.out
+vector.body:"""
+_NEXT_ROW = """  store i64 0, ptr %row.at
+  br label %row
+row:
+  %row.k = load i64, ptr %row.at
+  %row.more = icmp slt i64 %row.k, %count
+  br i1 %row.more, label %row.body, label %row.out
+row.body:"""
+
+
+class _Loop:
+    """Lines of one loop: two scopes, of single numbers and of vectors."""
+
+    def __init__(
+        self,
+        text: Text,
+        name: str,
+        program: LaneProgram,
+        body: Body,
+        where: Layout,
+        columns: int,
+    ):
+        self._text, self._name, self._columns = text, name, columns
+        self._program, self._body, self._where = program, body, where
+        self._places = output_places(program, body, where.width)
+        self._scalar, self._vector = self._scopes()
+        self._fixed: dict[Node, tuple[str, str]] = {}
+        self._constants: dict[Node, str] = {}
+        self._table_row = ""
+        self._carried: dict[int, str] = {}
+        self._numbers: dict[Node, str] = {}
+        paths = (
+            zip((*body.scalars, *body.vectors), (*path.scalars, *path.vectors), strict=True)
+            for path in (body.common, body.general)
+        )
+        self._common, self._general = map(dict, paths)
+
+    def write(self) -> None:
+        """The whole function."""
+        text, body = self._text, self._body
+        begin(text, _DEFINITION.format(name=self._name))
+        for i in self._common:
+            text.add(f"  %c{i} = alloca {self._kind(i)}")
+        text.add("  %row.at = alloca i64", *_NEXT_VECTOR.split("\n"))
+        self._read_memory()
+        text.add(*_NEXT_ROW.split("\n"))
+        self._carried = {i: text.let(f"load {self._kind(i)}, ptr %c{i}") for i in self._common}
+        self._table_row = text.place("%rows", text.let(f"mul i64 %row.k, {self._columns}"))
+        if body.flagged:
+            flag = text.let("getelementptr i8, ptr %flags, i64 %row.k")
+            flag = text.let(f"icmp ne i8 {text.let(f'load i8, ptr {flag}')}, 0")
+            text.add(f"  br i1 {flag}, label %flagged, label %common", "common:")
+        self._write_common()
+        if body.flagged:
+            text.add("flagged:")
+            # Names of the common path do not hold here, for it does not come before.
+            self._scalar, self._vector = self._scopes()
+            self._numbers = {}
+            self._write_path(body.general, self._general)
+            self._next_row()
+        text.add("row.out:")
+        self._write_memory()
+        text.add("  br label %vector", "vector.out:")
+        end(text)
+
+    def _write_common(self) -> None:
+        """What is computed where no flag is set, and where something happens all the same."""
+        text, body = self._text, self._body
+        if not body.events:
+            self._write_path(body.common, self._common)
+            self._next_row()
+            return
+        # The common path is computed before the branch: the general one uses much of it.
+        self._computed(body.common, self._common)
+        event = self._any_event()
+        text.add(f"  br i1 {event}, label %event, label %usual", "usual:")
+        self._write_path(body.common, self._common)
+        self._next_row()
+        text.add("event:")
+        self._write_path(body.general, self._general)
+        self._next_row()
+
+    def _next_row(self) -> None:
+        after = self._text.let("add i64 %row.k, 1")
+        self._text.add(f"  store i64 {after}, ptr %row.at", "  br label %row")
+
+    def _scopes(self) -> tuple[Scope, Scope]:
+        """Of single numbers and of vectors."""
+        never_nan = _is_constant if self._where.inline else self._same_in_all_rows
+        scalar = Scope(self._text, 1, self._outside_scalar, _is_constant)
+        return scalar, Scope(self._text, self._where.width, self._outside_vector, never_nan)
+
+    # -- memory -------------------------------------------------------------------------------
+
+    def _kind(self, carry: int) -> str:
+        return self._scope(carry).real
+
+    def _memory_places(self) -> dict[int, tuple[str, int]]:
+        """Where each carried number lies between two calls."""
+        where = self._where
+        scalars = {i: ("%scalars", where.scalars[i]) for i in self._body.scalars}
+        vectors = {i: ("%vector.at", where.carries[i] * where.width) for i in self._body.vectors}
+        return scalars | vectors
+
+    def _read_memory(self) -> None:
+        """Carries, and what stays the same in all rows."""
+        text, where = self._text, self._where
+        scalar, vector = self._scalar, self._vector
+        offset = text.let(f"mul i64 %number, {where.rows * where.width}")
+        text.add(f"  %vector.at = getelementptr {text.real}, ptr %memory, i64 {offset}")
+        for i, (pointer, place) in self._memory_places().items():
+            kind = self._kind(i)
+            text.add(f"  store {kind} {text.load(pointer, place, kind)}, ptr %c{i}")
+        for node, place in where.fixed.items():
+            number = text.load("%fixed", place)
+            wide = as_flag(vector, text, node, vector.spread(number, text.real))
+            self._fixed[node] = as_flag(scalar, text, node, number), wide
+        if self._body.vectors:
+            for node, row in where.constants.items():
+                number = text.load("%vector.at", row * where.width, vector.real)
+                self._constants[node] = as_flag(vector, text, node, number)
+
+    def _write_memory(self) -> None:
+        text = self._text
+        for i, (pointer, place) in self._memory_places().items():
+            kind = self._kind(i)
+            text.store(text.let(f"load {kind}, ptr %c{i}"), pointer, place, kind)
+
+    # -- values -------------------------------------------------------------------------------
+
+    def _scope(self, carry: int) -> Scope:
+        return self._scalar if carry in self._body.scalars else self._vector
+
+    def _computed(self, path: Path, carries: dict[int, Node]) -> tuple[dict[int, str], list[str]]:
+        """Names of the carries after a row, and of its outputs, each as wide as its place."""
+        outputs = []
+        for place, node in zip(self._places, path.outputs, strict=True):
+            scope = self._vector if place.stop - place.start > 1 else self._scalar
+            outputs.append(as_number(scope, self._text, node, scope.value(node)))
+        return {i: self._scope(i).value(node) for i, node in carries.items()}, outputs
+
+    def _write_path(self, path: Path, carries: dict[int, Node]) -> None:
+        """Outputs of a row, and what is carried after it."""
+        text = self._text
+        new, outputs = self._computed(path, carries)
+        if outputs:
+            # Outputs of one vector lie behind those of the vector before.
+            first = text.let("mul i64 %number, %count")
+            row = text.let(f"add i64 {first}, %row.k")
+            line = text.place("%outputs", text.let(f"mul i64 {row}, {self._places[-1].stop}"))
+            for value, place in zip(outputs, self._places, strict=True):
+                wide = place.stop - place.start > 1
+                scope = self._vector if wide else self._scalar
+                text.store(value, line, place.start, scope.real)
+        for i, value in new.items():
+            text.add(f"  store {self._kind(i)} {value}, ptr %c{i}")
+
+    def _any_event(self) -> str:
+        """Whether anything happens to any lane of the vector."""
+        text, program, width = self._text, self._program, self._where.width
+        by_lane = [event for event in self._body.events if program.level(event) & LANE]
+        shared = [event for event in self._body.events if not program.level(event) & LANE]
+        flags = [self._scalar.value(event) for event in shared]
+        if by_lane:
+            scope = self._vector
+            flag = self._either(scope.flag, [scope.value(event) for event in by_lane])
+            if width > 1:
+                name = f"@llvm.vector.reduce.or.v{width}i1"
+                text.declared.add(f"declare i1 {name}({scope.flag})")
+                flag = text.let(f"call i1 {name}({scope.flag} {flag})")
+            flags.append(flag)
+        return self._either("i1", flags)
+
+    def _either(self, kind: str, flags: Sequence[str]) -> str:
+        return functools.reduce(lambda a, b: self._text.let(f"or {kind} {a}, {b}"), flags)
+
+    # -- what a scope does not compute itself -------------------------------------------------
+
+    def _same_in_all_rows(self, node: Node) -> bool:
+        """The host answers for lanes with a NaN of their own."""
+        return self._program.level(node) in (FIXED, LANE)
+
+    def _number(self, node: Node) -> str:
+        """What a row holds, as it is there."""
+        if node not in self._numbers:
+            self._numbers[node] = self._text.load(self._table_row, self._body.columns[node])
+        return self._numbers[node]
+
+    def _outside_scalar(self, node: Node) -> str | None:
+        if node in self._fixed:
+            return self._fixed[node][0]
+        if node in self._body.columns:
+            return as_flag(self._scalar, self._text, node, self._number(node))
+        return self._carried[node.value[1]] if node.op == "input" else None
+
+    def _outside_vector(self, node: Node) -> str | None:
+        scope, text, level = self._vector, self._text, self._program.level(node)
+        if level == LANE_ROW:
+            if node.op != "input":
+                return None
+            group, i = node.value
+            return self._block_value() if group == BLOCK else self._carried[i]
+        if level == LANE:
+            return self._constants[node]
+        if node in self._fixed:
+            return self._fixed[node][1]
+        if node in self._body.columns:  # a comparison of vectors is quicker than a flag spread
+            number = scope.spread(self._number(node), text.real)
+            return as_flag(scope, text, node, number)
+        return scope.spread(self._scalar.value(node), "i1" if node.is_bool else text.real)
+
+    def _block_value(self) -> str:
+        """Of this vector's lanes, in the block of this row."""
+        let, width = self._text.let, self._where.width
+        block = let("getelementptr i64, ptr %blocks, i64 %row.k")
+        block = let(f"load i64, ptr {block}")
+        line = let(f"add i64 {let('mul i64 %number, %block_count')}, {block}")
+        line = let(f"mul i64 {line}, {width}")
+        return self._text.load("%block_values", line, self._vector.real)
+
+
+def _is_constant(node: Node) -> bool:
+    """Of these alone it is certain that they are no NaN, where nobody looks at the numbers."""
+    return node.op == "constant"

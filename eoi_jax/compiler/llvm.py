@@ -1,13 +1,24 @@
-"""Functions in LLVM's language: lines, loops, and operations of a scalar program."""
+"""Functions in LLVM's language: lines, and operations of a scalar program.
+
+Compiled loops take numbers below the smallest normal one for zero: what dies away ends among them,
+and a core takes ten times as long for each operation on one. XLA does the same. What the caller's
+arithmetic does with them stays as it was.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 
 from eoi_jax.compiler.graph import Node, Untranslatable
-from eoi_jax.compiler.subnormals import flushing
+
+try:
+    import llvmlite.binding as _llvm
+except Exception as error:  # its library may be missing, or not be one of this machine
+    _llvm, _FAULT = None, f"LLVM cannot be loaded: {type(error).__name__}: {error}"
+else:
+    _FAULT = ""
 
 # Contraction (a b + c rounded once) is what makes C fast too. Nothing here assumes finite numbers.
 _FLAGS = "contract nsz"
@@ -31,9 +42,20 @@ LIBRARY = {
 }
 
 
+def llvm() -> Any:
+    """LLVM, as `llvmlite` binds it.
+
+    Raises:
+        Untranslatable: it cannot be loaded here.
+    """
+    if _llvm is None:
+        raise Untranslatable(_FAULT)
+    return _llvm
+
+
 def register_bytes() -> int:
     """Size of the widest register of this machine."""
-    features = llvm.get_host_cpu_features()
+    features = llvm().get_host_cpu_features()
     return 64 if features.get("avx512f") else 32 if features.get("avx") else 16
 
 
@@ -94,24 +116,24 @@ class Scope:
         self.real = self._kind(text.real)
         self.flag = self._kind("i1")
 
-    def _kind(self, one: str) -> str:
-        return one if self._width == 1 else f"<{self._width} x {one}>"
+    def _kind(self, scalar: str) -> str:
+        return scalar if self._width == 1 else f"<{self._width} x {scalar}>"
 
     def constant(self, value: Any) -> str:
         """A constant in every lane."""
         flag = isinstance(value, bool)
-        one = str(value).lower() if flag else self._text.number(value)
+        number = str(value).lower() if flag else self._text.number(value)
         if self._width == 1:
-            return one
+            return number
         kind = "i1" if flag else self._text.real
-        return "<" + ", ".join([f"{kind} {one}"] * self._width) + ">"
+        return "<" + ", ".join([f"{kind} {number}"] * self._width) + ">"
 
-    def spread(self, one: str, kind: str) -> str:
+    def spread(self, number: str, kind: str) -> str:
         """A scalar in every lane."""
         if self._width == 1:
-            return one
+            return number
         vector = f"<{self._width} x {kind}>"
-        first = self._text.let(f"insertelement {vector} poison, {kind} {one}, i64 0")
+        first = self._text.let(f"insertelement {vector} poison, {kind} {number}, i64 0")
         zeros = f"<{self._width} x i32> zeroinitializer"
         return self._text.let(f"shufflevector {vector} {first}, {vector} poison, {zeros}")
 
@@ -164,38 +186,80 @@ class Scope:
         short = short if self._width == 1 else f"v{self._width}{short}"
         kinds = ", ".join([real] * len(args))
         self._text.declared.add(f"declare {real} @llvm.{name}.{short}({kinds})")
-        given = ", ".join(f"{real} {arg}" for arg in args)
-        return self._text.let(f"call {_FLAGS} {real} @llvm.{name}.{short}({given})")
+        typed = ", ".join(f"{real} {arg}" for arg in args)
+        return self._text.let(f"call {_FLAGS} {real} @llvm.{name}.{short}({typed})")
 
     def _extreme(self, node: Node, args: list[str]) -> str:
         """The larger or smaller; NaN if either is."""
-        for one, other in ((0, 1), (1, 0)):
-            if self._never_nan(node.args[one]):  # a comparison with NaN fails: NaN is taken
+        for i, j in ((0, 1), (1, 0)):
+            if self._never_nan(node.args[i]):  # a comparison with NaN fails: NaN is taken
                 order = "ogt" if node.op == "max" else "olt"
-                which = self._text.let(f"fcmp {order} {self.real} {args[one]}, {args[other]}")
-                pair = f"{self.real} {args[one]}, {self.real} {args[other]}"
+                which = self._text.let(f"fcmp {order} {self.real} {args[i]}, {args[j]}")
+                pair = f"{self.real} {args[i]}, {self.real} {args[j]}"
                 return self._text.let(f"select {self.flag} {which}, {pair}")
         return self._intrinsic("maximum" if node.op == "max" else "minimum", args)
 
     def _sign(self, x: str) -> str:
-        one = self._intrinsic("copysign", [self.constant(1.0), x])
+        unit = self._intrinsic("copysign", [self.constant(1.0), x])
         away = self._text.let(f"fcmp one {self.real} {x}, {self.constant(0.0)}")
         # Neither above nor below: zero or NaN, which stay.
-        return self._text.let(f"select {self.flag} {away}, {self.real} {one}, {self.real} {x}")
+        return self._text.let(f"select {self.flag} {away}, {self.real} {unit}, {self.real} {x}")
 
     def _library(self, op: str, args: list[str]) -> str:
-        one = self._text.real
-        name = LIBRARY[op] + ("f" if one == "float" else "")
-        kinds = ", ".join([one] * len(args))
-        self._text.declared.add(f"declare {one} @{name}({kinds}) nounwind willreturn memory(none)")
+        real, let = self._text.real, self._text.let
+        name = LIBRARY[op] + ("f" if real == "float" else "")
+        kinds = ", ".join([real] * len(args))
+        self._text.declared.add(f"declare {real} @{name}({kinds}) nounwind willreturn memory(none)")
         if self._width == 1:
-            return self._text.let(f"call {one} @{name}({', '.join(f'{one} {x}' for x in args)})")
+            return let(f"call {real} @{name}({', '.join(f'{real} {x}' for x in args)})")
         out = "poison"
         for i in range(self._width):
-            each = [self._text.let(f"extractelement {self.real} {x}, i64 {i}") for x in args]
-            done = self._text.let(f"call {one} @{name}({', '.join(f'{one} {x}' for x in each)})")
-            out = self._text.let(f"insertelement {self.real} {out}, {one} {done}, i64 {i}")
+            scalars = [let(f"extractelement {self.real} {x}, i64 {i}") for x in args]
+            value = let(f"call {real} @{name}({', '.join(f'{real} {x}' for x in scalars)})")
+            out = let(f"insertelement {self.real} {out}, {real} {value}, i64 {i}")
         return out
+
+
+# -- functions ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Flushing:
+    """In LLVM's language: at the beginning and the end of a function, and what they call."""
+
+    begin: str = ""
+    end: str = ""
+    declarations: tuple[str, ...] = ()
+
+
+# Bits of the control register: results (15) and operands (6).
+_X86 = Flushing(
+    """\
+  %mode = alloca i32
+  %flushing = alloca i32
+  call void @llvm.x86.sse.stmxcsr(ptr %mode)
+  %mode.was = load i32, ptr %mode
+  %mode.new = or i32 %mode.was, 32832
+  store i32 %mode.new, ptr %flushing
+  call void @llvm.x86.sse.ldmxcsr(ptr %flushing)""",
+    "  call void @llvm.x86.sse.ldmxcsr(ptr %mode)",
+    ("declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"),
+)
+# Bit 24, both.
+_ARM = Flushing(
+    """\
+  %mode = call i64 @llvm.aarch64.get.fpcr()
+  %mode.new = or i64 %mode, 16777216
+  call void @llvm.aarch64.set.fpcr(i64 %mode.new)""",
+    "  call void @llvm.aarch64.set.fpcr(i64 %mode)",
+    ("declare i64 @llvm.aarch64.get.fpcr()", "declare void @llvm.aarch64.set.fpcr(i64)"),
+)
+ARCHITECTURES = {"x86_64": _X86, "aarch64": _ARM, "arm64": _ARM}
+
+
+def flushing() -> Flushing:
+    """That of this machine; nothing where it is none of these."""
+    return ARCHITECTURES.get(llvm().get_process_triple().split("-")[0], Flushing())
 
 
 def begin(text: Text, definition: str) -> None:
@@ -206,28 +270,6 @@ def begin(text: Text, definition: str) -> None:
 def end(text: Text) -> None:
     """Its last lines."""
     text.add(flushing().end, "  ret void", "}")
-
-
-def loop(text: Text, name: str, before: str, count: str) -> None:
-    """The head of a loop over %name.k from 0, which is entered from the block `before`."""
-    text.add(
-        f"{name}:",
-        f"  %{name}.k = phi i64 [ 0, %{before} ], [ %{name}.next, %{name}.end ]",
-        f"  %{name}.more = icmp slt i64 %{name}.k, {count}",
-        f"  br i1 %{name}.more, label %{name}.body, label %{name}.out",
-        f"{name}.body:",
-    )
-
-
-def loop_end(text: Text, name: str) -> None:
-    """Its end; what follows is behind it."""
-    text.add(
-        f"  br label %{name}.end",
-        f"{name}.end:",
-        f"  %{name}.next = add i64 %{name}.k, 1",
-        f"  br label %{name}",
-        f"{name}.out:",
-    )
 
 
 def as_flag(scope: Scope, text: Text, node: Node, number: str) -> str:

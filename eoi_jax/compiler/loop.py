@@ -1,14 +1,19 @@
-r"""The pass of one lane as a scalar program, each node computed as rarely as its inputs allow.
+r"""A loop over the rows of a table, the same for many lanes, sorted by what depends on what.
 
-What a node depends on decides how often it must be computed, and where:
+What a node depends on decides how often it must be computed, and where (in compilers: binding-time
+analysis, and motion of code out of loops):
 
-    nothing but h and F      once, by the host
-    the lane (θ, gains)      once a lane, by the host
-    the sample               once a step, for all lanes together
-    both                     for each lane and step: the arithmetic that counts
+    nothing but what is fixed    once, by the host
+    the lane                     once a lane, by the host
+    the row                      once a row, for all lanes together
+    both                         for each lane and row: the arithmetic that counts
 
-Carried values are of the kind that their own updates are; those that only the record moves (the
-filtered input, its sums) are carried once for all lanes, and those that never move are constants.
+Carried values are of the kind that their own updates are; those that only the rows move are carried
+once for all lanes, and those that never move are constants.
+
+A writer (`instructions.py` for LLVM; one for Pallas is in `estimation/engines/`) gets a sorted loop
+as `Body`s: what lanes share in a loop that leaves a row of it behind for the loop of the lanes, or
+both in one loop.
 """
 
 import abc
@@ -23,68 +28,126 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from eoi_jax.compiler.graph import Graph, Node, Untranslatable, ordered, rewritten
-from eoi_jax.compiler.trace import nodes_of, translated
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable, rewrite, topological_order
+from eoi_jax.compiler.trace import constant_nodes, translate
 
-ONCE, LANE, STEP, BOTH = 0, 1, 2, 3  # bits: differs between lanes; changes with the step
+FIXED, LANE, ROW, LANE_ROW = 0, 1, 2, 3  # bits: differs between lanes; changes with the row
 CARRY, BLOCK = "carry", "block"
 # By the name of each group of inputs; a group's members are numbered in the order of its leaves.
-_LEVELS = {"fixed": ONCE, "lane": LANE, "step": STEP, BLOCK: BOTH}
+_LEVELS = {"fixed": FIXED, "lane": LANE, "row": ROW, BLOCK: LANE_ROW}
 
 
 @dataclass(frozen=True)
-class Update:
-    """The next value of one carried number."""
+class Path:
+    """What is computed of one row on one way through it.
 
-    carry: int
-    node: Node
+    Attributes:
+        scalars, vectors: the next value of each carry of the body, in their order.
+        outputs: what is written for the row.
+    """
+
+    scalars: tuple[Node, ...]
+    vectors: tuple[Node, ...]
+    outputs: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What a loop computes of each row.
+
+    Attributes:
+        scalars, vectors: numbers of the carries that all lanes share, and that each lane has.
+        common: the path where no flag is set and nothing happens. general: that of any row.
+        events: what may happen in a row; each as it is if none before it did.
+        flagged: whether rows have flags.
+        columns: place of each node that a row holds in it.
+    """
+
+    scalars: tuple[int, ...]
+    vectors: tuple[int, ...]
+    common: Path
+    general: Path
+    events: tuple[Node, ...]
+    flagged: bool
+    columns: dict[Node, int]
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """All that is computed."""
+        paths = (self.common, self.general)
+        parts = ((*path.scalars, *path.vectors, *path.outputs) for path in paths)
+        return (*itertools.chain.from_iterable(parts), *self.events)
 
 
 @dataclass(frozen=True)
 class LaneProgram:
-    """A pass, sorted by how often its parts are computed.
+    """A loop, sorted by how often its parts are computed.
 
     Attributes:
-        initial: of each carried number before the first step; depends on `fixed` and `lane`.
+        initial: of each carried number before the first row; depends on `fixed` and `lane`.
         same: as which carried number each one always is.
-        lane_carries, step_carries: those carried for each lane, and once for all.
-        step_updates: of the carries that all lanes share, in any step; `plain_steps` where nothing
-            happens.
-        plain, rare: updates of the lanes' carries in a step in which no flag is set and nothing
-            happens, and in any.
-        events: what may happen to a lane in a step, found where the program branches; each as
+        lane_carries, shared_carries: those carried for each lane, and once for all.
+        common, general: as in `Body`, of all that is carried and put out.
+        events: what may happen to a lane in a row, found where the program branches; each as
             it is if none before it did.
         flagged: whether there are flags.
-        shown: what each step shows of each lane where nothing happens, and in any step.
-        shared: what lanes need of each step.
-        fixed: what is needed that is the same in all steps and lanes.
-        own: what lanes need that is the same in all steps.
-        sums: the pass's sums, with the numbers of the carries in place of values.
-        level: how often a node is computed: `ONCE`, `LANE`, `STEP` or `BOTH`.
+        shared: what lanes need of each row.
+        fixed: what is needed that is the same in all rows and lanes.
+        lane_constants: what lanes need that is the same in all rows.
+        result: what is wanted, with the numbers of the carries in place of values.
+        level: how often a node is computed: `FIXED`, `LANE`, `ROW` or `LANE_ROW`.
     """
 
     initial: tuple[Node, ...]
     same: tuple[int, ...]
     lane_carries: tuple[int, ...]
-    step_carries: tuple[int, ...]
-    step_updates: tuple[Update, ...]
-    plain_steps: tuple[Update, ...]
-    plain: tuple[Update, ...]
-    rare: tuple[Update, ...]
+    shared_carries: tuple[int, ...]
+    common: Path
+    general: Path
     events: tuple[Node, ...]
     flagged: bool
-    shown: tuple[tuple[Node, ...], tuple[Node, ...]]
     shared: tuple[Node, ...]
     fixed: tuple[Node, ...]
-    own: tuple[Node, ...]
-    sums: Any
+    lane_constants: tuple[Node, ...]
+    result: Any
     level: Callable[[Node], int]
+
+    @functools.cached_property
+    def shared_body(self) -> Body:
+        """What all lanes share: its outputs are the rows of `lane_body`."""
+        path = Path(self.general.scalars, (), self.shared)
+        columns = inputs_of([*path.scalars, *path.outputs], "row")
+        return Body(self.shared_carries, (), path, path, (), False, columns)
+
+    @functools.cached_property
+    def lane_body(self) -> Body:
+        """What each lane has for itself."""
+        common, general = (
+            dataclasses.replace(path, scalars=()) for path in (self.common, self.general)
+        )
+        columns = {node: column for column, node in enumerate(self.shared)}
+        return Body((), self.lane_carries, common, general, self.events, self.flagged, columns)
+
+    @functools.cached_property
+    def whole_body(self) -> Body:
+        """Both in one loop."""
+        body = Body(
+            self.shared_carries, self.lane_carries, self.common, self.general,
+            self.events, self.flagged, {},
+        )  # fmt: skip
+        return dataclasses.replace(body, columns=inputs_of(body.nodes, "row"))
+
+
+def inputs_of(nodes: Iterable[Node], group: str) -> dict[Node, int]:
+    """The inputs of one group on which nodes depend, and their numbers in it."""
+    inputs = (node for node in topological_order(nodes) if node.op == "input")
+    return {node: node.value[1] for node in inputs if node.value[0] == group}
 
 
 class AbstractLoop(abc.ABC):
-    """A recursion over the rows of a record, the same for every lane; its trees hold shapes only.
+    """A recursion over the rows of a table, the same for every lane; its trees hold shapes only.
 
-    A dataclass without an `__eq__` of its own: all of its fields are what a program depends on.
+    A dataclass without an `__eq__` beside this one: a program depends on all of its fields.
 
     Attributes:
         lane: one lane.
@@ -105,7 +168,7 @@ class AbstractLoop(abc.ABC):
 
     @property
     def by_block(self) -> bool:
-        """Whether the last number of a row is the lane's own in each block."""
+        """Whether the last number of a row differs between lanes, and is the same in a block."""
         return False
 
     @property
@@ -119,7 +182,7 @@ class AbstractLoop(abc.ABC):
 
     @abc.abstractmethod
     def advance(self, lane: Any, fixed: Any, carry: Any, row: Any) -> tuple[Any, Any]:
-        """What is carried after a row, and what is shown of it."""
+        """What is carried after a row, and what is put out for it."""
 
     @abc.abstractmethod
     def result(self, carry: Any) -> Any:
@@ -129,8 +192,8 @@ class AbstractLoop(abc.ABC):
     def key(self) -> tuple:
         """Equal if one program serves both."""
         fields = [getattr(self, field.name) for field in dataclasses.fields(self)]  # type: ignore[arg-type]
-        words = [isinstance(one, str | np.dtype) for one in fields]
-        trees = [one for one, word in zip(fields, words, strict=True) if not word]
+        words = [isinstance(value, str | np.dtype) for value in fields]
+        trees = [value for value, word in zip(fields, words, strict=True) if not word]
         return _traced_key(trees, *itertools.compress(fields, words))
 
     def __eq__(self, other: object) -> bool:
@@ -140,14 +203,14 @@ class AbstractLoop(abc.ABC):
         return hash(self.key)
 
 
-def _traced_key(trees: Any, *other: Any) -> tuple:
+def _traced_key(trees: Any, *words: Any) -> tuple:
     """What a program depends on: shapes, and the numbers that are known."""
     leaves, structure = jax.tree.flatten(trees)
-    known = tuple(
+    values = tuple(
         leaf if isinstance(leaf, jax.ShapeDtypeStruct) else np.asarray(leaf).tobytes()
         for leaf in leaves
     )
-    return structure, known, *other
+    return structure, values, *words
 
 
 def shapes_of(tree: Any, dtype: Any, skip: int = 0) -> Any:
@@ -169,82 +232,82 @@ def shapes_of(tree: Any, dtype: Any, skip: int = 0) -> Any:
     return jax.tree.map(shape, tree)
 
 
-def lane_program(what: AbstractLoop) -> LaneProgram:
+def lane_program(loop: AbstractLoop) -> LaneProgram:
     """Trace a loop and sort it.
 
     Raises:
-        Untranslatable: the plant or the observer does what a scalar program cannot.
+        Untranslatable: the loop does what a scalar program cannot.
     """
     graph = Graph()
-    with jax.enable_x64(what.dtype == np.float64):
-        initial, traced, flags, sums = _traced(graph, what)
-    traced, _, carried = _levelled(graph.make, graph, initial, traced)
+    with jax.enable_x64(loop.dtype == np.float64):
+        initial, step, flags, result = _traced(graph, loop)
+    step, _, carried = _merge_carries(graph.make, graph, initial, step)
     # Terms that differ in the order of their factors only are found equal in the second round.
     make = _Lowering(graph, Levels(carried))
-    traced, same, carried = _levelled(make, graph, initial, traced.rewritten({}, make))
+    step, same, carried = _merge_carries(make, graph, initial, step.rewrite({}, make))
     level = Levels(carried)
     make = _Lowering(graph, level)
     unset = {flag: graph.constant(False) for flag in flags}
-    quiet, events = _without_events(graph, traced.rewritten(unset, make), make)
-    return _sorted(initial, traced, quiet, events, bool(flags), same, carried, level, sums)
+    quiet, events = _without_events(graph, step.rewrite(unset, make), make)
+    order = _Order(tuple(same), tuple(carried), level)
+    return _sort(tuple(initial), step, quiet, tuple(events), bool(flags), order, result)
 
 
 @dataclass(frozen=True)
-class _Traced:
-    """What a step computes.
+class _Step:
+    """What is computed of a row.
 
     Attributes:
         updated: each carried number after it.
-        shown: what it shows.
+        outputs: what is put out.
         events: where it branches.
     """
 
     updated: list[Node]
-    shown: list[Node]
+    outputs: list[Node]
     events: list[Node]
 
-    def rewritten(self, known: dict[Node, Node], make: Callable[..., Node]) -> "_Traced":
+    def rewrite(self, replaced: dict[Node, Node], make: Callable[..., Node]) -> "_Step":
         """With some nodes replaced."""
-        new = rewritten([*self.updated, *self.shown, *self.events], known, make)
-        count, shown = len(self.updated), len(self.shown)
-        return _Traced(new[:count], new[count : count + shown], new[count + shown :])
+        new = rewrite([*self.updated, *self.outputs, *self.events], replaced, make)
+        first, second = len(self.updated), len(self.updated) + len(self.outputs)
+        return _Step(new[:first], new[first:second], new[second:])
 
 
 def _without_events(
-    graph: Graph, traced: _Traced, make: Callable[..., Node]
-) -> tuple[_Traced, list[Node]]:
-    """A step in which nothing happens, and what must be found false for that."""
-    found: list[Node] = []
-    left = traced
-    while any(event.op != "constant" for event in left.events):
-        event = next(event for event in left.events if event.op != "constant")
-        found.append(event)
-        left = left.rewritten({event: graph.constant(False)}, make)
-    return left, found
+    graph: Graph, step: _Step, make: Callable[..., Node]
+) -> tuple[_Step, list[Node]]:
+    """A step in which nothing happens, and what must be false for that."""
+    excluded: list[Node] = []
+    while any(event.op != "constant" for event in step.events):
+        event = next(event for event in step.events if event.op != "constant")
+        excluded.append(event)
+        step = step.rewrite({event: graph.constant(False)}, make)
+    return step, excluded
 
 
-def _traced(graph: Graph, what: AbstractLoop) -> tuple[list[Node], _Traced, list[Node], Any]:
-    """Carried numbers at first, a step, flags of rare events, places of the result."""
-    carry = jax.eval_shape(what.begin, what.lane, what.fixed)
-    if any(leaf.dtype != what.dtype for leaf in jax.tree.leaves(carry)):
+def _traced(graph: Graph, loop: AbstractLoop) -> tuple[list[Node], _Step, list[Node], Any]:
+    """Carried numbers at first, a step, flags of rare rows, places of the result."""
+    carry = jax.eval_shape(loop.begin, loop.lane, loop.fixed)
+    if any(leaf.dtype != loop.dtype for leaf in jax.tree.leaves(carry)):
         raise Untranslatable("a carry of another type than the lanes")
-    lane, fixed = _inputs(graph, "lane", what.lane), _inputs(graph, "fixed", what.fixed)
-    row, before = _inputs(graph, "step", what.row), _inputs(graph, CARRY, carry)
-    if what.by_block:  # the last of a row's leaves
-        row[-1] = _inputs(graph, BLOCK, jax.tree.leaves(what.row)[-1])[0]
-    initial = _translated(graph, what.begin, (what.lane, what.fixed), [*lane, *fixed])
-    trees = (what.lane, what.fixed, carry, what.row)
-    graph.branches = [] if what.branches else None
-    after = _translated(graph, what.advance, trees, [*lane, *fixed, *before, *row])
-    names = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(what.row)]
-    flags = [row[names.index(name)].item() for name in what.flags]
-    places = [np.vectorize(lambda node: node.value[1], otypes=[int])(one) for one in before]
+    lane, fixed = _inputs(graph, "lane", loop.lane), _inputs(graph, "fixed", loop.fixed)
+    row, before = _inputs(graph, "row", loop.row), _inputs(graph, CARRY, carry)
+    if loop.by_block:  # the last of a row's leaves
+        row[-1] = _inputs(graph, BLOCK, jax.tree.leaves(loop.row)[-1])[0]
+    initial = _translated(graph, loop.begin, (loop.lane, loop.fixed), [*lane, *fixed])
+    trees = (loop.lane, loop.fixed, carry, loop.row)
+    graph.branches = [] if loop.branches else None
+    after = _translated(graph, loop.advance, trees, [*lane, *fixed, *before, *row])
+    names = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(loop.row)]
+    flags = [row[names.index(name)].item() for name in loop.flags]
+    places = [np.vectorize(lambda node: node.value[1], otypes=[int])(leaf) for leaf in before]
     count = len(initial)
     return (
         initial,
-        _Traced(after[:count], after[count:], graph.branches or []),
+        _Step(after[:count], after[count:], graph.branches or []),
         flags,
-        what.result(jax.tree.unflatten(jax.tree.structure(carry), places)),
+        loop.result(jax.tree.unflatten(jax.tree.structure(carry), places)),
     )
 
 
@@ -253,14 +316,14 @@ def _inputs(graph: Graph, group: str, tree: Any) -> list[np.ndarray]:
     out, count = [], 0
     for leaf in jax.tree.leaves(tree):
         if not isinstance(leaf, jax.ShapeDtypeStruct):
-            out.append(nodes_of(graph, leaf))
+            out.append(constant_nodes(graph, leaf))
             continue
         array = np.empty(leaf.shape, object)
-        for where in np.ndindex(leaf.shape):
+        for index in np.ndindex(leaf.shape):
             node = graph.input((group, count))
             # Flags come as numbers.
             flag = leaf.dtype == bool
-            array[where] = graph.make("ne", node, graph.constant(0.0)) if flag else node
+            array[index] = graph.make("ne", node, graph.constant(0.0)) if flag else node
             count += 1
         out.append(array)
     return out
@@ -272,14 +335,14 @@ def _translated(graph: Graph, function: Callable, trees: tuple, inputs: list) ->
     def flat(*leaves: Any) -> list:
         return jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
 
-    out = translated(graph, flat, leaves, inputs)
+    out = translate(graph, flat, leaves, inputs)
     return [node for array in out for node in array.ravel()]
 
 
-def _levelled(
-    make: Callable[..., Node], graph: Graph, initial: list[Node], traced: _Traced
-) -> tuple[_Traced, list[int], list[int]]:
-    """A step, as which other each carried number always is, and how often each is computed.
+def _merge_carries(
+    make: Callable[..., Node], graph: Graph, initial: list[Node], step: _Step
+) -> tuple[_Step, list[int], list[int]]:
+    """A step, as which carried number each one always is, and how often each is computed.
 
     Start from the most hopeful answer: carried numbers that begin alike stay alike, those that
     begin with a constant keep it, and only the first value decides how often they are computed.
@@ -287,24 +350,27 @@ def _levelled(
     """
     inputs = [graph.input((CARRY, i)) for i in range(len(initial))]
     same = [initial.index(node) for node in initial]
-    still = [node.op == "constant" for node in initial]
+    constant = [node.op == "constant" for node in initial]
     carried = [Levels([])(node) for node in initial]
     while True:
-        known = {
-            own: start if rests else inputs[other]
-            for own, start, rests, other in zip(inputs, initial, still, same, strict=True)
+        replaced = {
+            node: start if stays else inputs[first]
+            for node, start, stays, first in zip(inputs, initial, constant, same, strict=True)
         }
-        new = rewritten(traced.updated, known, make)
-        level, before = Levels(carried), (same, still, carried)
-        still = [was and node is at for was, node, at in zip(still, new, initial, strict=True)]
+        new = rewrite(step.updated, replaced, make)
+        level, before = Levels(carried), (same, constant, carried)
+        constant = [
+            stayed and node is start
+            for stayed, node, start in zip(constant, new, initial, strict=True)
+        ]
         kinds = list(zip(same, new, strict=True))
         same = [kinds.index(kind) for kind in kinds]
         carried = [
-            ONCE if rests else old | level(node) | STEP
-            for rests, old, node in zip(still, carried, new, strict=True)
+            FIXED if stays else previous | level(node) | ROW
+            for stays, previous, node in zip(constant, carried, new, strict=True)
         ]
-        if (same, still, carried) == before:
-            return traced.rewritten(known, make), same, carried
+        if (same, constant, carried) == before:
+            return step.rewrite(replaced, make), same, carried
 
 
 class Levels:
@@ -312,32 +378,32 @@ class Levels:
 
     def __init__(self, carried: list[int]):
         self._carried = carried
-        self._known: dict[Node, int] = {}
+        self._levels: dict[Node, int] = {}
 
     def __call__(self, node: Node) -> int:
-        """One of `ONCE`, `LANE`, `STEP`, `BOTH`."""
+        """Either of `FIXED`, `LANE`, `ROW`, `LANE_ROW`."""
         waiting = [node]
         while waiting:
-            one = waiting[-1]
-            missing = [arg for arg in one.args if arg not in self._known]
+            top = waiting[-1]
+            missing = [arg for arg in top.args if arg not in self._levels]
             if missing:
                 waiting.extend(missing)
                 continue
-            if one.op == "input":
-                group, i = one.value
-                self._known[one] = self._carried[i] if group == CARRY else _LEVELS[group]
+            if top.op == "input":
+                group, i = top.value
+                self._levels[top] = self._carried[i] if group == CARRY else _LEVELS[group]
             else:
-                levels = [self._known[arg] for arg in one.args]
-                self._known[one] = functools.reduce(operator.or_, levels, ONCE)
+                levels = [self._levels[arg] for arg in top.args]
+                self._levels[top] = functools.reduce(operator.or_, levels, FIXED)
             waiting.pop()
-        return self._known[node]
+        return self._levels[node]
 
 
 class _Lowering:
-    """Makes operations so that less remains for each lane and step.
+    """Makes operations so that less remains for each lane and row.
 
     Products are joined from the rarest factor up, always in one order, so that the products of a
-    symmetric matrix are the same node; what all steps or all lanes divide by is inverted once.
+    symmetric matrix are the same node; what all rows or all lanes divide by is inverted once.
     """
 
     def __init__(self, graph: Graph, level: Levels):
@@ -358,20 +424,20 @@ class _Lowering:
         """k a ± k b = k (a ± b), for the weights of averages."""
         if a.op == b.op == "mul":
             for i, k in enumerate(a.args):
-                for j, other in enumerate(b.args):
-                    if k is other and self._level(k) == ONCE:
+                for j, factor in enumerate(b.args):
+                    if k is factor and self._level(k) == FIXED:
                         return self("mul", k, self(op, a.args[1 - i], b.args[1 - j]))
         return None
 
     def _product(self, a: Node, b: Node) -> Node:
-        whole = self._graph.make("mul", a, b)
-        sign, whole = (True, whole.args[0]) if whole.op == "neg" else (False, whole)
-        if whole.op == "mul":
-            factors = self._factors(whole)
+        product = self._graph.make("mul", a, b)
+        sign, product = (True, product.args[0]) if product.op == "neg" else (False, product)
+        if product.op == "mul":
+            factors = self._factors(product)
             mixed = len({self._level(factor) for factor in factors}) > 1
             # Of more than three of one kind, some may be a square that others use.
-            whole = self._joined(factors) if mixed or len(factors) == 3 else whole
-        return self._graph.make("neg", whole) if sign else whole
+            product = self._joined(factors) if mixed or len(factors) == 3 else product
+        return self._graph.make("neg", product) if sign else product
 
     def _factors(self, node: Node) -> list[Node]:
         if node.op != "mul":
@@ -379,72 +445,82 @@ class _Lowering:
         return [factor for arg in node.args for factor in self._factors(arg)]
 
     def _joined(self, factors: list[Node]) -> Node:
-        kinds: dict[int, list[Node]] = {ONCE: [], LANE: [], STEP: [], BOTH: []}
-        for factor in sorted(factors, key=lambda one: one.order):
+        kinds: dict[int, list[Node]] = {FIXED: [], LANE: [], ROW: [], LANE_ROW: []}
+        for factor in sorted(factors, key=lambda factor: factor.order):
             kinds[self._level(factor)].append(factor)
-        # What is known once joins the gains, else the sample, before it meets a lane's own.
-        first = next(kind for kind in (LANE, STEP, BOTH, ONCE) if kinds[kind])
-        if first != ONCE:
-            kinds[first] = kinds.pop(ONCE) + kinds[first]
-        rarer = [self._chain(kinds[kind]) for kind in (STEP, LANE) if kinds[kind]]
-        return self._chain(rarer + kinds[BOTH] if first != ONCE else kinds[ONCE])
+        # What is fixed joins the lane's constants, else the row, before it meets what changes.
+        first = next(kind for kind in (LANE, ROW, LANE_ROW, FIXED) if kinds[kind])
+        if first != FIXED:
+            kinds[first] = kinds.pop(FIXED) + kinds[first]
+        rarer = [self._chain(kinds[kind]) for kind in (ROW, LANE) if kinds[kind]]
+        return self._chain(rarer + kinds[LANE_ROW] if first != FIXED else kinds[FIXED])
 
     def _chain(self, factors: list[Node]) -> Node:
         return functools.reduce(functools.partial(self._graph.make, "mul"), factors)
 
 
-def _sorted(
-    initial: list[Node],
-    rare: _Traced,
-    plain: _Traced,
-    events: list[Node],
+# -- sorting ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Order:
+    """How often things are computed: `same` and `level` of a `LaneProgram`, and of each carry."""
+
+    same: tuple[int, ...]
+    carried: tuple[int, ...]
+    level: Levels
+
+    def carries(self, kind: int) -> tuple[int, ...]:
+        """Those of one kind that are as no earlier one is."""
+        pairs = enumerate(zip(self.carried, self.same, strict=True))
+        return tuple(i for i, (level, first) in pairs if level == kind and first == i)
+
+
+def _sort(
+    initial: tuple[Node, ...],
+    general: _Step,
+    common: _Step,
+    events: tuple[Node, ...],
     flagged: bool,
-    same: list[int],
-    carried: list[int],
-    level: Levels,
-    sums: Any,
+    order: _Order,
+    result: Any,
 ) -> LaneProgram:
-    lanes, steps = (
-        [i for i, one in enumerate(carried) if one == kind and same[i] == i]
-        for kind in (BOTH, STEP)
-    )
-    step_updates, plain_steps = (
-        tuple(Update(i, way.updated[i]) for i in steps) for way in (rare, plain)
-    )
-    plain_updates, rare_updates = (
-        tuple(Update(i, way.updated[i]) for i in lanes) for way in (plain, rare)
-    )
-    wanted = [one.node for one in (*plain_updates, *rare_updates)]
-    by_lanes = _used([*wanted, *plain.shown, *rare.shown, *events], level, BOTH)
-    shared = _of(by_lanes, level, STEP)
-    by_steps = _used([*(one.node for one in step_updates), *shared], level, STEP)
+    lanes, shared, level = order.carries(LANE_ROW), order.carries(ROW), order.level
+    paths = [
+        Path(
+            tuple(step.updated[i] for i in shared),
+            tuple(step.updated[i] for i in lanes),
+            tuple(step.outputs),
+        )
+        for step in (common, general)
+    ]
+    by_lanes = [*(node for path in paths for node in (*path.vectors, *path.outputs)), *events]
+    read_by_lanes = _read(by_lanes, level, LANE_ROW)
+    in_row = _of_level(read_by_lanes, level, ROW)
+    read_by_rows = _read([*paths[1].scalars, *in_row], level, ROW)
     return LaneProgram(
-        initial=tuple(initial),
-        same=tuple(same),
-        lane_carries=tuple(lanes),
-        step_carries=tuple(steps),
-        step_updates=step_updates,
-        plain_steps=plain_steps,
-        plain=plain_updates,
-        rare=rare_updates,
-        events=tuple(events),
+        initial=initial,
+        same=order.same,
+        lane_carries=lanes,
+        shared_carries=shared,
+        common=paths[0],
+        general=paths[1],
+        events=events,
         flagged=flagged,
-        shown=(tuple(plain.shown), tuple(rare.shown)),
-        shared=shared,
-        fixed=_of(by_lanes | by_steps, level, ONCE),
-        own=_of(by_lanes, level, LANE),
-        sums=sums,
+        shared=in_row,
+        fixed=_of_level(read_by_lanes | read_by_rows, level, FIXED),
+        lane_constants=_of_level(read_by_lanes, level, LANE),
+        result=result,
         level=level,
     )
 
 
-def _used(wanted: list[Node], level: Levels, kind: int) -> set[Node]:
-    """What the nodes of one kind read, and what is wanted itself; without constants."""
-    inner = [node for node in ordered(wanted) if level(node) == kind]
-    read = {arg for node in inner for arg in node.args} | set(wanted)
+def _read(results: list[Node], level: Levels, kind: int) -> set[Node]:
+    """What the nodes of one kind read, and the results themselves; without constants."""
+    inner = [node for node in topological_order(results) if level(node) == kind]
+    read = {arg for node in inner for arg in node.args} | set(results)
     return {node for node in read if node.op != "constant"}
 
 
-def _of(nodes: Iterable[Node], level: Levels, wanted: int) -> tuple[Node, ...]:
-    found = [node for node in nodes if level(node) == wanted]
-    return tuple(sorted(found, key=lambda node: node.order))
+def _of_level(nodes: Iterable[Node], level: Levels, kind: int) -> tuple[Node, ...]:
+    return tuple(sorted((node for node in nodes if level(node) == kind), key=lambda n: n.order))

@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable, ordered
+from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable, topological_order
+from eoi_jax.compiler.jit import cached_translation
 from eoi_jax.compiler.programs import jit
-from eoi_jax.compiler.trace import translated
-from eoi_jax.compiler.translation import kept_translation
+from eoi_jax.compiler.trace import translate
 
 # Leading axes that the arrays of an argument may have.
 AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
@@ -195,7 +195,7 @@ class _Program:
         return jax.tree.unflatten(self.structure, leaves)
 
 
-@functools.partial(kept_translation, most=_MOST)
+@functools.partial(cached_translation, most=_MOST)
 def _program(
     function: Callable,
     structures: tuple,
@@ -221,9 +221,9 @@ def _program(
         return out
 
     with jax.enable_x64(dtype == np.float64):
-        out = translated(graph, flat, shapes, inputs)
+        out = translate(graph, flat, shapes, inputs)
     outputs = [node for array in out for node in array.ravel()]
-    needed = ordered(outputs)
+    needed = topological_order(outputs)
     return _Program(
         steps=_steps(needed, outputs),
         inputs={node.order: node.value for node in needed if node.op == "input"},

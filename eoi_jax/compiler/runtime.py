@@ -1,37 +1,64 @@
-"""Loops of few lanes, all in one vector (`one_vector.py`), and their runs."""
+"""Runs of compiled loops: their memory, and the functions of `instructions.py` that work on it."""
 
 import ctypes
+import functools
+import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from eoi_jax.compiler import one_vector
-from eoi_jax.compiler.graph import Node, Untranslatable, evaluated
-from eoi_jax.compiler.instructions import Layout, layout
-from eoi_jax.compiler.jit import aligned, engine_of, program_of, spread
-from eoi_jax.compiler.loop import LANE, AbstractLoop, LaneProgram
-from eoi_jax.compiler.translation import kept_translation
+from eoi_jax.compiler.graph import Node, evaluate
+from eoi_jax.compiler.instructions import Layout, layout, output_places, source, width_for
+from eoi_jax.compiler.jit import cached_translation, machine_code
+from eoi_jax.compiler.loop import AbstractLoop, LaneProgram, lane_program
+
+_LINE = 64  # bytes that caches move at a time
+_CHUNK_BYTES = 500_000  # of what the lanes share of the rows, at a time: half a second cache
+
+_POINTER, _INTEGER = ctypes.c_void_p, ctypes.c_int64
+_FUNCTION = ctypes.CFUNCTYPE(
+    None, _POINTER, _POINTER, _INTEGER, *[_POINTER] * 6, _INTEGER, _POINTER, _INTEGER
+)
 
 
 @dataclass(frozen=True)
-class FewLanes:
+class RowFlags:
+    """What is rare in the rows of a table, and what differs between its blocks.
+
+    Attributes:
+        flags: where a flag of the loop is set.
+        blocks: number of the block of each row; None where nothing differs between them.
+        values: of each lane in each block, the last number of a row; None like `blocks`.
+    """
+
+    flags: Bool[np.ndarray, " rows"]
+    blocks: Int[np.ndarray, " rows"] | None = None
+    values: Float[np.ndarray, "lanes blocks"] | None = None
+
+
+@dataclass(frozen=True)
+class CompiledLoop:
     """A loop as code of this machine.
 
     Attributes:
         program: what it computes. where: its numbers lie.
-        shown: where each number lies in a row of what is shown; one column if all lanes share it.
-        go: the function of `one_vector.py`.
+        outputs: where each lies in a row of outputs; one column if all lanes share it.
+        lanes: the loop of the lanes.
+        shared: that of what lanes share, whose outputs are the rows of `lanes`; None if inline.
         dtype: of all numbers.
         owner: of the code's memory.
     """
 
     program: LaneProgram
     where: Layout
-    shown: list[slice]
-    go: Callable
+    outputs: list[slice]
+    lanes: Callable
+    shared: Callable | None
     dtype: Any
     owner: Any
 
@@ -47,88 +74,251 @@ class FewLanes:
         program, where, dtype = self.program, self.where, self.dtype
         groups, count = {"lane": lanes, "fixed": fixed}, lanes.shape[1]
 
-        def known(nodes: Sequence[Node]) -> list[Any]:
-            return evaluated(nodes, lambda at: groups[at[0]][at[1]], dtype)
+        def values(nodes: Sequence[Node]) -> list[Any]:
+            return evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype)
 
-        memory = aligned((where.rows, where.width), dtype)
-        values = known([*(program.initial[i] for i in program.lane_carries), *program.own])
-        memory[: len(values), :count] = spread(values, count, dtype)
-        carries = [program.initial[i] for i in program.step_carries]
+        carries = values([program.initial[i] for i in program.lane_carries])
+        constants = values(program.lane_constants)
+        rows = _table([*carries, *constants], count, dtype)
+        vectors = -(-count // where.width)
+        # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
+        padding = np.minimum(np.arange(vectors * where.width), count - 1)
+        memory = _aligned((vectors, where.rows, where.width), dtype)
+        lines = rows[:, padding].reshape(len(rows), vectors, where.width)
+        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
         # Never empty: they have an address.
-        shared, carried = (np.array([*known(one), 0.0], dtype) for one in (program.fixed, carries))
-        return Run(self, count, shared, carried, memory)
+        scalars = [program.initial[i] for i in program.shared_carries]
+        fixed, carried = (
+            np.array([*values(part), 0.0], dtype) for part in (program.fixed, scalars)
+        )
+        spoilt = np.any(np.isnan(rows[len(carries) :]), axis=0)
+        return Run(self, count, fixed, carried, memory, spoilt, padding)
+
+
+@cached_translation
+def compiled_loop(
+    loop: AbstractLoop, columns: int, lanes: int | None = None, inline: bool = False
+) -> CompiledLoop:
+    """Trace, sort and compile a loop, once.
+
+    Args:
+        loop: what is traced.
+        columns: numbers in a row of its table.
+        lanes: in one vector; what fills a register if None.
+        inline: whether what lanes share is computed beside them; the lanes, `lanes` at most, then
+            fill one vector.
+
+    Raises:
+        Untranslatable: what a scalar program cannot express; whatever else fails.
+    """
+    program = cached_program(loop)
+    if inline:
+        lanes = width_for(lanes or 1, loop.dtype)
+    where = layout(program, columns, loop.dtype, lanes, inline)
+    # Of lanes one by one like operations side by side become vectors; in vectors there are none.
+    owner = machine_code(source(program, where, loop.dtype), slp=not inline)
+    body = program.whole_body if inline else program.lane_body
+    names = ("lanes",) if inline else ("lanes", "shared")
+    functions = [_FUNCTION(owner.get_function_address(name)) for name in names]
+    outputs = output_places(program, body, where.width)
+    return CompiledLoop(program, where, outputs, functions[0],
+                        None if inline else functions[1], loop.dtype, owner)  # fmt: skip
+
+
+@cached_translation
+def cached_program(loop: AbstractLoop) -> LaneProgram:
+    """Traced and sorted, once; the same for vectors of any width."""
+    return lane_program(loop)
 
 
 @dataclass(frozen=True)
 class Run:
-    """One of them over one record.
+    """A compiled loop on its way through a table.
 
     Attributes:
         code: that runs.
         lanes: how many.
         fixed: what all lanes and rows share.
-        carries, memory: what is carried for all lanes, and for each.
+        scalars, memory: what is carried for all lanes, and for each.
+        spoilt: lanes with a NaN among their constants: a comparison with NaN is false, so that what
+            the loop makes of it may look like a number.
+        padding: which lane each place of all vectors is for.
     """
 
-    code: FewLanes
+    code: CompiledLoop
     lanes: int
     fixed: np.ndarray
-    carries: np.ndarray
+    scalars: np.ndarray
     memory: np.ndarray
+    spoilt: Bool[np.ndarray, " lanes"]
+    padding: Int[np.ndarray, " places"]
 
-    def through(
+    def advance(
+        self,
+        rows: Float[np.ndarray, "rows columns"],
+        rare: RowFlags | None = None,
+        threads: int = 1,
+    ) -> None:
+        """Through the rows of a table; for loops without outputs.
+
+        Args:
+            rows: as the loop reads them, one after the other in memory.
+            rare: of these rows; None for a loop without flags.
+            threads: among which the lanes are divided.
+        """
+        code, total = self.code, len(rows)
+        width = max(len(code.program.shared), 1)
+        count = max(1, _CHUNK_BYTES // (width * code.dtype.itemsize))
+        shared = _aligned((min(count, total), width), code.dtype)
+        rows = np.ascontiguousarray(rows, code.dtype)
+        flags, blocks, values = self._flags(rare, total)
+        for first in range(0, total, count):
+            now = slice(first, min(first + count, total))
+            if code.shared is not None:
+                self._call(code.shared, rows[now], shared)
+            taken = np.zeros(1, np.int64)  # like the others it lives until all threads are done
+            seen = rows[now] if code.shared is None else shared[: now.stop - first]
+            job = self._job(taken, flags[now], blocks[now], values, seen)
+            together(job, min(threads, len(self.memory)))
+
+    def outputs(
         self, rows: np.ndarray, count: int, out: np.ndarray | None = None
     ) -> Iterator[np.ndarray]:
-        """Through the rows of a record, so many at a time.
+        """Through the rows of a table, so many at a time; for inline loops without flags.
 
         Args:
             rows: as the loop reads them, one after the other in memory.
             count: at a time.
-            out: where all that they show goes, as many rows or more; None for one array of `count`
-                rows, which is written over and over.
+            out: where all outputs go, as many rows or more; None for one array of `count` rows,
+                which is written over and over.
 
         Returns:
-            What they show, in the columns of `FewLanes.shown`.
+            Outputs, in the columns of `CompiledLoop.outputs`.
         """
-        width = self.code.shown[-1].stop
-        kept = aligned((min(count, len(rows)), width), self.code.dtype) if out is None else out
-        arrays = rows, self.fixed, self.carries, self.memory
-        start, *others = (one.ctypes.data for one in arrays)
+        width = self.code.outputs[-1].stop
+        buffer = _aligned((min(count, len(rows)), width), self.code.dtype) if out is None else out
         for first in range(0, len(rows), count):
             now = min(count, len(rows) - first)
-            shown = kept[:now] if out is None else kept[first : first + now]
-            self.code.go(start + first * rows.strides[0], *others, shown.ctypes.data, now)
-            yield shown
+            written = buffer[:now] if out is None else buffer[first : first + now]
+            self._call(self.code.lanes, rows[first : first + now], written)
+            yield written
 
     def carried(self, number: Any) -> Any:
-        """A carried number: of each lane, or the one that they share."""
+        """A carried number: of each lane, or a single one that they share."""
         program, where = self.code.program, self.code.where
         i = program.same[number]
         if i in where.carries:
-            return self.memory[where.carries[i], : self.lanes]
-        return self.carries[where.steps[i]] if i in where.steps else program.initial[i].value
+            return self.memory[:, where.carries[i]].reshape(-1)[: self.lanes]
+        return self.scalars[where.scalars[i]] if i in where.scalars else program.initial[i].value
+
+    def result(self) -> Any:
+        """What the loop wants in the end, the lanes as leading axis; NaN for those spoilt."""
+        return jax.tree.map(self._gathered, self.code.program.result)
+
+    def _gathered(self, places: np.ndarray) -> np.ndarray:
+        out = np.empty((self.lanes, *places.shape), self.code.dtype)
+        for index in np.ndindex(places.shape):
+            out[(slice(None), *index)] = self.carried(places[index])
+        out[self.spoilt] = np.nan
+        return out
+
+    def _flags(
+        self, rare: RowFlags | None, total: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Whether each row has a flag, the block of each row, values of the blocks."""
+        none, nowhere = np.zeros((1, 1)), np.zeros(total, np.int64)
+        if rare is None:
+            return np.zeros(total, np.uint8), nowhere, none
+        flags = rare.flags.astype(np.uint8)
+        if rare.values is None or rare.blocks is None:
+            return flags, nowhere, none
+        values = np.asarray(rare.values, self.code.dtype)
+        lines = values[self.padding].reshape(-1, self.code.where.width, values.shape[1])
+        by_vector = _aligned((len(lines), values.shape[1], self.code.where.width), lines.dtype)
+        by_vector[...] = lines.transpose(0, 2, 1)
+        blocks = np.minimum(rare.blocks, values.shape[1] - 1)
+        return flags, blocks.astype(np.int64), by_vector
+
+    def _call(self, function: Callable, rows: np.ndarray, out: np.ndarray) -> None:
+        """A loop without flags over a vector, or none, in this thread."""
+        taken = np.zeros(1, np.int64)
+        pointers = [array.ctypes.data for array in (rows, self.scalars, self.fixed)]
+        function(
+            self.memory.ctypes.data, taken.ctypes.data, 1, *pointers,
+            None, None, None, 0, out.ctypes.data, len(rows),
+        )  # fmt: skip
+
+    def _job(
+        self,
+        taken: np.ndarray,
+        flags: np.ndarray,
+        blocks: np.ndarray,
+        values: np.ndarray,
+        rows: np.ndarray,
+    ) -> Callable[[], None]:
+        """The loop of the lanes, for several threads to call; it works on the caller's arrays."""
+        arrays = rows, self.scalars, self.fixed, flags, blocks, values
+        return functools.partial(
+            self.code.lanes,
+            self.memory.ctypes.data,
+            taken.ctypes.data,
+            len(self.memory),
+            *(array.ctypes.data for array in arrays),
+            values.shape[1],
+            None,
+            len(rows),
+        )
 
 
-@kept_translation
-def few_lanes(what: AbstractLoop, columns: int, lanes: int) -> FewLanes:
-    """Trace, sort and compile a loop for so many lanes at most, once.
+def numbers(tree: Any, dtype: Any, skip: int = 0) -> np.ndarray:
+    """The real numbers and flags of a tree in the order in which `shapes_of` counts them."""
+    arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    flat = [
+        array.astype(dtype).reshape(*array.shape[:skip], -1)
+        for array in arrays
+        if array.dtype.kind in "fb"
+    ]
+    return np.concatenate(flat, axis=-1)
 
-    Args:
-        what: the loop.
-        columns: numbers in a row of its record.
-        lanes: that fill the vector.
 
-    Raises:
-        Untranslatable: what a scalar program cannot express; flags, or branches that lanes take
-            each for itself.
-    """
-    program = program_of(what)
-    if program.flagged or any(program.level(one) & LANE for one in program.events):
-        raise Untranslatable("flags, or branches of the lanes")
-    where = layout(program, columns, what.dtype, one_vector.width_for(lanes, what.dtype))
-    # Side by side is what the vectors are for: LLVM finds no more of it.
-    engine = engine_of(one_vector.source(program, where, what.dtype), slp=False)
-    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5, ctypes.c_int64)
-    go = kind(engine.get_function_address("whole"))
-    shown = one_vector.shown_places(program, where)
-    return FewLanes(program, where, shown, go, what.dtype, engine)
+def _table(values: Sequence[Any], count: int, dtype: Any) -> np.ndarray:
+    """A row for each value, shape (values, count): it is a number, or has one for each lane."""
+    out = np.empty((len(values), count), dtype)
+    for row, value in zip(out, values, strict=True):
+        row[...] = value
+    return out
+
+
+def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Zeros that begin with a line of the cache."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + _LINE, np.uint8)
+    start = -raw.ctypes.data % _LINE
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+# -- threads ----------------------------------------------------------------------------------
+
+
+def cores() -> int:
+    """How many this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def together(job: Callable[[], None], threads: int) -> None:
+    """The same call in several threads; compiled code runs without Python's lock."""
+    pending = [_pool(threads - 1).submit(job) for _ in range(threads - 1)] if threads > 1 else []
+    job()
+    for call in pending:
+        call.result()
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="lanes")
+
+
+if hasattr(os, "register_at_fork"):  # threads do not come along
+    os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -20,17 +20,17 @@ from eoi_jax.compiler.jax_private import ClosedJaxpr, Literal, branches_of, call
 MOST_UNROLLED = 64  # turns of a loop
 
 
-def nodes_of(graph: Graph, value: Any) -> np.ndarray:
+def constant_nodes(graph: Graph, value: Any) -> np.ndarray:
     """An array of constants."""
     array = np.asarray(value)
     if array.dtype.kind not in "fbiu":
         raise Untranslatable(f"numbers of type {array.dtype}")
     out = np.empty(array.shape, object)
-    out.ravel()[:] = [graph.constant(one) for one in array.ravel()]
+    out.ravel()[:] = [graph.constant(value) for value in array.ravel()]
     return out
 
 
-def translated(
+def translate(
     graph: Graph, function: Callable, shapes: Sequence[jax.ShapeDtypeStruct], inputs: Sequence
 ) -> list[np.ndarray]:
     """A function of arrays, traced, on nodes.
@@ -53,18 +53,18 @@ def translated(
 
 def _run(graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
     jaxpr = closed.jaxpr
-    known: dict[Any, np.ndarray] = dict(zip(jaxpr.invars, inputs, strict=True))
-    known |= {
-        var: nodes_of(graph, value)
+    values: dict[Any, np.ndarray] = dict(zip(jaxpr.invars, inputs, strict=True))
+    values |= {
+        var: constant_nodes(graph, value)
         for var, value in zip(jaxpr.constvars, closed.consts, strict=True)
     }
 
     def read(atom: Any) -> np.ndarray:
-        return nodes_of(graph, atom.val) if isinstance(atom, Literal) else known[atom]
+        return constant_nodes(graph, atom.val) if isinstance(atom, Literal) else values[atom]
 
     for equation in jaxpr.eqns:
         results = _equation(graph, equation, [read(atom) for atom in equation.invars])
-        known.update(zip(equation.outvars, results, strict=True))
+        values.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
 
 
@@ -103,12 +103,13 @@ def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
         args[consts:][carries:],
     )
     turns = range(length - 1, -1, -1) if loop.reverse else range(length)
-    shown: dict[int, list[np.ndarray]] = {}
+    stacked: dict[int, list[np.ndarray]] = {}
     for k in turns:
-        row = [np.asarray(one[k], object) for one in rows]
+        row = [np.asarray(array[k], object) for array in rows]
         out = _run(graph, loop.body, [*fixed, *carry, *row])
-        carry, shown[k] = out[:carries], out[carries:]
-    return carry + [np.stack(one) for one in zip(*(shown[k] for k in range(length)), strict=True)]
+        carry, stacked[k] = out[:carries], out[carries:]
+    parts = zip(*(stacked[k] for k in range(length)), strict=True)
+    return carry + [np.stack(part) for part in parts]
 
 
 def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
@@ -120,7 +121,7 @@ def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> l
         branches.append(_run(graph, branch, args))
         if outer is not None and i == 1 and chosen.is_bool:
             # Inside a branch that is not taken nothing happens.
-            inner = [graph.make("and", chosen, one) for one in graph.branches or []]
+            inner = [graph.make("and", chosen, branch) for branch in graph.branches or []]
             outer.extend([chosen, *inner])
     graph.branches = outer
     out = []
@@ -141,11 +142,11 @@ def _flag_of(graph: Graph, which: Node) -> Node:
 def _choose(graph: Graph, which: Node, *ways: Node) -> Node:
     if which.is_bool:
         return graph.make("select", which, ways[1], ways[0])
-    found = ways[-1]
+    choice = ways[-1]
     for i in range(len(ways) - 2, -1, -1):
         first = graph.make("le", which, graph.constant(i))
-        found = graph.make("select", first, ways[i], found)
-    return found
+        choice = graph.make("select", first, ways[i], choice)
+    return choice
 
 
 def _split(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
@@ -162,7 +163,7 @@ def _unstack(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
 def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
     """Which of several forms of a function is meant for the CPU."""
     fits = [names is None or "cpu" in names for names in params["platforms"]]
-    return [nodes_of(graph, fits.index(True))]
+    return [constant_nodes(graph, fits.index(True))]
 
 
 _MANY: dict[str, Callable] = {
@@ -189,7 +190,7 @@ def _slice(params: dict, array: np.ndarray) -> np.ndarray:
     return array[tuple(slice(*limit) for limit in limits)]
 
 
-def _same(params: dict, array: np.ndarray) -> np.ndarray:
+def _unchanged(params: dict, array: np.ndarray) -> np.ndarray:
     del params
     return array
 
@@ -205,10 +206,10 @@ _MOVES: dict[str, Callable] = {
     "stack": lambda params, *arrays: np.stack(arrays, params["axis"]),
     "concatenate": lambda params, *arrays: np.concatenate(arrays, params["dimension"]),
     "tile": lambda params, array: np.tile(array, params["reps"]),
-    "copy": _same,
-    "copy_p": _same,
-    "stop_gradient": _same,
-    "optimization_barrier": _same,
+    "copy": _unchanged,
+    "copy_p": _unchanged,
+    "stop_gradient": _unchanged,
+    "optimization_barrier": _unchanged,
 }
 
 # Operands from there on say where, or are parts of the first operand's kind before it.
@@ -232,7 +233,7 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
             flat.extend(array.ravel())
             operands.append(np.arange(first, len(flat), dtype=np.int32).reshape(array.shape))
         else:
-            operands.append(_known(name, array, atom))
+            operands.append(_constants(name, array, atom))
     places = getattr(indexing, name)(equation.params, *operands)
     if not np.all((places >= 0) & (places < len(flat))):
         raise Untranslatable(f"{name} beyond its array")
@@ -241,7 +242,7 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
     return components[places]
 
 
-def _known(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
+def _constants(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
     """Constants as the numbers that they are."""
     if not all(node.op == "constant" for node in array.ravel()):
         raise Untranslatable(f"{name} at places that depend on the data")
@@ -254,8 +255,9 @@ def _scatter_add(
 ) -> np.ndarray:
     name = "scatter-add"
     numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
-    none, places = np.full(array.shape, -1, np.int32), _known(name, where, equation.invars[1])
-    hits = indexing.scatter(equation.params, none, places, numbers)
+    nowhere = np.full(array.shape, -1, np.int32)
+    places = _constants("scatter-add", where, equation.invars[1])
+    hits = indexing.scatter(equation.params, nowhere, places, numbers)
     out, flat = array.copy(), added.ravel()
     if np.sum(hits >= 0) != added.size:
         raise Untranslatable("scatter-add beyond its array, or twice at one place")
@@ -271,7 +273,7 @@ def _scatter_add(
 def _iota(graph: Graph, equation: Any) -> np.ndarray:
     shape, axis = equation.params["shape"], equation.params["dimension"]
     line = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
-    return nodes_of(graph, np.broadcast_to(line, shape))
+    return constant_nodes(graph, np.broadcast_to(line, shape))
 
 
 def _dot_general(graph: Graph, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -293,10 +295,10 @@ def _dot_general(graph: Graph, equation: Any, a: np.ndarray, b: np.ndarray) -> n
 
 def _folded(graph: Graph, op: str, array: np.ndarray, axes: Sequence, start: Node) -> np.ndarray:
     """Components along some axes joined by one operation."""
-    kept = [i for i in range(array.ndim) if i not in axes]
-    shape = [array.shape[i] for i in kept]
+    outer = [i for i in range(array.ndim) if i not in axes]
+    shape = [array.shape[i] for i in outer]
     size = math.prod(array.shape[i] for i in axes)
-    lines = array.transpose([*kept, *axes]).reshape(math.prod(shape), size)
+    lines = array.transpose([*outer, *axes]).reshape(math.prod(shape), size)
     out = np.empty(len(lines), object)
     for i, line in enumerate(lines):
         out[i] = functools.reduce(functools.partial(graph.make, op), line) if len(line) else start

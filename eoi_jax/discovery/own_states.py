@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.programs import jit
-from eoi_jax.compiler.runtime import few_lanes
+from eoi_jax.compiler.runtime import compiled_loop
 from eoi_jax.discovery.cosine_modes import integrated, moved_through
 from eoi_jax.models.effects.effect import AbstractEffect, At, Grid
 
@@ -62,7 +62,7 @@ def states_along(
     scalars = tuple(np.zeros(()) for _ in signals)
     own, lane, step = shapes_of((_Own(effect), shapes[0], _Row(scalars, scalars)), dtype)
     try:
-        code = few_lanes(_States(own, lane, step, dtype), 2 * len(signals), _LANES)
+        code = compiled_loop(_States(own, lane, step, dtype), 2 * len(signals), _LANES, inline=True)
     except Untranslatable:
         return np.asarray(_by_xla(effect, shapes, signals, change, np.asarray(h)))
     rows = np.stack([*signals, *change], axis=1).astype(dtype)
@@ -70,8 +70,8 @@ def states_along(
     for first in range(0, len(shapes), _LANES):
         lanes = shapes[first : first + _LANES]
         begun, at = code.begin(np.asarray(lanes.T, dtype), np.asarray([h], dtype)), 0
-        for shown in begun.through(rows, _CHUNK):
-            for i, place in enumerate(code.shown):
+        for shown in begun.outputs(rows, _CHUNK):
+            for i, place in enumerate(code.outputs):
                 part = shown[:, place][:, : len(lanes)]
                 out[first : first + len(lanes), at : at + len(shown), i] = part.T
             at += len(shown)

@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.compiler.graph import Untranslatable
-from eoi_jax.compiler.jit import numbers
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
-from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, numbers
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import Drive, advanced, chained
 
@@ -116,20 +115,20 @@ def outputs_of(
         begins = (index % steps == 0)[:, None]
         own = begins * first[index // steps]
         rows = np.concatenate([time[index, None], inputs[index], begins, own], axis=1)
-        (part,) = begun.through(rows, len(rows))
+        (part,) = begun.outputs(rows, len(rows))
         shown.append(part[:, : len(plant.outputs)])
     y = np.concatenate(shown).reshape(runs, steps, -1)
     every = slice(drives.substeps - 1, None, drives.substeps)
     return np.concatenate([starts.y[:, :1], y[:, every]], axis=1)
 
 
-def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> FewLanes:
+def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoop:
     dtype, none = np.dtype(float), np.zeros(())
     start = State(starts.y[0], starts.z[0])
     row = _Row(none, np.zeros((3, len(plant.inputs))), none, start)
     model, lane, step = shapes_of((_Model(plant, friction), none, row), dtype)
     columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
-    return few_lanes(_Chain(model, lane, step, dtype), columns, 1)
+    return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, inline=True)
 
 
 def _scanned(

@@ -2,7 +2,7 @@
 
 The sums of many lanes are added up as they run. A single lane's run shows c of every sample: there
 the state is of single numbers, and its derivatives with the unknowns stand side by side in a vector
-(`one_vector.py`), which takes a half to a third of the time.
+(inline, as `instructions.py` has it), which takes a half to a third of the time.
 """
 
 import functools
@@ -18,15 +18,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eoi_jax._status import NATIVE, EngineUsed
-from eoi_jax.compiler.graph import Untranslatable, evaluated
-from eoi_jax.compiler.jit import Compiled, aligned, cores, numbers, spread, together, translated
+from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
-from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, together
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
 _FEW_LANES = 4  # so many lanes run one by one: a vector of them would take longer
-_CHUNK = 8192  # rows of shared numbers, or of what is shown, at a time
+_CHUNK = 8192  # rows of outputs at a time
 
 Table = Float[np.ndarray, "runs rows columns"]
 
@@ -184,7 +183,7 @@ def summed(
         for run in range(runs)
         for part in _parts(lane_count, code.where.width, runs)
     ]
-    sums = np.empty((lane_count, runs, *code.program.sums.shape))
+    sums = np.empty((lane_count, runs, *code.program.result.shape))
     waiting = iter(jobs)
 
     def work() -> None:
@@ -282,29 +281,29 @@ class _OneLane:
             self._code.begin(self._directions, fixed),
             max(_CHUNK // substeps, 1) * substeps,
         )
-        first = [place.start for place in self._code.shown[::2]]
-        for rows_of_signals in begun.through(rows, count):
-            yield [rows_of_signals[::substeps, at : at + self.size] for at in first]
+        first = [place.start for place in self._code.outputs[::2]]
+        for outputs in begun.outputs(rows, count):
+            yield [outputs[::substeps, at : at + self.size] for at in first]
 
 
-def _one_run(kernel: RunKernel, start_size: int) -> FewLanes:
+def _one_run(kernel: RunKernel, start_size: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     run, step = _shapes(len(plant.names), start_size, nu, ny)
     directions = kernel.directions(start_size)
     lane = shapes_of(directions, dtype, skip=1)
     loop = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    code = few_lanes(loop, 1 + 3 * nu + 2 * ny, len(directions.theta))
-    if any(place.stop - place.start < len(directions.theta) for place in code.shown[1::2]):
+    code = compiled_loop(loop, 1 + 3 * nu + 2 * ny, len(directions.theta), True)
+    if any(place.stop - place.start < len(directions.theta) for place in code.outputs[1::2]):
         raise Untranslatable("an output that no unknown moves")
     return code
 
 
-def _code(kernel: RunKernel, start_size: int, lanes: int) -> Compiled:
+def _code(kernel: RunKernel, start_size: int, lanes: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     loop = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), start_size, nu, ny), dtype)
-    return translated(loop, 1 + 3 * nu + 2 * ny, 1 if lanes < _FEW_LANES else None)
+    return compiled_loop(loop, 1 + 3 * nu + 2 * ny, 1 if lanes < _FEW_LANES else None)
 
 
 @functools.cache
@@ -329,7 +328,7 @@ class _Job:
 
     def __init__(
         self,
-        code: Compiled,
+        code: CompiledLoop,
         kernel: RunKernel,
         lanes: RunLane,
         tables: Table,
@@ -339,68 +338,12 @@ class _Job:
         lane_range: slice,
     ):
         self.run, self.lane_range = run, lane_range
-        self._code = code
         self._rows = np.ascontiguousarray(tables[run, : counts[run]], float)
         lane_values = jax.tree.map(lambda leaf: np.asarray(leaf)[lane_range, run], lanes)
-        self._count = len(lane_values.theta)
-        self._begin(kernel, lane_values, float(steps[run]))
-
-    def _begin(self, kernel: RunKernel, lanes: RunLane, h: float) -> None:
-        program, where = self._code.program, self._code.where
-        groups = {"lane": numbers(lanes, float, skip=1).T, "fixed": numbers((kernel, h), float)}
-        vectors = -(-self._count // where.width)
-        room = np.minimum(np.arange(vectors * where.width), self._count - 1)
-        memory = aligned((vectors, where.rows, where.width), float)
-        wanted = [*(program.initial[i] for i in program.lane_carries), *program.own]
-        values = evaluated(wanted, lambda at: groups[at[0]][at[1]], float)
-        rows = spread(values, self._count, float)
-        self._spoilt = np.any(np.isnan(rows), axis=0)
-        lines = rows[:, room].reshape(len(rows), vectors, where.width)
-        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
-        self._memory = memory
-        self._fixed, self._carries = (
-            np.array([*evaluated(nodes, lambda at: groups[at[0]][at[1]], float), 0.0])
-            for nodes in (program.fixed, [program.initial[i] for i in program.step_carries])
-        )
+        fixed = numbers((kernel, float(steps[run])), float)
+        self._run = code.begin(numbers(lane_values, float, skip=1).T, fixed)
 
     def sums(self) -> np.ndarray:
         """The normal equations of the lanes."""
-        self._go()
-        program, where = self._code.program, self._code.where
-        carries = [program.same[i] for i in program.sums.flat]
-        rows = np.array([where.carries.get(i, -1) for i in carries])
-        sums = np.moveaxis(self._memory[:, rows], 1, 2).reshape(-1, len(rows))[: self._count]
-        for at in np.flatnonzero(rows < 0):
-            sums[:, at] = program.initial[carries[at]].value
-        sums[self._spoilt] = np.nan
-        return sums.reshape(-1, *program.sums.shape)
-
-    def _go(self) -> None:
-        where, total = self._code.where, len(self._rows)
-        count, vectors = min(_CHUNK, total), len(self._memory)
-        shared = aligned((count, max(len(where.shared), 1)), float)
-        no_lanes, zeros = np.zeros(1), np.zeros(count, np.int64)
-        for first in range(0, total, count):
-            rows = min(count, total - first)
-            self._code.steps(
-                self._rows[first:].ctypes.data,
-                self._fixed.ctypes.data,
-                self._carries.ctypes.data,
-                shared.ctypes.data,
-                rows,
-            )
-            flag = np.zeros(1, np.int64)
-            self._code.lanes(
-                self._memory.ctypes.data,
-                vectors,
-                vectors,
-                0,
-                flag.ctypes.data,
-                shared.ctypes.data,
-                zeros.ctypes.data,  # no row has a flag
-                self._fixed.ctypes.data,
-                no_lanes.ctypes.data,
-                zeros.ctypes.data,
-                1,
-                rows,
-            )
+        self._run.advance(self._rows)
+        return self._run.result()

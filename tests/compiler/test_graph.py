@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.compiler.graph import Graph, Untranslatable, evaluated, ordered
+from eoi_jax.compiler.graph import Graph, Untranslatable, evaluate, topological_order
 from eoi_jax.compiler.programs import jit
-from eoi_jax.compiler.trace import translated
+from eoi_jax.compiler.trace import translate
 
 DRAW = np.random.default_rng(3)
 X = DRAW.uniform(0.2, 0.9, (3, 4))
@@ -24,12 +24,12 @@ def program(function, *arrays):
             values.append(array[at])
         inputs.append(nodes)
     shapes = [jax.ShapeDtypeStruct(array.shape, array.dtype) for array in arrays]
-    return graph, translated(graph, lambda *a: [function(*a)], shapes, inputs)[0], values
+    return graph, translate(graph, lambda *a: [function(*a)], shapes, inputs)[0], values
 
 
 def operations(nodes):
     """How many of each kind a program computes."""
-    names = [node.op for node in ordered(np.ravel(nodes)) if node.args]
+    names = [node.op for node in topological_order(np.ravel(nodes)) if node.args]
     return {name: names.count(name) for name in names}
 
 
@@ -91,7 +91,7 @@ FUNCTIONS = {
 @pytest.mark.parametrize("name", list(FUNCTIONS))
 def test_values_are_those_of_jax(name):
     _, nodes, values = program(FUNCTIONS[name], X, Y)
-    flat = evaluated(list(nodes.flat), lambda i: values[i], np.float64)
+    flat = evaluate(list(nodes.flat), lambda i: values[i], np.float64)
     got = np.array([float(one) for one in flat]).reshape(nodes.shape)
     # Both compute the same operations; a library's sine or power may differ in its last digits.
     np.testing.assert_allclose(got, jit(FUNCTIONS[name])(X, Y), rtol=1e-13, atol=1e-15)
@@ -99,7 +99,7 @@ def test_values_are_those_of_jax(name):
 
 def test_not_a_number_stays_one():
     _, nodes, _ = program(lambda x: jnp.sign(x) + jnp.maximum(x, 1.0), X)
-    spoilt = evaluated(list(nodes.flat), lambda i: np.nan, np.float64)
+    spoilt = evaluate(list(nodes.flat), lambda i: np.nan, np.float64)
     assert np.all(np.isnan(spoilt))
 
 

@@ -8,9 +8,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax._status import NATIVE, EngineUsed
-from eoi_jax.compiler import jit, runtime, trace
+from eoi_jax.compiler import jit, llvm, runtime, trace
 from eoi_jax.compiler.graph import Untranslatable
-from eoi_jax.compiler.translation import kept_translation
+from eoi_jax.compiler.jit import cached_translation
 
 
 def oscillator(t, x, u, p):
@@ -34,7 +34,7 @@ def case():
 @pytest.fixture
 def nothing_kept():
     """What other tests have translated is forgotten, and what this one fails to is not kept."""
-    caches = jit.translated, jit.program_of, runtime.few_lanes
+    caches = runtime.compiled_loop, runtime.cached_program
     for one in caches:
         one.cache_clear()
     yield
@@ -52,8 +52,9 @@ def unwilling(*_):
 
 FAULTS = {
     "a parameter of an equation is renamed": (trace, "_equation", renamed),
-    "LLVM fails": (jit, "_translate", unwilling),
-    "LLVM fails, few lanes": (runtime, "engine_of", unwilling),
+    "LLVM fails": (jit, "_compile", unwilling),
+    "the code cannot be loaded": (runtime, "machine_code", unwilling),
+    "LLVM is missing": (llvm, "_llvm", None),
 }
 
 
@@ -64,14 +65,17 @@ def test_any_failure_of_the_translation_falls_back_to_the_scan(
     plant, record = case
     wanted = eoi.identify(plant, record), eoi.refine(plant, record)
     assert {one.engine for one in wanted} == {NATIVE}
-    for one in (jit.translated, jit.program_of, runtime.few_lanes):
+    for one in (runtime.compiled_loop, runtime.cached_program):
         one.cache_clear()
-    jit.engine_of.cache_clear()
+    jit.machine_code.cache_clear()
     monkeypatch.setattr(*FAULTS[fault])
+    monkeypatch.setattr(llvm, "_FAULT", "LLVM cannot be loaded: ImportError: no library")
     found = eoi.identify(plant, record), eoi.refine(plant, record)
     for one, other in zip(found, wanted, strict=True):
         assert one.engine.name == "scan"
-        assert "translation failed" in one.engine.reason
+        assert ("LLVM cannot be loaded" if "missing" in fault else "translation failed") in (
+            one.engine.reason
+        )
         assert one.engine.reason in str(one)
         assert one.engine.reason not in str(other)
         np.testing.assert_allclose(
@@ -87,7 +91,7 @@ def test_a_sweep_says_which_engine_ran(case, nothing_kept, monkeypatch):
     )
     fast = eoi.sweep(plant, record, observers, eoi.LowPass(20.0))
     assert (fast.attrs["engine"], fast.attrs["engine_reason"]) == ("native", "")
-    for one in (jit.translated, jit.program_of):
+    for one in (runtime.compiled_loop, runtime.cached_program):
         one.cache_clear()
     monkeypatch.setattr(trace, "_equation", renamed)
     slow = eoi.sweep(plant, record, observers, eoi.LowPass(20.0))
@@ -115,7 +119,7 @@ def test_a_model_beyond_arithmetic_runs_on_the_scan_and_says_so():
 def test_a_failure_is_kept_like_a_result():
     calls = []
 
-    @kept_translation
+    @cached_translation
     def half(number):
         calls.append(number)
         if number % 2:
@@ -130,7 +134,7 @@ def test_a_failure_is_kept_like_a_result():
 
 
 def test_a_warning_that_is_an_error_is_no_failure_of_the_translation():
-    @kept_translation
+    @cached_translation
     def translate(number):
         warnings.warn(f"folder {number}", UserWarning, stacklevel=2)
         return number

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eoi_jax import plants
-from eoi_jax.compiler.subnormals import ARCHITECTURES
+from eoi_jax.compiler.llvm import ARCHITECTURES
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.problem import kernel_of
 from eoi_jax.simulation import compiled_runs

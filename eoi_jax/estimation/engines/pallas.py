@@ -13,7 +13,7 @@ removed.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import equinox as eqx
@@ -24,8 +24,16 @@ from jax import lax
 from jax.experimental import pallas as pl
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.graph import Node, ordered
-from eoi_jax.compiler.loop import BLOCK, CARRY, LaneProgram, lane_program, shapes_of
+from eoi_jax.compiler.graph import Node, topological_order
+from eoi_jax.compiler.loop import (
+    BLOCK,
+    CARRY,
+    Body,
+    LaneProgram,
+    inputs_of,
+    lane_program,
+    shapes_of,
+)
 from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.engines.engine import AbstractEngine, Lanes, in_precision
 from eoi_jax.estimation.engines.pass_loop import Pass
@@ -185,35 +193,52 @@ class _Loop:
     """What one kernel computes, and where it finds what it does not.
 
     Attributes:
-        carries: numbers of those that it carries.
-        updates: of these, one each.
-        kept: numbers of the carries that it writes after the last step.
-        fixed, row, own: place of each node in the tables of what all lanes and steps share, of
-            what each step has for all lanes, and of what each lane has for itself.
+        body: of the loop; its general path, for threads that branch apart gain nothing.
+        written: numbers of the carries that it writes after the last step.
+        fixed, own: place of each node in the tables of what all lanes and steps share, and of what
+            each lane has for itself.
         driven: place of each input behind an actuator, a lane's own in each step.
-        shown: what it writes in each step.
     """
 
-    carries: tuple[int, ...]
-    updates: tuple[Node, ...]
-    kept: tuple[int, ...]
+    body: Body
+    written: tuple[int, ...]
     fixed: dict[Node, int]
-    row: dict[Node, int]
     own: dict[Node, int]
     driven: dict[Node, int] = field(default_factory=dict)
-    shown: tuple[Node, ...] = ()
+
+    @property
+    def carries(self) -> tuple[int, ...]:
+        """Numbers of those that it carries."""
+        return (*self.body.vectors, *self.body.scalars)
+
+    @property
+    def updates(self) -> tuple[Node, ...]:
+        """Of these, for each."""
+        return (*self.body.general.vectors, *self.body.general.scalars)
+
+    @property
+    def outputs(self) -> tuple[Node, ...]:
+        """What it writes in each step: rows, where it is of what the lanes share."""
+        return self.body.general.outputs if not self.body.vectors else ()
+
+    @functools.cached_property
+    def row(self) -> dict[Node, int]:
+        """Place of each node in the table of what each step has for all lanes."""
+        used = set(topological_order([*self.updates, *self.outputs]))
+        columns = self.body.columns.items()
+        return {node: i for node, i in columns if node in used and node not in self.driven}
 
     @functools.cached_property
     def carried(self) -> dict[Node, int]:
         """Place of each carried number before the step."""
         places = {i: place for place, i in enumerate(self.carries)}
-        found = _inputs([*self.updates, *self.shown], CARRY)
-        return {node: places[i] for node, i in found.items() if i in places}
+        inputs = inputs_of([*self.updates, *self.outputs], CARRY)
+        return {node: places[i] for node, i in inputs.items() if i in places}
 
     @functools.cached_property
     def emphasis(self) -> dict[Node, int]:
         """The factor on the scores of a block, if there is one."""
-        return _inputs(self.updates, BLOCK)
+        return inputs_of(self.updates, BLOCK)
 
 
 def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
@@ -223,33 +248,21 @@ def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
         program: of both.
         driven: how many numbers of a step are inputs behind an actuator; they come first.
     """
-    sums = {program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()}
-    fixed, own = _numbered(program.fixed), _numbered(program.own)
-    shared = [one.node for one in program.step_updates]
-    recorded = _inputs([*shared, *program.shared], "step")
+    sums = {program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()}
+    fixed, own = _numbered(program.fixed), _numbered(program.lane_constants)
 
-    def loop(carries: tuple[int, ...], updates: list[Node], row: dict, own: dict) -> _Loop:
-        kept = tuple(i for i in carries if i in sums)
-        return _Loop(carries, tuple(updates), kept, fixed, row, own)
+    def loop(body: Body, inputs: dict[Node, int]) -> _Loop:
+        written = tuple(i for i in (*body.vectors, *body.scalars) if i in sums)
+        return _Loop(body, written, fixed, own if body.vectors else {}, inputs)
 
-    lanes = [one.node for one in program.rare]
     if driven:
-        row = {node: i for node, i in recorded.items() if i >= driven}
-        behind = {node: i for node, i in recorded.items() if i < driven}
-        whole = loop(program.lane_carries + program.step_carries, lanes + shared, row, own)
-        return None, replace(whole, driven=behind)
-    first = replace(loop(program.step_carries, shared, recorded, {}), shown=program.shared)
-    return first, loop(program.lane_carries, lanes, _numbered(program.shared), own)
+        body = program.whole_body
+        return None, loop(body, {node: i for node, i in body.columns.items() if i < driven})
+    return loop(program.shared_body, {}), loop(program.lane_body, {})
 
 
 def _numbered(nodes: Sequence[Node]) -> dict[Node, int]:
     return {node: place for place, node in enumerate(nodes)}
-
-
-def _inputs(nodes: Sequence[Node], group: str) -> dict[Node, int]:
-    """Those of one group on which the nodes depend, and their numbers in it."""
-    inputs = (node for node in ordered(nodes) if node.op == "input")
-    return {node: node.value[1] for node in inputs if node.value[0] == group}
 
 
 # -- both kernels -----------------------------------------------------------------------------
@@ -277,7 +290,9 @@ def _launch(
 
     def table(nodes: Sequence[Node], *lanes: int) -> jax.Array:
         """Values before the first step, shape (nodes, *lanes)."""
-        places = [(node, group, i) for group in inputs for node, i in _inputs(nodes, group).items()]
+        places = [
+            (node, group, i) for group in inputs for node, i in inputs_of(nodes, group).items()
+        ]
         known = {node: inputs[group][i] for node, group, i in places}
         values = [_wide(_real(one, dtype), *lanes) for one in _computed(nodes, known, dtype)]
         # A row of nothing, here and below: kernels take no empty arrays.
@@ -293,20 +308,20 @@ def _launch(
     if first is not None:
         common, none = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
         kept, shown = _call(first, common, (start(first, 1), none, none, none[None]), 1, interpret)
-        found, rows = dict(zip(first.kept, kept, strict=False)), shown[..., 0]
-    none, own = table((), count), table(program.own, count)
+        found, rows = dict(zip(first.written, kept, strict=False)), shown[..., 0]
+    none, own = table((), count), table(program.lane_constants, count)
     emphasis = none if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
     behind = none[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
     by_lane = (start(second, count), own, emphasis, behind)
     kept, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
-    found |= dict(zip(second.kept, kept, strict=False))
+    found |= dict(zip(second.written, kept, strict=False))
     return _sums(program, found, jnp.isnan(own).any(0))
 
 
 def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
     """Sums of all lanes from the carried numbers that were kept; what never changed is known."""
     dtype = next(iter(found.values())).dtype
-    places = [program.same[i] for leaf in jax.tree.leaves(program.sums) for i in leaf.ravel()]
+    places = [program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()]
     known = {i: program.initial[i].value for i in places if i not in found}
     values = found | {i: jnp.asarray(value, dtype) for i, value in known.items()}
     row = {i: place for place, i in enumerate(values)}
@@ -316,7 +331,7 @@ def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) 
         rows = np.reshape([row[program.same[i]] for i in leaf.ravel()], leaf.shape)
         return jnp.moveaxis(table[rows], -1, 0)
 
-    return jax.tree.map(gathered, program.sums)
+    return jax.tree.map(gathered, program.result)
 
 
 def _call(
@@ -324,8 +339,8 @@ def _call(
 ) -> Sequence[jax.Array]:
     """What a loop keeps, shape (kept, lanes), and what its steps show, (steps, shown, lanes)."""
     length, (_, count) = common[-1].shape[0], by_lane[0].shape
-    shown = (length, len(loop.shown), count) if loop.shown else (1, 1, count)
-    shapes = ((max(len(loop.kept), 1), count), shown)
+    shown = (length, len(loop.outputs), count) if loop.outputs else (1, 1, count)
+    shapes = ((max(len(loop.written), 1), count), shown)
     call = pl.pallas_call(
         functools.partial(_kernel, loop, length, tile),
         out_shape=[jax.ShapeDtypeStruct(shape, by_lane[0].dtype) for shape in shapes],
@@ -377,7 +392,7 @@ def _kernel(
             known |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
             for node in loop.emphasis:
                 known[node] = emphasis[blocks[k], :]
-            values = _computed([*loop.updates, *loop.shown], known, dtype)
+            values = _computed([*loop.updates, *loop.outputs], known, dtype)
             values = [_wide(_real(value, dtype), tile) for value in values]
             for c, value in enumerate(values[len(loop.updates) :]):
                 shown[k, c, :] = value
@@ -386,7 +401,7 @@ def _kernel(
         begun = tuple(start[c, :] for c in range(len(loop.carries)))
         ended = lax.fori_loop(np.int32(0), np.int32(length), step, begun)
         last = dict(zip(loop.carries, ended, strict=True))
-        for c, i in enumerate(loop.kept):
+        for c, i in enumerate(loop.written):
             kept[c, :] = last[i]
 
     # Tiles beyond those in use pad the grid to a power of two.

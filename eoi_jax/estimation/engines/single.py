@@ -1,7 +1,7 @@
 """Passes of one lane over several records: one estimate, as `identify` runs it.
 
 Compiled where that can be, with a record on each core; else a scan over all of them. The compiled
-loop has the regressors side by side in one vector, one direction in θ for each, and shows F[φ] of
+loop has the regressors side by side in a vector, one direction in θ for each, and puts out F[φ] of
 every step, from which Σφᵀφ follows; all else is of single numbers.
 """
 
@@ -16,9 +16,8 @@ from jaxtyping import Float
 
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.graph import Untranslatable
-from eoi_jax.compiler.jit import cores, numbers, together
 from eoi_jax.compiler.loop import AbstractLoop
-from eoi_jax.compiler.runtime import FewLanes, few_lanes
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, together
 from eoi_jax.estimation.engines.engine import Lanes
 from eoi_jax.estimation.engines.native import pass_of, rows_of
 from eoi_jax.estimation.kernel import Carry, Kernel, Step, Steps, Sums, Trace, run_pass
@@ -26,7 +25,7 @@ from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant
 
-_CHUNK = 4096  # rows at a time: what they show stays in the cache
+_CHUNK = 4096  # rows at a time: their outputs stay in the cache
 
 Theta = Float[np.ndarray, " np"]
 
@@ -73,15 +72,15 @@ def alone(
     def scanned(theta: Theta, store: str) -> Any:
         return run_pass(plant, observer, lowpass, steps, jnp.asarray(theta), store=store)
 
-    def code() -> FewLanes:
+    def code() -> CompiledLoop:
         if not numeric:
             raise Untranslatable("an observer that holds other things than numbers")
         lane = _lane(observer, np.asarray(plant.theta), len(plant.outputs), dtype)
-        what, columns = pass_of(plant, lane, records[0][1], records[0][0], "signals")
-        one = _OnePass(
-            what.plant, what.lowpass, what.lane.observer, what.lane.theta, what.step, dtype
+        lanes, columns = pass_of(plant, lane, records[0][1], records[0][0], "signals")
+        loop = _SinglePass(
+            lanes.plant, lanes.lowpass, lanes.lane.observer, lanes.lane.theta, lanes.step, dtype
         )
-        return few_lanes(one, columns, len(plant.names))
+        return compiled_loop(loop, columns, len(plant.names), True)
 
     try:
         compiled = code()
@@ -90,11 +89,11 @@ def alone(
 
     def run(theta: Theta, store: str) -> Any:
         if not rows:
-            rows.extend(_counted(each, dtype) for each, _ in records)
+            rows.extend(_counted(record, dtype) for record, _ in records)
         signals = None
         if store == "signals":  # zeros stay behind the last step that counts
-            signals = np.zeros((*np.shape(steps.use)[:2], compiled.shown[-1].stop), dtype)
-        jobs = [_Job(compiled, plant, observer, theta, *each) for each in records]
+            signals = np.zeros((*np.shape(steps.use)[:2], compiled.outputs[-1].stop), dtype)
+        jobs = [_Job(compiled, plant, observer, theta, *record) for record in records]
         waiting = iter(range(len(jobs)))
 
         def work() -> None:
@@ -103,14 +102,14 @@ def alone(
 
         together(work, min(cores(), len(jobs)))
         sums = [job.sums() for job in jobs]
-        trace = None if signals is None else _trace(signals, compiled.shown, len(theta))
+        trace = None if signals is None else _trace(signals, compiled.outputs, len(theta))
         return jax.tree.map(lambda *leaves: np.stack(leaves), *sums), trace
 
     return OnePass(run, NATIVE)
 
 
 @dataclass(frozen=True, eq=False)
-class _OnePass(AbstractLoop):
+class _SinglePass(AbstractLoop):
     """What is traced: lanes are directions in θ, one for each regressor; the rest is shared."""
 
     plant: Plant
@@ -157,7 +156,7 @@ class _Job:
 
     def __init__(
         self,
-        code: FewLanes,
+        code: CompiledLoop,
         plant: Plant,
         observer: AbstractObserver,
         theta: Theta,
@@ -174,15 +173,15 @@ class _Job:
         self._information = np.zeros((ny, len(theta), len(theta)), code.dtype)
 
     def go(self, rows: np.ndarray, signals: np.ndarray | None) -> None:
-        """Through the record; what it shows is written where there is room for it."""
-        shown, ny, size = self._run.code.shown, *self._information.shape[:2]
+        """Through the record; outputs are written where there is room for them."""
+        places, ny, size = self._run.code.outputs, *self._information.shape[:2]
         first = 0
         with np.errstate(over="ignore", invalid="ignore"):  # of a model without bound
-            for part in self._run.through(rows, _CHUNK, signals):
+            for part in self._run.outputs(rows, _CHUNK, signals):
                 scores = self._score[first : first + len(part)]
                 first += len(part)
                 for j in range(ny):
-                    phi = _regressors(part, shown[2 * ny + j], size)
+                    phi = _regressors(part, places[2 * ny + j], size)
                     # Nearly all steps count: the product would take longer than all else here.
                     all_count = np.all(scores[:, j] == 1.0)
                     scored = phi if all_count else scores[:, j, None] * phi
@@ -193,10 +192,10 @@ class _Job:
         size, dtype = self._information.shape[1], self._information.dtype
 
         def carried(places: np.ndarray) -> np.ndarray:
-            each = [np.broadcast_to(self._run.carried(i), size) for i in places.ravel()]
-            return np.stack(each).astype(dtype)
+            values = [np.broadcast_to(self._run.carried(i), size) for i in places.ravel()]
+            return np.stack(values).astype(dtype)
 
-        places = self._run.code.program.sums
+        places = self._run.code.program.result
         sums = Sums(
             information=self._information,
             rhs=carried(places.rhs),
@@ -210,16 +209,18 @@ class _Job:
         return jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), sums) if self._spoilt else sums
 
 
-def _regressors(shown: np.ndarray, place: slice, size: int) -> np.ndarray:
+def _regressors(outputs: np.ndarray, place: slice, size: int) -> np.ndarray:
     """F[φ] of one output, shape (…, np); of a model without parameters in it all are the same."""
-    phi = shown[..., place][..., :size]
+    phi = outputs[..., place][..., :size]
     return np.broadcast_to(phi, (*phi.shape[:-1], size))
 
 
-def _trace(signals: Float[np.ndarray, "records S columns"], shown: list[slice], size: int) -> Trace:
-    """What each step shows, part by part."""
-    ny = len(shown) // 3
-    phi = [_regressors(signals, place, size) for place in shown[2 * ny :]]
+def _trace(
+    signals: Float[np.ndarray, "records S columns"], places: list[slice], size: int
+) -> Trace:
+    """What each step puts out, part by part."""
+    ny = len(places) // 3
+    phi = [_regressors(signals, place, size) for place in places[2 * ny :]]
     # Views, but for the regressors of several outputs.
     return Trace(
         signals[..., :ny], signals[..., ny : 2 * ny],
@@ -230,8 +231,8 @@ def _trace(signals: Float[np.ndarray, "records S columns"], shown: list[slice], 
 def _lane(observer: AbstractObserver, theta: Theta, outputs: int, dtype: Any) -> Lanes:
     """The only one; it has neither Δθ nor weights of outputs, which only scores ask for."""
     gains = jax.tree.map(lambda leaf: np.asarray(leaf, dtype)[None], observer)
-    given = theta, np.zeros_like(theta), np.ones(outputs)
-    return Lanes(gains, *(np.asarray(one, dtype)[None] for one in given))
+    numbers_of_lane = theta, np.zeros_like(theta), np.ones(outputs)
+    return Lanes(gains, *(np.asarray(leaf, dtype)[None] for leaf in numbers_of_lane))
 
 
 def _counted(steps: Steps, dtype: Any) -> np.ndarray:

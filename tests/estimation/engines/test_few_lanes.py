@@ -1,4 +1,4 @@
-"""Loops of few lanes in one vector: what they refuse, wide ones, records in pieces."""
+"""Loops of few lanes in one vector, what they share inline: wide ones, records in pieces."""
 
 import jax
 import jax.numpy as jnp
@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from eoi_jax import plants
-from eoi_jax.compiler import one_vector
-from eoi_jax.compiler.graph import Untranslatable
-from eoi_jax.compiler.runtime import few_lanes
+from eoi_jax.compiler.instructions import width_for
+from eoi_jax.compiler.runtime import RowFlags, compiled_loop, numbers
 from eoi_jax.estimation.engines import Lanes, single
-from eoi_jax.estimation.engines.native import pass_of
+from eoi_jax.estimation.engines.native import pass_of, rows_of
 from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import SecondOrder
@@ -51,7 +50,7 @@ WIDE = Plant(waves, dict.fromkeys(TERMS, 0.5), 1, ("u",), ("y",))
 
 def test_more_unknowns_than_a_register_holds_are_those_of_the_scan():
     lane, table, rows = run_of(WIDE, [0.3])
-    assert one_vector.width_for(20, float) == 32
+    assert width_for(20, float) == 32
     _, expected = kernel_of(WIDE, "signals").run(lane, rows, jnp.asarray(PERIOD))
     np.testing.assert_allclose(shown(WIDE, lane, table), expected, rtol=1e-9, atol=1e-12)
 
@@ -72,23 +71,42 @@ def steps_of(u):
     return Steps(TIME, y[:-1], y[1:], u, ones, ones, first, ones[:, 0], last, period)
 
 
-def test_flags_are_refused():
-    plant, observer = plants.mass_spring_damper(), SecondOrder(20.0, 100.0, 500.0)
-    gains = jax.tree.map(lambda leaf: np.asarray(leaf)[None], observer)
-    lanes = Lanes(gains, np.asarray(plant.theta)[None], np.zeros((1, 3)), np.ones((1, 1)))
-    steps = steps_of(np.sin(TIME)[:, None])
-    what, columns = pass_of(plant, lanes, LowPass(40.0).discretise(PERIOD), steps, "signals")
-    with pytest.raises(Untranslatable, match="flags"):
-        few_lanes(what, columns, 1)
-
-
-def test_branches_that_lanes_take_each_for_itself_are_refused():
+def test_a_loop_that_branches_for_each_lane_sums_the_same_inline():
     """Dry friction stops lanes of other parameters at other times."""
-    kernel = kernel_of(plants.pendulum(), "sums")
+    plant = plants.pendulum()
+    kernel = kernel_of(plant, "sums")
     dtype, (lane, row) = np.dtype(float), compiled_runs._shapes(4, 2, 1, 1)
-    what = compiled_runs._FreeRun(compiled_runs.shapes_of(kernel, dtype), lane, row, dtype)
-    with pytest.raises(Untranslatable, match="branches"):
-        few_lanes(what, 6, 4)
+    loop = compiled_runs._FreeRun(compiled_runs.shapes_of(kernel, dtype), lane, row, dtype)
+    one, table, _ = run_of(plant, [0.1, 0.0])
+    scale = np.linspace(0.8, 1.2, 5)
+    lanes = np.stack([numbers(one, float)] * 5, axis=1)
+    lanes[:4] *= scale
+    fixed = numbers((kernel, PERIOD), float)
+    by_row = compiled_loop(loop, 6).begin(lanes, fixed)
+    by_row.advance(table)
+    inline = compiled_loop(loop, 6, 5, True).begin(lanes, fixed)
+    inline.advance(table)
+    assert np.ptp(by_row.result()[:, 0, 0]) > 0
+    np.testing.assert_allclose(inline.result(), by_row.result(), rtol=1e-9, atol=1e-12)
+
+
+def test_a_loop_with_flags_sums_the_same_inline():
+    plant, observer = plants.mass_spring_damper(), SecondOrder(20.0, 100.0, 500.0)
+    gains = jax.tree.map(lambda leaf: np.full(3, leaf), observer)
+    theta = np.linspace(0.9, 1.1, 3)[:, None] * np.asarray(plant.theta)
+    lanes = Lanes(gains, theta, np.zeros((3, 3)), np.ones((3, 1)))
+    steps, lowpass = steps_of(np.sin(TIME)[:, None]), LowPass(40.0).discretise(PERIOD)
+    loop, columns = pass_of(plant, lanes, lowpass, steps, "nothing")
+    fixed = numbers((plant, lowpass, steps.sample_period, steps.y[0], steps.y_next[0]), float)
+    sums = []
+    for arguments in ((loop, columns), (loop, columns, 3, True)):
+        run = compiled_loop(*arguments).begin(numbers(lanes, float, skip=1).T, fixed)
+        run.advance(rows_of(steps, float), RowFlags(np.asarray(steps.restart)))
+        sums.append(run.result())
+    by_row, inline = sums
+    assert np.all(by_row.square > 0)
+    for one, other in zip(jax.tree.leaves(inline), jax.tree.leaves(by_row), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.max(np.abs(other)))
 
 
 @pytest.mark.parametrize("store", ["nothing", "signals"])

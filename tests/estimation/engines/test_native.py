@@ -9,8 +9,8 @@ import pytest
 from problems import LEVEL, SWAY, grid
 
 from eoi_jax import plants
-from eoi_jax.compiler import jit, llvm, loop
-from eoi_jax.compiler.graph import Untranslatable, ordered
+from eoi_jax.compiler import jit, llvm, loop, runtime
+from eoi_jax.compiler.graph import Untranslatable, topological_order
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.engines import Lanes, Native, Scan, native
 from eoi_jax.estimation.lowpass import LowPass
@@ -145,7 +145,7 @@ def test_single_precision(swinging):
 def test_a_record_in_pieces(swinging, monkeypatch):
     lanes = lanes_of(PENDULUM, RELAY, 3)
     whole = Native().run(PENDULUM, lanes, LOWPASS, swinging)
-    monkeypatch.setattr(native, "_CHUNK_BYTES", 2000)
+    monkeypatch.setattr(runtime, "_CHUNK_BYTES", 2000)
     close(Native().run(PENDULUM, lanes, LOWPASS, swinging), whole)
 
 
@@ -187,14 +187,14 @@ def program_of(plant, observer, steps, store="nothing"):
 
 
 def each_lane_and_step(program):
-    nodes = ordered([update.node for update in program.plain])
-    return [node.op for node in nodes if program.level(node) == loop.BOTH and node.args]
+    nodes = topological_order(program.common.vectors)
+    return [node.op for node in nodes if program.level(node) == loop.LANE_ROW and node.args]
 
 
 def test_what_the_record_decides_is_computed_once_for_all_lanes(swinging):
     program = program_of(PENDULUM, RELAY, swinging)
     lanes = each_lane_and_step(program)
-    shared = [node.op for node in ordered([one.node for one in program.step_updates])]
+    shared = [node.op for node in topological_order(program.general.scalars)]
     assert "sin" in shared
     assert "sin" not in lanes
     assert "div" not in lanes
@@ -207,7 +207,7 @@ def test_what_the_record_decides_is_computed_once_for_all_lanes(swinging):
 
 def test_sums_that_are_equal_are_added_once(swinging):
     program = program_of(PENDULUM, RELAY, swinging)
-    same = np.array(program.same)[program.sums.information[0]]
+    same = np.array(program.same)[program.result.information[0]]
     np.testing.assert_array_equal(same, same.T)
 
 
@@ -215,10 +215,10 @@ def test_what_stays_is_not_computed():
     """Masses in a row: the parameters of one are not in the equations of another."""
     plant = plants.three_mass_spring_damper()
     program = program_of(plant, RELAY, steps_of(plant, RELAY))
-    information = program.sums.information
+    information = program.result.information
     kept = {program.same[i] for i in information.ravel()} & {
         *program.lane_carries,
-        *program.step_carries,
+        *program.shared_carries,
     }
     assert len(kept) == 4 * 5 // 2 + 4 * 5 // 2 + 3 * 4 // 2
 
@@ -227,8 +227,8 @@ def test_one_compilation_for_all_lanes_and_lengths(monkeypatch):
     def dynamics(t, x, u, p):
         return -p.k * jnp.tanh(x.y[0]) - p.d * x.y[1] + u
 
-    compiled, original = [], jit._translate
-    monkeypatch.setattr(jit, "_translate", lambda *a: compiled.append(1) or original(*a))
+    compiled, original = [], jit._compile
+    monkeypatch.setattr(jit, "_compile", lambda *a: compiled.append(1) or original(*a))
     plant = Plant(dynamics, {"k": 5.0, "d": 0.4}, 2)
     for count, samples in ((3, 200), (40, 200), (3, 321)):
         steps = steps_of(plant, RELAY, samples)
@@ -242,13 +242,13 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
     lanes = lanes_of(PENDULUM, RELAY, 3)
     before = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    jit.translated.cache_clear()
-    jit.engine_of.cache_clear()
+    runtime.compiled_loop.cache_clear()
+    jit.machine_code.cache_clear()
     Native().run(PENDULUM, lanes, LOWPASS, swinging)
     assert len(list((tmp_path / "native").iterdir())) == 1
-    jit.translated.cache_clear()
-    jit.engine_of.cache_clear()
-    monkeypatch.setattr(jit, "_translate", lambda *a: pytest.fail("compiled again"))
+    runtime.compiled_loop.cache_clear()
+    jit.machine_code.cache_clear()
+    monkeypatch.setattr(jit, "_compile", lambda *a: pytest.fail("compiled again"))
     again = Native().run(PENDULUM, lanes, LOWPASS, swinging)
     close(again, before, rtol=0)
 
@@ -256,8 +256,8 @@ def test_code_is_kept_on_disk(tmp_path, monkeypatch, swinging):
 def test_a_folder_that_cannot_be_written_is_no_obstacle(tmp_path, swinging):
     (tmp_path / "native").write_text("a file where the folder should be")
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    jit.translated.cache_clear()
-    jit.engine_of.cache_clear()
+    runtime.compiled_loop.cache_clear()
+    jit.machine_code.cache_clear()
     with pytest.warns(RuntimeWarning, match="cannot be made"):
         Native().run(PENDULUM, lanes_of(PENDULUM, RELAY, 2), LOWPASS, swinging)
 
