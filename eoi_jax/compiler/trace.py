@@ -253,7 +253,6 @@ def _constants(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
 def _scatter_add(
     graph: Graph, equation: Any, array: np.ndarray, where: np.ndarray, added: np.ndarray
 ) -> np.ndarray:
-    name = "scatter-add"
     numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
     nowhere = np.full(array.shape, -1, np.int32)
     places = _constants("scatter-add", where, equation.invars[1])

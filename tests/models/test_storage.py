@@ -83,7 +83,7 @@ def results(tmp_path_factory):
 
 EXPORTED = [
     item
-    for item in (getattr(eoi, name) for name in eoi.__all__)
+    for item in (getattr(eoi, name) for name in dir(eoi))
     if isinstance(item, type) and hasattr(item, "plot")
 ]
 

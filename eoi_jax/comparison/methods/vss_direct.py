@@ -166,7 +166,7 @@ def _prepared(filtered: Equation) -> tuple[Signals, _Gains, list[str]]:
         jnp.asarray(width),
         jnp.asarray(_RATE if is_paper_plant else _RATE * _LAG / lag),
         jnp.asarray(lag),
-        solution.inverse / settling,
+        jnp.asarray(solution.inverse / settling),
         jnp.asarray(weights),
         jnp.asarray(np.asarray(plant.degrees) == 2),
     )

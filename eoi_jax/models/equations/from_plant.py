@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.graph import Graph, Node, Untranslatable, ordered
-from eoi_jax.compiler.trace import translated
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable, topological_order
+from eoi_jax.compiler.trace import translate
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
 from eoi_jax.models.plant import Plant, State
@@ -79,7 +79,7 @@ class SymbolicPlant:
         arguments = [time, self.y, *map(_row, (self.z, driven, self.theta))]
         dtype = jnp.result_type(float)
         shapes = [jax.ShapeDtypeStruct(array.shape, dtype) for array in arguments]
-        (nodes,) = translated(self.graph, of_arrays, shapes, arguments)
+        (nodes,) = translate(self.graph, of_arrays, shapes, arguments)
         return list(nodes)
 
     def formulas(self, function: Callable[..., Any]) -> list[Expression] | None:
@@ -92,7 +92,9 @@ class SymbolicPlant:
             nodes = self.nodes(function)
         except Untranslatable:
             return None
-        if not all(np.isfinite(node.value) for node in ordered(nodes) if node.op == "constant"):
+        if not all(
+            np.isfinite(node.value) for node in topological_order(nodes) if node.op == "constant"
+        ):
             return None
         forms = _Forms(nodes)
         trees = forms.trees()
@@ -166,7 +168,7 @@ class _Forms:
         self.size: dict[int, int] = {}
         self.depth: dict[int, int] = {}
         self.definitions: list[tuple[Symbol, Expression]] = []
-        for node in ordered(roots):
+        for node in topological_order(roots):
             is_signal = node.op == "input" and not node.value.parameter
             self.varies[node.order] = is_signal or any(self.varies[arg.order] for arg in node.args)
 
@@ -179,7 +181,7 @@ class _Forms:
         """Trees of the roots; with names for what they share."""
         uses = self._uses()
         trees: dict[int, Expression] = {}
-        for node in ordered(self.roots):
+        for node in topological_order(self.roots):
             if node.order not in uses:
                 continue
             kind, args = self._form(node)
