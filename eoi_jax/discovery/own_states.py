@@ -62,7 +62,7 @@ def states_along(
     scalars = tuple(np.zeros(()) for _ in signals)
     own, lane, step = shapes_of((_Own(effect), shapes[0], _Row(scalars, scalars)), dtype)
     try:
-        code = compiled_loop(_States(own, lane, step, dtype), 2 * len(signals), _LANES, inline=True)
+        code = compiled_loop(_States(own, lane, step, dtype), 2 * len(signals), _LANES, True)
     except Untranslatable:
         return np.asarray(_by_xla(effect, shapes, signals, change, np.asarray(h)))
     rows = np.stack([*signals, *change], axis=1).astype(dtype)

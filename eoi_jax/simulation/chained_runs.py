@@ -128,7 +128,7 @@ def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoo
     row = _Row(none, np.zeros((3, len(plant.inputs))), none, start)
     model, lane, step = shapes_of((_Model(plant, friction), none, row), dtype)
     columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
-    return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, inline=True)
+    return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, True)
 
 
 def _scanned(
