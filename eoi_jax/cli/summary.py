@@ -12,7 +12,7 @@ import numpy as np
 
 from eoi_jax.cli.run_folder import Job
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.result import Added, Discovery, Lead
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.equations.display import equation_latex, equation_lines, equation_text
 from eoi_jax.models.plant import Plant
@@ -223,7 +223,7 @@ def _added(effects: Sequence[Added]) -> list[dict[str, Any]]:
     return [{**_fields(added), "effect": added.effect.name} for added in effects]
 
 
-def _lead(lead: Lead | None) -> dict[str, Any] | None:
+def _lead(lead: PartialExplanation | None) -> dict[str, Any] | None:
     if lead is None:
         return None
     runs = {"after": lead.after, "windows_after": lead.windows_after}

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax.compiler.pointwise import Along, along
-from eoi_jax.discovery.cosine_modes import Stretch, internal_along, model_rows
+from eoi_jax.discovery.cosine_modes import ModalRecord, internal_along, model_rows
 from eoi_jax.discovery.own_states import Signals, states_along
 from eoi_jax.discovery.thinning import averaged_and_thinned
 from eoi_jax.models.augmented import Placed, augmented
@@ -35,7 +35,7 @@ _SHAPES = 16  # of a grid, evaluated at once
 
 
 @dataclass(frozen=True)
-class Atom:
+class CandidateColumns:
     """One effect at one value of its shape parameters, as columns.
 
     Attributes:
@@ -62,7 +62,7 @@ class Atom:
 def seen_at(
     plant: Plant,
     placed: Placed,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[ModalRecord],
     band: float,
     peaks: Float[np.ndarray, " peaks"],
     lags: Float[np.ndarray, " lags"],
@@ -92,9 +92,9 @@ def atoms(
     plant: Plant,
     placed: Placed,
     shapes: Grid,
-    stretches: Sequence[Stretch],
+    stretches: Sequence[ModalRecord],
     late: str | None = None,
-) -> list[Atom]:
+) -> list[CandidateColumns]:
     """An effect at several values of its shape parameters.
 
     Args:
@@ -115,19 +115,26 @@ def atoms(
         inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
         target, slopes = model_rows(plant, stretches, inputs)
         none = np.zeros((target.shape[1], 0))
-        made = [Atom(placed, value, none, target[i], slopes[i]) for i, value in enumerate(values)]
+        made = [
+            CandidateColumns(placed, value, none, target[i], slopes[i])
+            for i, value in enumerate(values)
+        ]
     elif placed.on_state:
         made = _changed_states(plant, placed, values, stretches)
     else:
         columns = _term_rows(plant, placed, shapes, stretches)
-        made = [Atom(placed, value, columns[i]) for i, value in enumerate(values)]
+        made = [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
     # A state that is faster than the steps does not stay finite: that shape cannot be tried.
     return [one for one in made if _finite(one)]
 
 
 def _later(
-    plant: Plant, placed: Placed, shape: tuple[float, ...], stretches: Sequence[Stretch], late: str
-) -> Atom:
+    plant: Plant,
+    placed: Placed,
+    shape: tuple[float, ...],
+    stretches: Sequence[ModalRecord],
+    late: str,
+) -> CandidateColumns:
     i, theta = plant.names.index(late), np.array(plant.theta)
     theta[i] = np.clip(theta[i] - shape[0], plant.lower[i], plant.upper[i])
     shapes = np.reshape(shape, (1, -1))
@@ -135,18 +142,18 @@ def _later(
     target, slopes = model_rows(plant.with_parameters(theta), stretches, inputs)
     # f(θ) = f(θ') + ∂f/∂θ (θ - θ'), for increments that count from θ as those of all atoms do.
     target = target[0] - slopes[0] @ (np.asarray(plant.theta) - theta)
-    return Atom(placed, shape, np.zeros((len(target), 0)), target, slopes[0])
+    return CandidateColumns(placed, shape, np.zeros((len(target), 0)), target, slopes[0])
 
 
-def _finite(one: Atom) -> bool:
+def _finite(one: CandidateColumns) -> bool:
     parts = [part for part in (one.columns, one.target, one.slopes) if part is not None]
     # Not a number compares as False.
     return all(bool(np.max(np.abs(part), initial=0.0) < _OVERFLOW) for part in parts)
 
 
 def _changed_states(
-    plant: Plant, placed: Placed, shapes: list[tuple[float, ...]], stretches: Sequence[Stretch]
-) -> list[Atom]:
+    plant: Plant, placed: Placed, shapes: list[tuple[float, ...]], stretches: Sequence[ModalRecord]
+) -> list[CandidateColumns]:
     """The model with the effect in it at gains of zero: its columns are all of them."""
     gains, declared = len(placed.effect.gains), len(plant.names)
     own, made = slice(declared, declared + gains), []
@@ -155,12 +162,14 @@ def _changed_states(
     for shape in shapes:
         changed = whole.with_parameters(np.concatenate([whole.theta[: own.stop], shape]))
         target, slopes = model_rows(changed, stretches)
-        made.append(Atom(placed, shape, slopes[0][:, own], target[0], slopes[0][:, :declared]))
+        made.append(
+            CandidateColumns(placed, shape, slopes[0][:, own], target[0], slopes[0][:, :declared])
+        )
     return made
 
 
 def _term_rows(
-    plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[Stretch]
+    plant: Plant, placed: Placed, shapes: Grid, stretches: Sequence[ModalRecord]
 ) -> Float[np.ndarray, "grid rows gains"]:
     effect = placed.effect
     assert isinstance(effect, AbstractTerm)
@@ -190,7 +199,7 @@ def _in_parts(shapes: Grid, z: Float[np.ndarray, "grid S states"]) -> Iterator[t
 
 
 def _thinned_term(
-    effect: AbstractTerm, rows: tuple, shapes: Grid, z: Any, degree: int, one: Stretch, k: int
+    effect: AbstractTerm, rows: tuple, shapes: Grid, z: Any, degree: int, one: ModalRecord, k: int
 ) -> Float[np.ndarray, "grid gains nodes"]:
     """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is.
 
@@ -237,7 +246,7 @@ class _Changed:
         return self.effect.changed(At(t, y, v, u, z), shape)
 
 
-def _pushes(plant: Plant, placed: Placed, one: Stretch) -> Float[np.ndarray, "S ny"]:
+def _pushes(plant: Plant, placed: Placed, one: ModalRecord) -> Float[np.ndarray, "S ny"]:
     """What one unit of an effect adds to y^(r) of each output."""
     if placed.through is not None:
         return input_slopes(plant, one.time, one.y, one.u, placed.through)
@@ -245,7 +254,9 @@ def _pushes(plant: Plant, placed: Placed, one: Stretch) -> Float[np.ndarray, "S 
     return np.broadcast_to(own.astype(float), (len(one.time), len(own)))
 
 
-def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndarray, "grid S nu"]:
+def _changed_inputs(
+    placed: Placed, shapes: Grid, one: ModalRecord
+) -> Float[np.ndarray, "grid S nu"]:
     """The inputs as the model gets them."""
     effect, (signals, change) = placed.effect, _signals(one, placed)
     inputs = np.repeat(one.u[None], len(shapes), axis=0)
@@ -259,7 +270,7 @@ def _changed_inputs(placed: Placed, shapes: Grid, one: Stretch) -> Float[np.ndar
     return inputs
 
 
-def _signals(one: Stretch, placed: Placed) -> tuple[Signals, Signals]:
+def _signals(one: ModalRecord, placed: Placed) -> tuple[Signals, Signals]:
     """Time, output, velocity and an input, in the middle of each step; their change over it."""
     row, channel = placed.row, placed.channel if placed.on_input else 0
     known = row < one.y.shape[1]

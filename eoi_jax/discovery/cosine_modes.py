@@ -60,7 +60,7 @@ Rows = Float[np.ndarray, "*batch modes"]
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ModalRecord:
     """One record as models are evaluated along it, S steps of h seconds.
 
     Attributes:
@@ -105,7 +105,7 @@ class Stretch:
         return modes[..., self.kept] * np.sqrt(self.sample_period / len(self.kernel))
 
 
-def stretch(plant: Plant, record: Record, band: float) -> Stretch:
+def stretch(plant: Plant, record: Record, band: float) -> ModalRecord:
     """A record made ready for modes up to `band` [rad/s].
 
     Args:
@@ -137,7 +137,7 @@ def stretch(plant: Plant, record: Record, band: float) -> Stretch:
         np.gradient(y, axis=0),
         np.zeros_like(u) if held else np.gradient(u, axis=0),
     )
-    return Stretch(
+    return ModalRecord(
         time,
         y,
         u,
@@ -360,14 +360,14 @@ def model_along(
     return each_of(both, jnp.asarray(inputs), recursive)
 
 
-def _recursive_along(plant: Plant, one: Stretch, inputs: np.ndarray) -> tuple[Any, Any]:
+def _recursive_along(plant: Plant, one: ModalRecord, inputs: np.ndarray) -> tuple[Any, Any]:
     """`model_along` of a plant with internal states, or behind an actuator."""
     h, thin = np.asarray(one.sample_period), (one.weight, one.kernel)
     return model_along(plant, plant.theta, (one.time, one.y), inputs, one.bend, thin, h)
 
 
 def _static_along(
-    plant: Plant, one: Stretch, inputs: Float[np.ndarray, "grid S nu"]
+    plant: Plant, one: ModalRecord, inputs: Float[np.ndarray, "grid S nu"]
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """`model_along` of a plant of which each instant stands for itself."""
     f, phi = [], []
@@ -423,7 +423,7 @@ def _internal(plant: Plant, theta: Array, rows: tuple, bend: tuple, h: Any) -> A
     return integrated(rate, start, rows, bend, h)
 
 
-def internal_along(plant: Plant, one: Stretch) -> Float[np.ndarray, "S nz"]:
+def internal_along(plant: Plant, one: ModalRecord) -> Float[np.ndarray, "S nz"]:
     """Internal states of a plant in the middle of each step, at its parameters."""
     theta = jnp.asarray(plant.theta)
     h = jnp.asarray(one.sample_period)
@@ -465,7 +465,7 @@ def moved_through(
 
 
 def model_rows(
-    plant: Plant, stretches: Sequence[Stretch], inputs: Sequence[np.ndarray] | None = None
+    plant: Plant, stretches: Sequence[ModalRecord], inputs: Sequence[np.ndarray] | None = None
 ) -> tuple[Float[np.ndarray, "grid rows"], Float[np.ndarray, "grid rows np"]]:
     """y^(r) - f and ∂f/∂θ as modes, of all stretches and outputs one behind the other.
 

@@ -33,7 +33,7 @@ from eoi_jax.discovery.refit import (
     refitted,
     window_of,
 )
-from eoi_jax.discovery.result import Added, Discovery, Lead
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import aside
@@ -58,7 +58,7 @@ _WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there
 _END = 1e-3  # of a range of shapes: as near as this to its end
 
 Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
-Told = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 
 
 @one_thread()
@@ -73,7 +73,7 @@ def discover(
     most: int = 3,
     window: float | None = None,
     refine: bool = False,
-    callback: Told | None = None,
+    callback: Progress | None = None,
 ) -> Discovery:
     """Find what a model lacks, and add it.
 
@@ -119,8 +119,8 @@ def discover(
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, several, held, window)
-    told = callback or _untold
-    told("fitting the declared model", 0, _STAGES)
+    progress = callback or _untold
+    progress("fitting the declared model", 0, _STAGES)
     prepared, several, brief = _telling(plant, several, lowpass)
     start = min(float(one.time[0]) for one in several)
     tried, spare = (tuple(one.since(start) for one in part) for part in (tried, spare))
@@ -128,9 +128,9 @@ def discover(
     if declared.status.code in ("no_data", "diverged"):
         return _failed(declared, held, several)
     task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
-    found = _run(task, spare, told)
+    found = _run(task, spare, progress)
     if refine and found.status.code in ("explained", "nothing_missing"):
-        told("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
+        progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
         found = _polished(task, found, None if effects is None else tried)
     found = _doubted(task, found, refine)
     unfit = [] if effects is None else _unfit(tried, fitting, found)
@@ -164,7 +164,7 @@ def _untold(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
+def _run(task: Task, spare: Sequence[AbstractEffect], progress: Progress) -> Discovery:
     """Rounds of search and refit, then the free runs.
 
     What is so rare that it would only cast doubt on an answer may be one where there is none: then
@@ -172,19 +172,19 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
     """
     # The search does not wait for the free runs before it.
     with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
-        steps, rounds = _searched(task, told)
+        steps, rounds = _searched(task, progress)
         if not rounds[0].base.whole_power > 0.0:
             none = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
             reason = none.format(task.declared.lowpass.cutoff)
             lost = replace(task.declared, status=Status("no_data", reason))
             return _failed(lost, task.held, task.records)
-        told("fitting again, free runs", 1 + _ROUNDS, _STAGES)
+        progress("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         found = _answer(task, steps, rounds, before())
     if found.status.code != "unexplained":
         return found
     if placements(task.plant, spare):
         wider = replace(task, effects=(*task.effects, *spare))
-        more = _answer(wider, *_searched(wider, told, rounds[0]), before())
+        more = _answer(wider, *_searched(wider, progress, rounds[0]), before())
         named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
         if named and more.explained >= _WHOLLY:
             return more
@@ -192,7 +192,7 @@ def _run(task: Task, spare: Sequence[AbstractEffect], told: Told) -> Discovery:
 
 
 def _searched(
-    task: Task, told: Told, earlier: Round | None = None
+    task: Task, progress: Progress, earlier: Round | None = None
 ) -> tuple[list[Step], list[Round]]:
     """Rounds of search and refit until nothing is justified; the steps are those that added.
 
@@ -200,7 +200,7 @@ def _searched(
     """
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for i in range(_ROUNDS):
-        told(f"searching, round {i + 1}", 1 + i, _STAGES)
+        progress(f"searching, round {i + 1}", 1 + i, _STAGES)
         one = Round(task, model, placed, rounds[-1] if rounds else earlier)
         if not len(one.base.target):
             return [], [one]
@@ -381,7 +381,7 @@ def _answer(
 
 def _lead(
     task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
-) -> Lead | None:
+) -> PartialExplanation | None:
     """The last set that free runs get better with, though it takes too little to be an answer."""
     for model, placed, done in reversed(steps):
         if not_simulated(model):
@@ -391,7 +391,7 @@ def _lead(
         if found.status.ok and holds(before, runs):
             share, _, _ = explained(rounds if placed is steps[-1][1] else done)
             added = tuple(_added(task.plant, found, one) for one in placed)
-            return Lead(added, share, found, *runs)
+            return PartialExplanation(added, share, found, *runs)
     return None
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.discovery.cosine_modes import Rows, Stretch
+from eoi_jax.discovery.cosine_modes import ModalRecord, Rows
 from eoi_jax.discovery.thinning import averaged, thinned
 from eoi_jax.models.jacobians import input_slopes
 from eoi_jax.models.plant import Plant
@@ -48,7 +48,7 @@ def strongest(peaks: Sequence[Peak]) -> Iterator[float]:
 
 
 def lags(
-    plant: Plant, several: Sequence[Stretch], residual: Rows, power: Rows, channel: int
+    plant: Plant, several: Sequence[ModalRecord], residual: Rows, power: Rows, channel: int
 ) -> Float[np.ndarray, " lags"]:
     """Where the residual of some record follows an input most clearly [s]; none where none does.
 
@@ -67,7 +67,9 @@ def lags(
     return np.asarray(list(islice(strongest(peaks), _PEAKS)))
 
 
-def _of_record(plant: Plant, one: Stretch, residual: Rows, power: Rows, channel: int) -> list[Peak]:
+def _of_record(
+    plant: Plant, one: ModalRecord, residual: Rows, power: Rows, channel: int
+) -> list[Peak]:
     """Lags [s] of one record."""
     spacing, length = len(one.kernel) * one.sample_period, len(one.highest[0])
     size = 2 ** int(np.ceil(np.log2(2 * length)))
@@ -93,7 +95,7 @@ def _of_record(plant: Plant, one: Stretch, residual: Rows, power: Rows, channel:
     ]
 
 
-def _signal(one: Stretch, modes: Rows, length: int) -> Float[np.ndarray, " nodes"]:
+def _signal(one: ModalRecord, modes: Rows, length: int) -> Float[np.ndarray, " nodes"]:
     """The part of a signal that its low modes hold, of which none is left out."""
     from scipy.fft import idct  # only discovery needs it
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax.discovery.candidates import Atom
-from eoi_jax.discovery.cosine_modes import Stretch, model_rows
+from eoi_jax.discovery.candidates import CandidateColumns
+from eoi_jax.discovery.cosine_modes import ModalRecord, model_rows
 from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
@@ -26,9 +26,9 @@ Theta = Float[np.ndarray, " np"]
 Free = Float[np.ndarray, " free"]
 Rows = Float[np.ndarray, " rows"]
 Shapes = Float[np.ndarray, " shapes"]
-Make = Callable[[Placed, np.ndarray], list[Atom]]
+Make = Callable[[Placed, np.ndarray], list[CandidateColumns]]
 # Of each effect with shapes: atoms a little further on in each shape; none where there are none.
-Neighbours = dict[Placed, list[Atom]]
+Neighbours = dict[Placed, list[CandidateColumns]]
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Fit:
         physical: whether every gain is where it is physical.
     """
 
-    atoms: tuple[Atom, ...]
+    atoms: tuple[CandidateColumns, ...]
     theta: Float[np.ndarray, " columns"]
     residual: Rows
     cost: float
@@ -101,7 +101,7 @@ class Fit:
         return _gains(self.atoms, self.theta)
 
 
-def fitted(base: Base, atoms: Sequence[Atom], power: Rows) -> Fit:
+def fitted(base: Base, atoms: Sequence[CandidateColumns], power: Rows) -> Fit:
     """Weighted least squares of the declared parameters and the gains.
 
     Args:
@@ -153,7 +153,9 @@ def within_bounds(base: Base, fit: Fit, power: Rows) -> Fit:
     return Fit(fit.atoms, theta, residual, cost, _physical(fit.atoms, theta))
 
 
-def system(base: Base, atoms: Sequence[Atom]) -> tuple[Rows, Float[np.ndarray, "rows columns"]]:
+def system(
+    base: Base, atoms: Sequence[CandidateColumns]
+) -> tuple[Rows, Float[np.ndarray, "rows columns"]]:
     """Target and columns of a set."""
     target, columns = base.target, base.columns
     if atoms and atoms[0].target is not None:
@@ -292,7 +294,9 @@ def _at_shapes(
     return _Shaped(new_fit.cost if allowed else np.inf, new_fit, near)
 
 
-def _with_neighbours(one: Atom, shape: Shapes, span: Span, make: Make) -> tuple[Atom, list[Atom]]:
+def _with_neighbours(
+    one: CandidateColumns, shape: Shapes, span: Span, make: Make
+) -> tuple[CandidateColumns, list[CandidateColumns]]:
     """An effect at a new shape, and a little further on in each of its shapes: in one call.
 
     Where one of these cannot be evaluated it stays what and where it is, without neighbours.
@@ -301,7 +305,9 @@ def _with_neighbours(one: Atom, shape: Shapes, span: Span, make: Make) -> tuple[
     return (made[0], made[1:]) if len(made) == 1 + len(shape) else (one, [])
 
 
-def _slopes(base: Base, fit: Fit, one: Atom, near: list[Atom], step: Shapes) -> list[Rows]:
+def _slopes(
+    base: Base, fit: Fit, one: CandidateColumns, near: list[CandidateColumns], step: Shapes
+) -> list[Rows]:
     """∂f/∂s of the set, for each shape s of one effect, gains and declared parameters fixed."""
     if not near:
         return [np.zeros_like(base.target) for _ in step]
@@ -319,7 +325,7 @@ def _slopes(base: Base, fit: Fit, one: Atom, near: list[Atom], step: Shapes) -> 
     return columns
 
 
-def settled(model: Plant, stretches: Sequence[Stretch], power: Rows, start: Theta) -> Plant:
+def settled(model: Plant, stretches: Sequence[ModalRecord], power: Rows, start: Theta) -> Plant:
     """All free parameters of a model by Gauss–Newton on the modes, damped and within their bounds.
 
     A set is fitted on columns taken at the declared parameters. Where these act through internal
@@ -363,12 +369,12 @@ def settled(model: Plant, stretches: Sequence[Stretch], power: Rows, start: Thet
     return moved(answer.x)
 
 
-def _parted(fit: Fit, placed: Placed) -> tuple[Atom, list[Atom]]:
+def _parted(fit: Fit, placed: Placed) -> tuple[CandidateColumns, list[CandidateColumns]]:
     one = next(atom for atom in fit.atoms if atom.placed == placed)
     return one, [atom for atom in fit.atoms if atom.placed != placed]
 
 
-def _gains(atoms: Sequence[Atom], theta: np.ndarray) -> tuple[np.ndarray, ...]:
+def _gains(atoms: Sequence[CandidateColumns], theta: np.ndarray) -> tuple[np.ndarray, ...]:
     widths = [one.columns.shape[1] for one in atoms]
     first = len(theta) - sum(widths)
     values = []
@@ -378,7 +384,7 @@ def _gains(atoms: Sequence[Atom], theta: np.ndarray) -> tuple[np.ndarray, ...]:
     return tuple(values)
 
 
-def _physical(atoms: Sequence[Atom], theta: np.ndarray) -> bool:
+def _physical(atoms: Sequence[CandidateColumns], theta: np.ndarray) -> bool:
     return all(
         parameter.lower <= value <= parameter.upper
         for one, gains in zip(atoms, _gains(atoms, theta), strict=True)

@@ -63,7 +63,7 @@ class Added:
 
 
 @dataclass(frozen=True)
-class Lead:
+class PartialExplanation:
     """The best set of effects that is no answer: it leaves too much, but free runs get better.
 
     Attributes:
@@ -146,7 +146,7 @@ class Discovery(Result):
     in_sample: bool
     held_out: tuple[Record, ...]
     diagnosis: Diagnosis | None = None
-    lead: Lead | None = None
+    lead: PartialExplanation | None = None
     texts: Texts | None = None
 
     @property

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.round import TOLD_APART, Round
 from eoi_jax.models.effects.effect import AbstractEffect
 
@@ -16,7 +16,7 @@ def unrivalled(first: Round) -> bool:
     if not chosen.atoms:
         return False
 
-    def without(one: Atom) -> float:
+    def without(one: CandidateColumns) -> float:
         return search.value(search.fit([other for other in chosen.atoms if other is not one]))
 
     main = max(chosen.atoms, key=without).placed.effect

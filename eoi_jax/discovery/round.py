@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.candidates import Atom, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import Stretch, model_rows, stretch, telling_band
+from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
+from eoi_jax.discovery.cosine_modes import ModalRecord, model_rows, stretch, telling_band
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
@@ -41,7 +41,7 @@ _IN_STEP, _HARMONICS = 0.95, 4
 _MOST, _NOTABLE = 0.5, 0.005
 _NEXT = 3  # extensions of a set that are looked at
 _EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
-TOLD_APART = 10.0  # twice the log-likelihood by which sets are told apart
+TOLD_APART = 10.0  # twice the log-likelihood by which sets are progress apart
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
 
@@ -84,11 +84,11 @@ class Round:
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
         self.denied: Fit | None = None  # the best set that the held-out records alone refuse
-        self._made: dict[tuple[Placed, bytes], list[Atom]] = {}
+        self._made: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
         self._beside = np.inf  # least that a set with a product leaves
 
     @cached_property
-    def held(self) -> list[Stretch]:
+    def held(self) -> list[ModalRecord]:
         """The held-out records."""
         return [stretch(self.model, one, self.task.band) for one in self.task.held]
 
@@ -101,9 +101,9 @@ class Round:
         )
 
     @property
-    def terms(self) -> dict[Placed, list[Atom]]:
+    def terms(self) -> dict[Placed, list[CandidateColumns]]:
         """The grid of each term that was searched."""
-        several: dict[Placed, list[Atom]] = {}
+        several: dict[Placed, list[CandidateColumns]] = {}
         for one in self.found.grid:
             if isinstance(one.placed.effect, AbstractTerm):
                 several.setdefault(one.placed, []).append(one)
@@ -140,7 +140,7 @@ class Round:
         }
         self.candidates = [one for one, seen in looked.items() if one.effect.shows(seen)]
 
-        def gridded(one: Placed) -> list[Atom]:
+        def gridded(one: Placed) -> list[CandidateColumns]:
             shapes = one.effect.grid(looked[one])
             known = self._known.get(one, [])
             same = [atom.shape for atom in known] == [tuple(row) for row in shapes.tolist()]
@@ -210,7 +210,9 @@ class Round:
                     bounds[one.names[gains + d]] = (float(span.low[d]), float(span.high[d]))
         return bounds
 
-    def _make(self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]) -> list[Atom]:
+    def _make(
+        self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]
+    ) -> list[CandidateColumns]:
         key = (placed, shapes.tobytes())
         if key not in self._made:  # sets that share an effect ask for the same shapes
             late = self._late(placed)
@@ -362,7 +364,7 @@ def _named(several: Iterable[Placed]) -> str:
     return " and ".join(sorted({one.effect.name for one in several}))
 
 
-def _products(one: Atom) -> list[tuple[Placed, tuple[float, ...]]]:
+def _products(one: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
     """What is held against an effect, with its shape parameters."""
     pairs = (("u", "y"), ("u", "v"), ("y", "v"))
     held: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
@@ -372,11 +374,11 @@ def _products(one: Atom) -> list[tuple[Placed, tuple[float, ...]]]:
     return [(Placed(term, where[0], (), through=where[1]), shape) for term, shape in held]
 
 
-def in_step(stretches: Sequence[Stretch], omega: float) -> bool:
+def in_step(stretches: Sequence[ModalRecord], omega: float) -> bool:
     """Whether the motion repeats, or mirrors, itself after some periods of a frequency [rad/s].
 
     Then it has harmonics there, and so has everything that depends on it: a disturbance of that
-    frequency cannot be told from a friction or spring that the library does not have.
+    frequency cannot be progress from a friction or spring that the library does not have.
     """
     if omega <= 0.0:
         return False
@@ -395,7 +397,7 @@ def in_step(stretches: Sequence[Stretch], omega: float) -> bool:
     return False
 
 
-def base_of(model: Plant, stretches: Sequence[Stretch]) -> Base:
+def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
     """The declared model along the records, as modes."""
     error, slopes = model_rows(model, stretches)
     free = np.flatnonzero(model.free)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.regression import Base, Rows, eigenbasis, solve_normal
 
 _RANK = 1e-7  # a column that keeps less of its power beside the declared ones is one of them
@@ -40,7 +40,7 @@ class Beside:
 class Terms:
     """Atoms that add columns to the model."""
 
-    def __init__(self, atoms: Sequence[Atom], power: Rows):
+    def __init__(self, atoms: Sequence[CandidateColumns], power: Rows):
         self.weight = 1.0 / np.sqrt(power)
         widths = [one.columns.shape[1] for one in atoms]
         self.owner = np.repeat(np.arange(len(atoms)), widths)
@@ -98,7 +98,7 @@ class Terms:
 class Changes:
     """Atoms of one width that change the declared part of the model, each a model of its own."""
 
-    def __init__(self, atoms: Sequence[Atom], base: Base, power: Rows):
+    def __init__(self, atoms: Sequence[CandidateColumns], base: Base, power: Rows):
         weight = 1.0 / np.sqrt(power)
         self.atoms = list(atoms)
         self._gains = slice(len(base.free), None)
@@ -136,20 +136,20 @@ class Changes:
         return self.square - np.sum(seen**2, axis=1), terms.left(inside, along)
 
 
-def changes(atoms: Sequence[Atom], base: Base, power: Rows) -> list[Changes]:
+def changes(atoms: Sequence[CandidateColumns], base: Base, power: Rows) -> list[Changes]:
     """One object for all atoms of each effect."""
-    several: dict[object, list[Atom]] = {}
+    several: dict[object, list[CandidateColumns]] = {}
     for one in atoms:
         several.setdefault(one.placed, []).append(one)
     return [Changes(own, base, power) for own in several.values()]
 
 
-def _slopes(one: Atom) -> Float[np.ndarray, "rows np"]:
+def _slopes(one: CandidateColumns) -> Float[np.ndarray, "rows np"]:
     assert one.slopes is not None
     return one.slopes
 
 
-def _target(one: Atom) -> Rows:
+def _target(one: CandidateColumns) -> Rows:
     assert one.target is not None
     return one.target
 

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.noise_spectrum import fitted_power
 from eoi_jax.discovery.regression import Base, Fit, Make, Span, Spans, fitted, refined, system
 from eoi_jax.discovery.screening import Beside, Terms, changes
@@ -63,7 +63,7 @@ class Search:
     """
 
     base: Base
-    grid: list[Atom]
+    grid: list[CandidateColumns]
     make: Make
     alpha: float
     most: int
@@ -72,7 +72,9 @@ class Search:
     power: Rows = field(init=False)
     _columns: Terms = field(init=False)
     _alone: Beside = field(init=False)
-    _refined: dict[frozenset, tuple[Atom, ...]] = field(init=False, default_factory=dict)
+    _refined: dict[frozenset, tuple[CandidateColumns, ...]] = field(
+        init=False, default_factory=dict
+    )
     spans: Spans = field(init=False, default_factory=dict)
 
     def run(self) -> list[Fit]:
@@ -98,11 +100,11 @@ class Search:
 
     # -- one set ------------------------------------------------------------------------------
 
-    def fit(self, atoms: Sequence[Atom]) -> Fit:
+    def fit(self, atoms: Sequence[CandidateColumns]) -> Fit:
         """A set at the present power."""
         return fitted(self.base, atoms, self.power)
 
-    def penalty(self, atoms: Sequence[Atom]) -> float:
+    def penalty(self, atoms: Sequence[CandidateColumns]) -> float:
         """What the parameters and the choice of a set cost."""
         size = sum(len(one.placed.effect.parameters) for one in atoms)
         prior = sum(one.placed.effect.rarity for one in atoms)
@@ -143,7 +145,7 @@ class Search:
                         return False
         return True
 
-    def _contained(self, one: Atom) -> list[Atom]:
+    def _contained(self, one: CandidateColumns) -> list[CandidateColumns]:
         """Simpler effects at the same channel that this one can imitate."""
         names, site = one.placed.effect.contains, one.placed.site[1:]
         return [
@@ -207,7 +209,7 @@ class Search:
         target, matrix = system(self.base, fit.atoms)
         beside = self._columns.beside(matrix, target) if keys else self._alone
         by_atom = self._columns.by_atom(beside)
-        best: dict[Placed, Atom] = {}
+        best: dict[Placed, CandidateColumns] = {}
         for i in np.argsort(by_atom)[::-1]:
             one = self._terms[i]
             if one.key not in keys and by_atom[i] > 0:
@@ -249,7 +251,7 @@ class Search:
         return sorted(fits.values(), key=self.value)
 
 
-def _spacings(grid: Sequence[Atom]) -> Spans:
+def _spacings(grid: Sequence[CandidateColumns]) -> Spans:
     """Steps and ends of each effect's grid."""
     shapes: dict[Placed, list[tuple[float, ...]]] = {}
     for one in grid:

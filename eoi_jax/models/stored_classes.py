@@ -71,7 +71,7 @@ CLASSES: Mapping[str, str] = {
     "Discovery": "discovery.result",
     "Added": "discovery.result",
     "Evidence": "discovery.result",
-    "Lead": "discovery.result",
+    "Lead": "discovery.result:PartialExplanation",
     "Texts": "discovery.result",
     "ConstantOffset": "models.effects.disturbance",
     "Drift": "models.effects.disturbance",

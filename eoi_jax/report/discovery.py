@@ -8,7 +8,7 @@ import numpy as np
 
 from eoi_jax.discovery.acceptance import DENIED
 from eoi_jax.discovery.confirm import only_short
-from eoi_jax.discovery.result import Added, Discovery, Evidence, Lead, Texts
+from eoi_jax.discovery.result import Added, Discovery, Evidence, PartialExplanation, Texts
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.jacobians import input_slopes
@@ -110,7 +110,7 @@ def _lead_phrases(discovery: Discovery) -> tuple[str, ...]:
     return tuple(phrase(alternative, added) for added in alternative.added)
 
 
-def _with_lead(discovery: Discovery, partial: Lead) -> Discovery:
+def _with_lead(discovery: Discovery, partial: PartialExplanation) -> Discovery:
     """The discovery with its lead in place of the answer."""
     return replace(
         discovery, added=partial.added, found=partial.found, plant=partial.found.plant,

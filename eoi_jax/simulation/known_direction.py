@@ -1,6 +1,6 @@
 """Dry friction whose direction is known: from a simulation, not from a noisy velocity's sign.
 
-A plant with dry friction moves up, moves down, or sticks. Told which, for every step, its f is
+A plant with dry friction moves up, moves down, or sticks. Progress which, for every step, its f is
 smooth: beyond rest it goes on as it was (to first order), and at rest reaction holds it: as a
 damper that a motion dies in, so that an error of the velocity from before does not outlast the
 stop. No step has to be left out, and noise changes no sign.

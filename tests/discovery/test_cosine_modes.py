@@ -6,7 +6,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.discovery.cosine_modes import (
-    Stretch,
+    ModalRecord,
     averaged,
     averaging,
     model_rows,
@@ -42,7 +42,7 @@ PENDULUM = eoi.Plant(pendulum, {"a": 30.0, "b": 0.8, "d": 20.0}, relative_degree
 ROUGH = eoi.Plant(rough, {"b": 2.0, "c": 1.0}, relative_degree=2)
 
 
-def size(one: Stretch, errors: np.ndarray) -> float:
+def size(one: ModalRecord, errors: np.ndarray) -> float:
     """Of what the model leaves, over y^(r), both rms."""
     whole = np.concatenate([one.rows(part) for part in one.highest])
     return float(np.sqrt(np.sum(errors**2) / np.sum(whole**2)))
@@ -168,7 +168,7 @@ def noisy(clean: eoi.Record, share: float, seed: int) -> eoi.Record:
     )
 
 
-def stretches(case: str, share: float) -> tuple[eoi.Plant, list[Stretch]]:
+def stretches(case: str, share: float) -> tuple[eoi.Plant, list[ModalRecord]]:
     plant, drive = NOISY[case]
     clean = eoi.simulate(plant, TIME, drive, substeps=2)
     return plant, [stretch(plant, noisy(clean, share, seed), BAND) for seed in range(8)]

@@ -10,7 +10,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.regression import Base, Fit
 from eoi_jax.discovery.result import Added
 from eoi_jax.discovery.rivals import akin, ambiguous
@@ -652,7 +652,7 @@ def undecided(rise: float) -> tuple[str, ...]:
         (effects.CoulombFriction(), [1.0], 400.0),
         (effects.StribeckFriction(), [1.0, rise], 398.0),
     ):
-        atom = Atom(
+        atom = CandidateColumns(
             place(MASS, effect, 0), (0.1,) * len(effect.shapes), np.ones((rows, len(gains))), None
         )
         fits.append(Fit((atom,), np.asarray(gains), np.ones(rows), cost, True))

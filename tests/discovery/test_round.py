@@ -9,8 +9,8 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import round
-from eoi_jax.discovery.candidates import Atom
-from eoi_jax.discovery.cosine_modes import Stretch, stretch
+from eoi_jax.discovery.candidates import CandidateColumns
+from eoi_jax.discovery.cosine_modes import ModalRecord, stretch
 from eoi_jax.discovery.noise_spectrum import known_power
 from eoi_jax.discovery.regression import Fit
 from eoi_jax.discovery.round import in_step, read_friction
@@ -24,7 +24,7 @@ def free(t, x, u, p):
     return p.gain * u
 
 
-def moved(position: np.ndarray) -> list[Stretch]:
+def moved(position: np.ndarray) -> list[ModalRecord]:
     plant = eoi.Plant(free, {"gain": 1.0}, 2, inputs=("force",), outputs=("position",))
     return [stretch(plant, eoi.Record(TIME, 0.0 * TIME, position), 20.0)]
 
@@ -57,7 +57,9 @@ def test_friction_beside_an_input_is_read_as_a_level_and_an_offset_there():
     plant = eoi.Plant(lambda t, x, u, p: p.gain * u[0] * np.array([1.0, -0.5]), {"gain": 1.0}, 2,
                       inputs=("force",), outputs=("cart", "load"))  # fmt: skip
     one = place(plant, effects.AsymmetricFriction(), 0, None, 0)
-    fit = Fit((Atom(one, (), np.zeros((1, 2))),), np.array([1.2, 1.0]), np.zeros(1), 0.0, True)
+    fit = Fit(
+        (CandidateColumns(one, (), np.zeros((1, 2))),), np.array([1.2, 1.0]), np.zeros(1), 0.0, True
+    )
     added = read_friction(plant, fit)
     assert {placed.names[0]: values[0] for placed, values in added.items()} == {
         "coulomb_friction_cart_force": pytest.approx(1.1),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.screening import Terms
 from eoi_jax.models.augmented import place
 from eoi_jax.models.effects import AsymmetricFriction, LinearStiffness
@@ -24,8 +24,8 @@ def test_what_an_atom_takes_is_that_of_least_squares_in_any_unit(size):
     one, two = draw.standard_normal((ROWS, 1)), draw.standard_normal((ROWS, 2))
     plant = pendulum()
     atoms = [
-        Atom(place(plant, LinearStiffness(), 0), (), size * one),
-        Atom(place(plant, AsymmetricFriction(), 0), (), size * two),
+        CandidateColumns(place(plant, LinearStiffness(), 0), (), size * one),
+        CandidateColumns(place(plant, AsymmetricFriction(), 0), (), size * two),
     ]
     terms = Terms(atoms, np.ones(ROWS))
     got = terms.by_atom(terms.beside(model, target))

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.candidates import Atom, atoms, seen_at
+from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
 from eoi_jax.discovery.cosine_modes import stretch
 from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
 from eoi_jax.discovery.regression import (
@@ -40,8 +40,10 @@ def named(effect: AbstractEffect) -> Placed:
     return Placed(effect, 0, tuple(f"p{i}" for i in range(len(effect.parameters))))
 
 
-def atom(effect: AbstractEffect, own: np.ndarray, shape: tuple[float, ...] = ()) -> Atom:
-    return Atom(named(effect), shape, np.reshape(own, (ROWS, -1)), None)
+def atom(
+    effect: AbstractEffect, own: np.ndarray, shape: tuple[float, ...] = ()
+) -> CandidateColumns:
+    return CandidateColumns(named(effect), shape, np.reshape(own, (ROWS, -1)), None)
 
 
 def base(target: np.ndarray, declared: np.ndarray, seed: int = 9) -> Base:
@@ -58,12 +60,12 @@ def base(target: np.ndarray, declared: np.ndarray, seed: int = 9) -> Base:
     )
 
 
-def no_shapes(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+def no_shapes(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
     raise AssertionError("an effect without shapes has nothing to refine")
 
 
 def search(
-    known: Base, grid: list[Atom], make: Callable = no_shapes, alpha: float = 0.01
+    known: Base, grid: list[CandidateColumns], make: Callable = no_shapes, alpha: float = 0.01
 ) -> tuple[Search, Fit]:
     lacking = known.signal_power(fitted(known, [], np.ones(ROWS)).residual)
     found = Search(known, grid, make, alpha, 3, len(grid), lacking)
@@ -137,7 +139,9 @@ def test_input_effect_replaces_the_declared_columns_and_comes_first():
     parts = columns(0, 5)
     known = base(parts[:, 2], parts[:, :2])
     changed = 0.5 * parts[:, 3] + 2.0 * parts[:, 4]
-    delay = Atom(named(effects.InputDelay()), (0.1,), np.zeros((ROWS, 0)), changed, parts[:, 3:])
+    delay = CandidateColumns(
+        named(effects.InputDelay()), (0.1,), np.zeros((ROWS, 0)), changed, parts[:, 3:]
+    )
     friction = atom(effects.CoulombFriction(), parts[:, 2])
     fit = fitted(known, [friction, delay], np.ones(ROWS))
     assert [one.placed.effect.name for one in fit.atoms] == ["input_delay", "coulomb_friction"]
@@ -150,7 +154,7 @@ def test_shape_is_refined_between_the_points_of_the_grid():
     time = np.linspace(0.0, 20.0, ROWS)
     effect = effects.SinusoidalDisturbance()
 
-    def make(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+    def make(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
         return [
             atom(effect, np.stack([np.sin(s * time), np.cos(s * time)], axis=1), (float(s),))
             for (s,) in shapes
@@ -169,7 +173,7 @@ def test_refinement_stays_within_the_grid():
     time = np.linspace(0.0, 20.0, ROWS)
     effect = effects.Overflow()
 
-    def make(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+    def make(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
         return [atom(effect, -np.exp(-s * time), (float(s),)) for (s,) in shapes]
 
     known = base(-0.9 * np.exp(-3.0 * time), columns(0, 2))
@@ -244,7 +248,7 @@ def test_nothing_is_found_in_noise():
 
 
 def stribeck(own: np.ndarray, rise: np.ndarray) -> Callable:
-    def make(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+    def make(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
         return [
             atom(effects.StribeckFriction(), np.stack([own, rise * np.sqrt(s)], 1), (float(s),))
             for (s,) in shapes
@@ -353,7 +357,7 @@ def test_shapes_are_those_of_the_power_that_the_answer_leaves():
     effect = effects.Overflow()
     deviation = np.where(np.arange(ROWS) % 2 == 0, 0.001, 0.5)
 
-    def make(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+    def make(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
         return [atom(effect, -np.sin(s * time), (float(s),)) for (s,) in shapes]
 
     target = -np.sin(1.03 * time) + deviation * random.standard_normal(ROWS)

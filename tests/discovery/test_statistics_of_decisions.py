@@ -11,7 +11,7 @@ from scipy.stats import chi2, norm
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.data.windows import plan
-from eoi_jax.discovery.candidates import Atom
+from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.confirm import as_good, confirmed, holds, only_short
 from eoi_jax.discovery.regression import Base
 from eoi_jax.discovery.search import Search
@@ -25,16 +25,16 @@ ROWS = 600
 # -- the score of a set of effects ----------------------------------------------------------------
 
 
-def atom(effect: AbstractEffect, own: np.ndarray) -> Atom:
+def atom(effect: AbstractEffect, own: np.ndarray) -> CandidateColumns:
     names = tuple(f"p{i}" for i in range(len(effect.parameters)))
-    return Atom(Placed(effect, 0, names), (1.0,) * len(effect.shapes), own, None)
+    return CandidateColumns(Placed(effect, 0, names), (1.0,) * len(effect.shapes), own, None)
 
 
-def no_shapes(placed: Placed, shapes: np.ndarray) -> list[Atom]:
+def no_shapes(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
     raise AssertionError
 
 
-def searching(target: np.ndarray, grid: list[Atom], alpha: float, names: int) -> Search:
+def searching(target: np.ndarray, grid: list[CandidateColumns], alpha: float, names: int) -> Search:
     """Rows of unit variance, nothing declared."""
     base = Base(
         target, np.zeros((ROWS, 0)), np.arange(0), np.ones(ROWS), np.ones(ROWS),
