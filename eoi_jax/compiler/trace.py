@@ -48,7 +48,8 @@ def translate(
         Untranslatable: an operation that is no arithmetic on components known in advance.
     """
     closed = jax.make_jaxpr(function)(*shapes)
-    return _run(graph, closed, inputs)
+    with np.errstate(all="ignore"):  # of constants that are folded
+        return _run(graph, closed, inputs)
 
 
 def _run(graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
