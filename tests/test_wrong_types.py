@@ -43,8 +43,8 @@ CALLS = {
     "compare(plant, run, methods=[3])": "`methods` must be comparators or their names, got int",
     "compare(plant, run, methods=['svg'])": "`methods` must be one of",
     "compare(plant, run, truth=3)": "`truth` must be a dict of values by name, got int",
-    "sweep(plant, run, lowpass=3.0)": "`lowpass` must be filters `LowPass(cutoff, order)`, or left "
-    "out, got float",
+    "sweep(plant, run, lowpass=3.0)": "`lowpass` must be filters `LowPass(cutoff, order)`, or "
+    "None, got float",
     "sweep(plant, run, 3)": "`observers` must be observers with their gains, or "
     "`observers.gains(…)`, got int",
     "sweep(plant, run, part=1)": "`part` must be (i, n) with 0 ≤ i < n, got 1",
