@@ -6,7 +6,9 @@ import dis
 import importlib
 import inspect
 import pkgutil
+import re
 import types
+from collections import Counter
 from pathlib import Path
 
 import equinox as eqx
@@ -287,6 +289,86 @@ def test_imports_stand_at_the_top(path):
                 names = [alias.name for alias in node.names]
             for name in names:
                 assert {name, name.split(".")[0]} & IN_FUNCTIONS, f"{function.name} imports {name}"
+
+
+def test_the_map_of_the_package_names_what_is_there():
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
+    places = re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.py)(?:: ([\w.]+))?`", text)
+    assert len(places) > 30
+    for path, name in places:
+        files = [root / path for root in (PACKAGE, PACKAGE.parent, PACKAGE / "estimation")]
+        file = next((file for file in files if file.is_file()), None)
+        assert file is not None, path
+        if name:
+            kinds = ast.FunctionDef | ast.ClassDef
+            defined = {node.name for node in ast.walk(ast.parse(file.read_text()))
+                       if isinstance(node, kinds)}  # fmt: skip
+            assert set(name.split(".")) <= defined, f"{path}: {name}"
+
+
+# Articles, pronouns, conjunctions, prepositions, quantifiers and participles that say of a thing
+# only that there is one.
+FUNCTION_WORDS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        about above again alike all almost alone along also always an and another any anew apart
+        around as aside at away back because been before behind below beside besides between beyond
+        both but by came come done down each either else enough even ever every few for found from
+        gave given gone got had half has have he held her here hers him his how however if in indeed
+        inside instead into is it its itself just kept known least left less like little lone made
+        many mine more moreover most much must my near nearly neither never no none nor not nothing
+        now of off often on once one ones only or other others otherwise our ours out outside over
+        own per perhaps put rather ready rest said same seen several shall she should shown since so
+        some something still such taken tell than that the their theirs them themselves then there
+        therefore these they thing things this those though through thus to together told too toward
+        tried under unless until up upon us very was way we well were what whatever when where
+        whether which while who whole whom whose why will with within without would yet you your
+        yours
+        """,
+    )
+)
+# Of Python, and of the interface of effects and of `discover`.
+PUBLIC_NAMES = {"all", "any", "Any", "at", "most"}
+# Attributes and arguments of Python and NumPy, and public fields of results.
+PUBLIC_FIELDS = PUBLIC_NAMES | {"and", "back", "done", "not", "on", "ones", "or", "out", "over"}
+PUBLIC_FIELDS |= {"tell", "where", "which", "along", "before", "found", "held_out", "others"}
+PUBLIC_FIELDS |= {"through", "why"}
+
+
+def identifiers(tree):
+    """Names, and which of them are allowed whatever they say."""
+    fields = {
+        id(item.target)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for item in node.body
+        if isinstance(item, ast.AnnAssign)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            yield node.id, PUBLIC_FIELDS if id(node) in fields else PUBLIC_NAMES
+        elif isinstance(node, ast.arg):
+            yield node.arg, PUBLIC_NAMES
+        elif isinstance(node, ast.keyword) and node.arg:
+            yield node.arg, PUBLIC_FIELDS
+        elif isinstance(node, ast.Attribute):
+            yield node.attr, PUBLIC_FIELDS
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name, PUBLIC_NAMES
+
+
+def test_names_say_what_a_thing_is():
+    """Fewer than one use in two hundred is a function word."""
+    uses, words = 0, Counter()
+    for path in FILES:
+        for name, allowed in identifiers(ast.parse(path.read_text())):
+            uses += 1
+            word = name.strip("_").lower()
+            if word in FUNCTION_WORDS and name not in allowed and name != "__all__":
+                words[f"{path.relative_to(PACKAGE)}: {name}"] += 1
+    share = words.total() / uses
+    assert share < 0.005, f"{share:.2%}: {words.most_common(20)}"
 
 
 def test_shapes_are_checked_at_run_time():

@@ -43,8 +43,8 @@ count("backend_compile_and_load", "compiled")
 from eoi_jax.compiler import jit
 
 made = []
-translate = jit._translate
-jit._translate = lambda *given: made.append(1) or translate(*given)
+compile_loop = jit._compile
+jit._compile = lambda *given: made.append(1) or compile_loop(*given)
 
 def said():
     with open(os.environ["COUNTS"], "w") as file:

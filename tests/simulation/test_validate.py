@@ -282,7 +282,7 @@ class Heads:
     def slopes(self, values, error, free):
         return -self.sign * (error + self.unit[:, None])[..., None]
 
-    def tried(self, trials, free):
+    def errors_and_slopes(self, trials, free):
         costs, errors = self.errors(trials)
         return costs, errors, self.slopes(trials[:, 0], errors[:, 0], free)
 
