@@ -264,8 +264,8 @@ def test_a_hum_of_the_sensor_is_named_with_its_frequency_and_size(clean, coulomb
     assert line.frequency == pytest.approx(2.0 * np.pi * 33.3, rel=1e-3)
     assert line.rms == pytest.approx(rms, rel=0.05)
     assert line.share > 0.5
-    (told,) = said(diagnosis, "y of run holds a line at 209.2 rad/s (33.3 Hz) of ")
-    assert told.endswith(f"It makes {line.share:.0%} of the residual.")
+    (told,) = said(diagnosis, "y of run contains a line at 209.2 rad/s (33.3 Hz) of ")
+    assert told.endswith(f"It makes up {line.share:.0%} of the residual.")
     (look,) = [one for one in health(diagnosis) if one.name == "Noise"]
     assert not look.good
     assert clean.lines == coulomb.lines == ()
