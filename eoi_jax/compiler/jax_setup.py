@@ -41,7 +41,7 @@ def configure(
             `~/.cache/eoi_jax`; not where neither can be written.
         devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
         programs: keep so many compiled programs in memory at most, 128 by default; the least
-            recently used go first. A new kind of plant needs up to a hundred, of 2 to 5 MB each.
+            recently used go first. A refinement of a new kind of plant needs some twenty, of 2 to 5 MB each.
 
     Raises:
         ValueError: fewer devices or programs than one, or too late to make the devices.

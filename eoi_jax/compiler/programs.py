@@ -27,7 +27,7 @@ import numpy as np
 from eoi_jax._checks import check_count
 from eoi_jax.compiler.jax_private import Literal, Tracer, forget_lowered, tracing
 
-PROGRAMS = 128  # a discovery needs up to a hundred; of two to five megabytes, ten to forty mappings
+PROGRAMS = 128  # of two to five megabytes each, and ten to forty mappings of memory
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
 _NESTED = 4  # so many functions inside others: their traces take ten megabytes each
 _MADE = 10  # programs, after which what their compilation has freed goes back to the system
