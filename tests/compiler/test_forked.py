@@ -11,14 +11,14 @@ import multiprocessing, os, sys
 import numpy as np
 import jax.numpy as jnp
 import eoi_jax as eoi
-from eoi_jax.compiler import jit
+from eoi_jax.compiler import runtime
 
 PLANT = eoi.plants.mass_spring_damper(true=True)
 TIME = 0.01 * np.arange(200)
 
 def work(queue):
     try:
-        jit.together(lambda: None, 2)
+        runtime.together(lambda: None, 2)
         queue.put(len(eoi.simulate(PLANT, TIME, np.sin(TIME))))
     except ValueError as error:
         queue.put(str(error))
@@ -28,7 +28,7 @@ if sys.argv[1] == "used":
     jnp.sin(jnp.ones(3))
 if sys.argv[1] == "simulated":  # by machine code, in threads of the library's own
     eoi.simulate(PLANT, TIME, np.sin(TIME))
-    jit.together(lambda: None, 2)
+    runtime.together(lambda: None, 2)
 fork = multiprocessing.get_context("fork")
 queue = fork.Queue()
 child = fork.Process(target=work, args=(queue,))
