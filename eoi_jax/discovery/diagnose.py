@@ -191,7 +191,11 @@ def _size(views: Sequence[View], j: int) -> tuple[float, float, float]:
         square += float(np.sum(e[scored] ** 2))
         floor += float(np.sum(scored) * view.null[j, 0])
         part = float(np.sum(scored) * view.null[j, 0])
-        spread += 2.0 * part**2 * (view.alike[j] / max(np.sum(scored), 1) + estimated(view))
+        spread += (
+            2.0
+            * part**2
+            * (view.samples_per_independent[j] / max(np.sum(scored), 1) + estimated(view))
+        )
         count += float(np.sum(scored))
     if not count:
         return np.nan, np.nan, np.nan
