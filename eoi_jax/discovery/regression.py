@@ -181,7 +181,7 @@ class Span:
     levels: tuple[Float[np.ndarray, " _"], ...]
 
     def reach(self, shape: Shapes) -> tuple[Shapes, Shapes]:
-        """Largest decrease and increase of each shape in one step; more than `step` in wide gaps."""
+        """Largest decrease and increase of a shape in one step: `step`, more in wide gaps."""
         decrease, increase = self.step.copy(), self.step.copy()
         for d, (levels, value) in enumerate(zip(self.levels, shape, strict=True)):
             marks = np.concatenate([[self.low[d]], levels, [self.high[d]]])
