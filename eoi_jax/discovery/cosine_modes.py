@@ -116,7 +116,7 @@ def stretch(plant: Plant, record: Record, band: float) -> ModalRecord:
     band = min(band, 0.5 * np.pi / record.sample_period)
     substeps = int(np.ceil(band * record.sample_period / _FINE))
     substeps = max(1, min(substeps, _MOST_SUBSTEPS))
-    cutoff = quiet_band(plant, record)
+    cutoff = smoothing_cutoff(plant, record)
     raw = record.resample(substeps)
     smoothed = record if cutoff is None else record.without_inputs().smooth(cutoff)
     smooth = raw if cutoff is None else smoothed.resample(substeps)
@@ -156,7 +156,7 @@ def stretch(plant: Plant, record: Record, band: float) -> ModalRecord:
     )
 
 
-def telling_band(plant: Plant, records: Sequence[Record]) -> float:
+def informative_band(plant: Plant, records: Sequence[Record]) -> float:
     """Half the frequency up to which modes of y^(r) are informative [rad/s].
 
     The filter F has the same gain at all frequencies below its cut-off, so noise limits the cut-off
@@ -173,7 +173,7 @@ def _crossing(density: Spectrum) -> float:
     return float(density.omega[int(np.argmin(removed + passed))])
 
 
-def quiet_band(plant: Plant, record: Record) -> float | None:
+def smoothing_cutoff(plant: Plant, record: Record) -> float | None:
     """Cut-off of the smoothing of the states [rad/s]; None: no smoothing.
 
     At the cut-off, smoothing removes as much of the states as of the noise. But a state far above

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import ModalRecord, model_rows, stretch, telling_band
+from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, model_rows, stretch
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
@@ -68,7 +68,7 @@ class Task:
     def band(self) -> float:
         """Highest frequency of the modes [rad/s]."""
         cutoff = self.declared.lowpass.cutoff
-        telling = telling_band(self.plant, self.records)
+        telling = informative_band(self.plant, self.records)
         return _BAND * float(np.clip(telling, cutoff, _WIDER * cutoff))
 
 

@@ -9,10 +9,10 @@ from eoi_jax.discovery.cosine_modes import (
     ModalRecord,
     averaged,
     averaging,
+    informative_band,
     model_rows,
-    quiet_band,
+    smoothing_cutoff,
     stretch,
-    telling_band,
     thinned,
 )
 
@@ -243,11 +243,11 @@ def test_band_ends_where_noise_hides_the_highest_derivative(share: float):
     below = record.noise[0] ** 2 * 2e-3 / np.pi * omega**5 / 5.0
     top = omega[np.flatnonzero(np.diff(below, prepend=0.0) < 0.5)[-1]]
     # Power is averaged over neighbours, 5 % of the frequency on each side, before it is judged.
-    assert top == pytest.approx(2.0 * telling_band(MASS, [record]), rel=0.1)
+    assert top == pytest.approx(2.0 * informative_band(MASS, [record]), rel=0.1)
 
 
 def test_more_noise_means_a_narrower_band():
-    several = [telling_band(MASS, [lines(640.0, share)]) for share in (1e-3, 1e-2, 5e-2)]
+    several = [informative_band(MASS, [lines(640.0, share)]) for share in (1e-3, 1e-2, 5e-2)]
     assert several[0] > 1.5 * several[1] > 2.0 * several[2]
 
 
@@ -255,7 +255,7 @@ def test_more_noise_means_a_narrower_band():
 def test_smoothing_passes_a_state_far_above_its_noise(share: float):
     """A line that stands out keeps all but the floor and what noise makes of it anyway."""
     record = lines(20.0, share)
-    cutoff = quiet_band(MASS, record)
+    cutoff = smoothing_cutoff(MASS, record)
     assert cutoff is not None
     assert (20.0 / cutoff) ** 8 < 3e-3  # 2e-3 and some leakage of the window
 
