@@ -50,7 +50,7 @@ def fitted_power(
     return power
 
 
-def known_power(noise: Rows, local: Rows, output: Int[np.ndarray, " rows"]) -> Rows:
+def expected_power(noise: Rows, local: Rows, output: Int[np.ndarray, " rows"]) -> Rows:
     """The power that the record predicts for each output: measurement noise and the floor."""
     power = np.empty_like(noise)
     for j in np.unique(output):

@@ -13,7 +13,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
 from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, model_rows, stretch
 from eoi_jax.discovery.lags import Peak, lags, strongest
-from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
+from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.discovery.search import Search
 from eoi_jax.discovery.side_by_side import each, waits
@@ -159,7 +159,7 @@ class Round:
     @property
     def exhausted(self) -> bool:
         """Whether the chosen set leaves no more than noise."""
-        power = known_power(self.base.noise, self.base.local, self.base.output)
+        power = expected_power(self.base.noise, self.base.local, self.base.output)
         return float(np.mean(self.kept.residual**2 / power)) < _NOISE_LIKE
 
     @property

@@ -11,7 +11,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
 from eoi_jax.discovery.cosine_modes import stretch
-from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
+from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import (
     Base,
     Fit,
@@ -391,7 +391,7 @@ def test_power_never_falls_below_the_floor():
     floor = (2e-3) ** 2 * local + (1e-4) ** 2 * 50.5
     assert np.all(found >= floor)
     np.testing.assert_allclose(
-        known_power(np.full(500, 0.3), local, np.zeros(500, int)), 0.3 + floor
+        expected_power(np.full(500, 0.3), local, np.zeros(500, int)), 0.3 + floor
     )
 
 
@@ -399,8 +399,8 @@ def test_floor_of_an_output_does_not_know_the_unit_of_another():
     """One in metres, the other in micrometres: each as if it stood alone."""
     local = np.linspace(1.0, 100.0, 500)
     output = np.repeat([0, 1], 500)
-    both = known_power(np.zeros(1000), np.concatenate([local, 1e12 * local]), output)
-    alone = known_power(np.zeros(500), local, np.zeros(500, int))
+    both = expected_power(np.zeros(1000), np.concatenate([local, 1e12 * local]), output)
+    alone = expected_power(np.zeros(500), local, np.zeros(500, int))
     np.testing.assert_allclose(both, np.concatenate([alone, 1e12 * alone]))
 
 
