@@ -62,7 +62,7 @@ class Base:
         return float(np.sum(self._signal * self.noise))
 
     @property
-    def whole_power(self) -> float:
+    def output_power(self) -> float:
         """`signal_power` of y^(r) itself."""
         return self.signal_power(np.sqrt(self.local))
 

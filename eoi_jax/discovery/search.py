@@ -135,7 +135,7 @@ class Search:
             without = base.signal_power(self.fit(others).residual)
             rest = max(_MOSTLY * (without - base.noise_power), _HALF * without)
             least = min(_MATERIAL * self.lacking, rest)
-            if without - own < max(least, _TRACE * base.whole_power):
+            if without - own < max(least, _TRACE * base.output_power):
                 return False
             present = {other.placed.effect.name for other in others}
             for simple in self._contained(one):
