@@ -105,7 +105,7 @@ class ModalRecord:
         return modes[..., self.indices] * np.sqrt(self.sample_period / len(self.kernel))
 
 
-def stretch(plant: Plant, record: Record, band: float) -> ModalRecord:
+def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     """A record prepared for modes up to `band` [rad/s].
 
     Args:

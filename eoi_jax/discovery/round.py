@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, model_rows, stretch
+from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, modal_record, model_rows
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
@@ -79,7 +79,7 @@ class Round:
         self, task: Task, model: Plant, placed: Sequence[Placed], earlier: "Round | None" = None
     ):
         self.task, self.model, self.placed = task, model, tuple(placed)
-        self.stretches = [stretch(model, one, task.band) for one in task.records]
+        self.stretches = [modal_record(model, one, task.band) for one in task.records]
         self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
@@ -90,7 +90,7 @@ class Round:
     @cached_property
     def held(self) -> list[ModalRecord]:
         """The held-out records."""
-        return [stretch(self.model, one, self.task.band) for one in self.task.held]
+        return [modal_record(self.model, one, self.task.band) for one in self.task.held]
 
     def _weighs_as(self, other: "Round") -> bool:
         """Whether the same samples count: the columns of a term are then the same."""

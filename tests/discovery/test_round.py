@@ -10,7 +10,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import round
 from eoi_jax.discovery.candidates import CandidateColumns
-from eoi_jax.discovery.cosine_modes import ModalRecord, stretch
+from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record
 from eoi_jax.discovery.noise_spectrum import expected_power
 from eoi_jax.discovery.regression import Fit
 from eoi_jax.discovery.round import in_step, read_friction
@@ -26,7 +26,7 @@ def free(t, x, u, p):
 
 def moved(position: np.ndarray) -> list[ModalRecord]:
     plant = eoi.Plant(free, {"gain": 1.0}, 2, inputs=("force",), outputs=("position",))
-    return [stretch(plant, eoi.Record(TIME, 0.0 * TIME, position), 20.0)]
+    return [modal_record(plant, eoi.Record(TIME, 0.0 * TIME, position), 20.0)]
 
 
 def strokes(period: float) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import stretch
+from eoi_jax.discovery.cosine_modes import modal_record
 from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import (
     Base,
@@ -477,7 +477,7 @@ def test_columns_of_a_term_are_those_of_its_own_output():
     time = 0.01 * np.arange(1500)
     drive = np.stack([np.sin(3.0 * time), np.cos(time)], axis=1)
     record = eoi.simulate(TWO, time, drive, [[0.1, 0.2], [0.0, 0.0]], hold="linear")
-    several = [stretch(TWO, record, 15.0)]
+    several = [modal_record(TWO, record, 15.0)]
     tried = alone(TWO, effects.CubicStiffness())
     first, second, joint, _ = tried
     size = len(several[0].omega)
@@ -501,7 +501,7 @@ def test_columns_of_a_term_are_those_of_its_own_output():
 def test_shape_at_which_a_term_is_not_finite_is_not_tried():
     time = 0.01 * np.arange(1000)
     record = eoi.simulate(TWO, time, np.stack([np.sin(time)] * 2, axis=1), hold="linear")
-    several = [stretch(TWO, record, 15.0)]
+    several = [modal_record(TWO, record, 15.0)]
     (placed, _) = alone(TWO, effects.StribeckFriction())
     shapes = [one.shape for one in atoms(TWO, placed, np.array([[0.1], [np.nan]]), several)]
     assert shapes == [(0.1,)]
