@@ -275,5 +275,5 @@ def _null_covariance(
     density = np.einsum("wa,iab,wb->iw", powers.conj(), mixed, powers).real * gain.power
     covariance = np.fft.irfft(np.maximum(density, 0.0), axis=1)
     zero = np.maximum(covariance[:, :1], np.finfo(float).tiny)
-    alike = np.sum((covariance / zero) ** 2, axis=1)
-    return covariance[:, : thin * (ORDER + 1) : thin], np.maximum(alike, 1.0)
+    samples = np.sum((covariance / zero) ** 2, axis=1)
+    return covariance[:, : thin * (ORDER + 1) : thin], np.maximum(samples, 1.0)
