@@ -75,7 +75,7 @@ def _taken(
     noise = _noise_scale(last.base, after) * first.base.noise_power
     excess = first.base.signal_power(before) - noise
     rest = max(first.base.signal_power(after) - noise, 0.0)
-    whole = first.base.whole_power - noise
+    whole = first.base.output_power - noise
     if not (excess > 0.0 and whole > 0.0 and np.isfinite(rest)):
         return 0.0, 0.0 if np.isfinite(rest) else np.inf, last.exhausted
     share = float(np.clip(1.0 - rest / excess, 0.0, 1.0))

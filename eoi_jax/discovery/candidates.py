@@ -274,7 +274,7 @@ def _signals(one: ModalRecord, placed: Placed) -> tuple[Signals, Signals]:
     """Time, output, velocity and an input, in the middle of each step; their change over it."""
     row, channel = placed.row, placed.channel if placed.on_input else 0
     known = row < one.y.shape[1]
-    time, y, u = one.bend
+    time, y, u = one.change
 
     def chosen(t: Any, y: Any, u: Any) -> Signals:
         v = placed.coordinate(y[:, row]) if known else 0.0 * t  # an output without one has none

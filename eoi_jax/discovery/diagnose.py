@@ -1,13 +1,13 @@
-r"""Is what the model leaves over more than noise, and where does it live?
+r"""Tests whether the residual is more than noise, and what it depends on.
 
-What noise alone would leave is known (`residual`), and it is not white. So the residual is thinned
-to the filter's bandwidth, and whitened by the linear prediction that its spectrum under the null
-hypothesis gives; what comes out is white if the model is right, and its size does not matter.
-Errors of means know of the colour in two ways, the noise's own and one that is estimated (Newey and
-West), and what is found must be beyond both.
+The residual due to noise alone is known (`residual`), and it is not white. So the residual is
+thinned to the filter's bandwidth and whitened by the linear predictor that follows from its
+spectrum under the null hypothesis. The result is white if the model is right, whatever its size.
+Standard errors of means account for the colour in two ways, by that of the noise and by an estimate
+(Newey and West); a finding must be significant under both.
 
 **Sources.** Newey and West, Econometrica 55 (1987) 703; Ljung, *System Identification*, ch. 16
-(residual tests, feedback); those of `regression.coloured`.
+(residual tests, feedback); those of `regression.noise_autocorrelation`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,17 +45,17 @@ from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 
 _LEVEL = 0.01
-_MARGIN = 1.05  # residual over floor (rms) below which the noise estimate itself is in doubt
-_CLEAR = 3.0  # noise over what discretisation leaves, from which it alone has a colour
-_FORETOLD = 0.3  # correlation with inputs to come from which feedback is suspected
-_MOVES, _MOVED = 0.3, 0.02  # of the steps must change such an input, by this share of the largest
-_SHOWN = 0.01  # of the residual's power that a map must explain to be named
+_MARGIN = 1.05  # ratio of residual to floor (rms) within the uncertainty of the noise estimate
+_CLEAR = 3.0  # ratio of noise to discretisation error above which noise determines the colour
+_FEEDBACK = 0.3  # correlation with future inputs above which feedback is suspected
+_MOVES, _MOVED = 0.3, 0.02  # share of steps that change it, and by what share of the largest
+_MIN_EXPLAINED = 0.01  # share of the residual's power that a map must explain to be reported
 _BINS = 20
 _WINDOWS = 20
-_ALIKE = 0.95  # correlation of two estimates from which they are called confounded
-_POOR = 0.01  # of the regressors' mean power, below which a window has no excitation
-_UNEVEN = 100.0  # standard error of the worst combination over that of the best
-_HELD = 0.1  # share of the residual's power from which a line is told
+_CONFOUNDED = 0.95  # correlation of two estimates above which they are confounded
+_POOR = 0.01  # share of the regressors' mean power below which a window has no excitation
+_UNEVEN = 100.0  # ratio of the standard errors of the worst and the best combination
+_LINE_SHARE = 0.1  # share of the residual's power above which a line is reported
 
 
 @one_thread()
@@ -65,7 +65,7 @@ def diagnose(
     *,
     level: float = _LEVEL,
 ) -> Diagnosis:
-    """Whether the residual of an estimate is more than noise, where it lives, what may be wrong.
+    """Test the residual of an estimate against noise, and look for what may be wrong.
 
     Args:
         identification: result of `identify`.
@@ -74,7 +74,7 @@ def diagnose(
         level: of significance, the chance of a false alarm of each test.
 
     Returns:
-        The evidence; `findings` says it in sentences.
+        The evidence; `findings` puts it in sentences.
 
     Raises:
         ValueError: no identification, a level outside (0, 0.5), records that do not fit the plant.
@@ -102,7 +102,7 @@ def diagnose(
         confounded=_confounded(identification, solution),
         worst_combination=_worst_combination(plant, solution),
         sliding_fraction=identification.sliding_fraction,
-        saturation=tuple(one for record in measured for one in saturations(record)),
+        saturation=tuple(event for record in measured for event in saturations(record)),
         noise=np.max([raw_noise(record) for record in measured], axis=0),
         quantum=np.max([record.quantum for record in measured], axis=0),
         lines=tuple(_foreign_lines(plant, views)),
@@ -114,7 +114,7 @@ def diagnose(
 
 
 def _foreign_lines(plant: Plant, views: Sequence[View]) -> Iterator[Line]:
-    """Lines from elsewhere that hold much of the residual, each by a sine and a cosine."""
+    """Spectral lines of external origin with a large share of the residual (fit of a sinusoid)."""
     for view in views:
         for j, output in enumerate(plant.outputs):
             scored = np.isfinite(view.residual[:, j])
@@ -123,19 +123,19 @@ def _foreign_lines(plant: Plant, views: Sequence[View]) -> Iterator[Line]:
                 waves = np.stack([np.cos(frequency * time), np.sin(frequency * time)], axis=1)
                 fit = waves @ np.linalg.lstsq(waves, residual)[0]
                 share = float(np.sum(fit**2) / max(np.sum(residual**2), np.finfo(float).tiny))
-                if share > _HELD:
+                if share > _LINE_SHARE:
                     yield Line(output, view.record.name, frequency, rms, share)
 
 
 def _residual_tests(
     plant: Plant, views: Sequence[View], method_floor: PerOutput, level: float
 ) -> dict[str, Any]:
-    """Every field of `Diagnosis` that the residual decides."""
+    """All fields of `Diagnosis` that are computed from the residual."""
     ny = len(plant.outputs)
     rms, floor, excess = np.stack([_size(views, j) for j in range(ny)], axis=1)
-    more = (excess > _upper(level)) & (rms > _MARGIN * np.hypot(floor, method_floor))
-    # The discretisation's error is small but not white: where it shows, colour says nothing.
-    testable = more | (floor > _CLEAR * method_floor)
+    exceeds_noise = (excess > _upper(level)) & (rms > _MARGIN * np.hypot(floor, method_floor))
+    # The discretisation error is small but not white: where it matters, whiteness tests nothing.
+    testable = exceeds_noise | (floor > _CLEAR * method_floor)
     whites = [[_white(view, j) for view in views] for j in range(ny)]
     rho, whiteness = zip(*(ljung_box(parts) for parts in whites), strict=True)
     whiteness = np.where(testable, whiteness, np.nan)
@@ -145,41 +145,41 @@ def _residual_tests(
     cross = []
     for j in range(ny):
         for k in range(len(plant.inputs)):
-            late = _delay(views, j, k, level) if more[j] else (np.nan, 0.0)
-            unexplained = 1.0 - (floor[j] / rms[j]) ** 2 if more[j] else np.inf
-            delay = late[0] if late[1] > 0.5 * unexplained else np.nan
-            white = whites[j] if testable[j] else [np.full_like(one, np.nan) for one in whites[j]]
+            delay_test = _delay(views, j, k, level) if exceeds_noise[j] else (np.nan, 0.0)
+            unexplained = 1.0 - (floor[j] / rms[j]) ** 2 if exceeds_noise[j] else np.inf
+            delay = delay_test[0] if delay_test[1] > 0.5 * unexplained else np.nan
+            white = whites[j] if testable[j] else [np.full_like(part, np.nan) for part in whites[j]]
             cross.append(_cross(plant, views, white, (j, k), delay, level))
     return {
         "residual_rms": rms,
         "noise_floor": floor,
         "method_floor": method_floor,
-        "more_than_noise": more,
+        "more_than_noise": exceeds_noise,
         "whiteness": whiteness,
         "white": ~(whiteness < level),
         "autocorrelation": np.stack(rho),
         "thinning": tuple(view.thin for view in views),
-        "offset": np.asarray([one[0] for one in offsets]),
-        "offset_error": np.asarray([one[1] for one in offsets]),
+        "offset": np.asarray([mean for mean, _ in offsets]),
+        "offset_error": np.asarray([error for _, error in offsets]),
         "cross": tuple(cross),
-        "maps": tuple(one for several in maps for one in several),
+        "maps": tuple(entry for output_maps in maps for entry in output_maps),
         "strongest": tuple(strongest),
     }
 
 
 def _upper(level: float) -> float:
-    """Standard deviations that chance exceeds with probability `level`."""
+    """Quantile of the standard normal distribution exceeded with probability `level`."""
     from scipy.special import ndtri
 
     return float(-ndtri(level))
 
 
 def _size(views: Sequence[View], j: int) -> tuple[float, float, float]:
-    """Rms of the residual, its floor, and by how many deviations of chance it is above that."""
+    """Rms of the residual, its floor, and its excess over the floor in standard deviations."""
     square = floor = spread = count = 0.0
 
-    def estimated(view: View) -> float:
-        """Of the noise itself: the eighth difference of n samples says as much as n / 3.6 of them.
+    def noise_variance(view: View) -> float:
+        """Relative variance of the noise power; eighth differences of n samples count as n / 3.6.
 
         C(32, 16) / C(16, 8)² = 3.63, Σ ρ² of the eighth difference of white noise.
         """
@@ -191,19 +191,20 @@ def _size(views: Sequence[View], j: int) -> tuple[float, float, float]:
         square += float(np.sum(e[scored] ** 2))
         floor += float(np.sum(scored) * view.null[j, 0])
         part = float(np.sum(scored) * view.null[j, 0])
-        spread += 2.0 * part**2 * (view.alike[j] / max(np.sum(scored), 1) + estimated(view))
+        dependence = view.samples_per_independent[j] / max(np.sum(scored), 1)
+        spread += 2.0 * part**2 * (dependence + noise_variance(view))
         count += float(np.sum(scored))
     if not count:
         return np.nan, np.nan, np.nan
-    above = (square - floor) / np.sqrt(max(spread, np.finfo(float).tiny))
-    return np.sqrt(square / count), np.sqrt(floor / count), above
+    excess = (square - floor) / np.sqrt(max(spread, np.finfo(float).tiny))
+    return np.sqrt(square / count), np.sqrt(floor / count), excess
 
 
 def _white(view: View, j: int) -> Float[np.ndarray, " n"]:
-    """The thinned residual, whitened and over its deviation under the null hypothesis."""
+    """The thinned residual, whitened and divided by its deviation under the null hypothesis."""
     prediction = prediction_from(view.null[j])
-    left = view.null[j, 0] - prediction @ view.null[j, 1:]
-    return whitened(view.thinned(j), prediction) / np.sqrt(max(left, np.finfo(float).tiny))
+    variance = view.null[j, 0] - prediction @ view.null[j, 1:]
+    return whitened(view.thinned(j), prediction) / np.sqrt(max(variance, np.finfo(float).tiny))
 
 
 def _cross(
@@ -222,8 +223,8 @@ def _cross(
     step = max(view.thin * view.record.sample_period for view in views)
     past = largest(rho, counts, lags >= 0)
     future = largest(rho, counts, lags < 0)
-    # What a model lacks follows its input; where the input repeats, it also foretells it a little.
-    feedback = future[1] < level and abs(future[0]) > _FORETOLD and _moves(views, k)
+    # A model error follows the input; where the input is periodic, it also precedes it a little.
+    feedback = future[1] < level and abs(future[0]) > _FEEDBACK and _moves(views, k)
     return Cross(
         plant.outputs[j],
         plant.inputs[k],
@@ -238,16 +239,17 @@ def _cross(
 
 
 def _moves(views: Sequence[View], k: int) -> bool:
-    """Whether an input changes all the time; one that mostly stands still answers to nothing."""
+    """Whether an input changes most of the time; a mostly constant one cannot be feedback."""
     steps = [np.abs(np.diff(view.record.inputs[:, k])) for view in views]
-    return any(np.mean(one > _MOVED * np.max(one)) > _MOVES for one in steps)
+    return any(np.mean(step > _MOVED * np.max(step)) > _MOVES for step in steps)
 
 
 def _delay(views: Sequence[View], j: int, k: int, level: float) -> tuple[float, float]:
-    """The lateness of input k that explains most of residual j [s], and the share it explains.
+    """The delay of input k that explains most of residual j [s], and the share it explains.
 
-    F[f(u late) - f(u)] is projected off F[φ] (other parameters would have hidden a part), and
-    the residual regressed on it: the right delay has the coefficient one. NaN if none fits.
+    F[φ] is projected out of F[f(delayed u) - f(u)], because other parameters would have absorbed a
+    part. The residual is regressed on the result: the right delay has the coefficient one. NaN if
+    no delay fits.
     """
     from scipy.special import ndtr
 
@@ -262,9 +264,11 @@ def _delay(views: Sequence[View], j: int, k: int, level: float) -> tuple[float, 
     if len(e) < FEWEST or not np.any(late):
         return np.nan, 0.0
     phi = phi / np.maximum(np.linalg.norm(phi, axis=0), np.finfo(float).tiny)
-    both = np.column_stack([late, e])
-    both = both - phi @ np.linalg.lstsq(phi, both, rcond=1e-10)[0]
-    late, e = both[:, :-1], both[:, -1]
+    columns_and_residual = np.column_stack([late, e])
+    columns_and_residual = (
+        columns_and_residual - phi @ np.linalg.lstsq(phi, columns_and_residual, rcond=1e-10)[0]
+    )
+    late, e = columns_and_residual[:, :-1], columns_and_residual[:, -1]
     power = np.maximum(np.sum(late**2, axis=0), np.finfo(float).tiny)
     gain = late.T @ e / power
     explained = gain**2 * power / max(e @ e, np.finfo(float).tiny)
@@ -272,18 +276,18 @@ def _delay(views: Sequence[View], j: int, k: int, level: float) -> tuple[float, 
     if not np.any(fits):
         return np.nan, 0.0
     best = int(np.argmax(np.where(fits, explained, 0.0)))
-    # Half the thinned samples count: neighbours are still alike.
+    # Half the thinned samples count: neighbours are still correlated.
     strength = np.sqrt(0.5 * len(e) * explained[best] / max(1.0 - explained[best], 1e-12))
     if 2.0 * ndtr(-strength) * len(gain) > level:
         return np.nan, 0.0
     delays = views[0].delays * views[0].record.sample_period
-    if best == 0:  # far below the filter's time a delay shows by its size only
+    if best == 0:  # far below the time constant of the filter only the size shows a delay
         return float(delays[0] * gain[0]), float(explained[0])
     return _peak(delays, explained, best), float(explained[best])
 
 
 def _peak(x: np.ndarray, values: np.ndarray, best: int) -> float:
-    """Where the parabola through the largest value and its neighbours is largest."""
+    """Maximum of the parabola through the largest value and its neighbours."""
     if best == len(x) - 1 or len(np.unique(x[best - 1 : best + 2])) < 3:
         return float(x[best])
     a, b, _ = np.polyfit(x[best - 1 : best + 2] - x[best], values[best - 1 : best + 2], 2)
@@ -312,8 +316,8 @@ def _maps(plant: Plant, views: Sequence[View], j: int) -> list[Map]:
     maps = []
     for c, name in enumerate(variable_names(plant)):
         values = [view.variables[:, c] for view in views]
-        one = _map((plant.outputs[j], name), views, values, j, bins, freedom)
-        maps += [one] if one else []
+        entry = _map((plant.outputs[j], name), views, values, j, bins, freedom)
+        maps += [entry] if entry else []
     return maps
 
 
@@ -325,29 +329,29 @@ def _map(
     bins: int,
     freedom: float,
 ) -> Map | None:
-    """Binned means, and a Wald test that all are alike; None for a variable that stands still."""
-    known = [np.isfinite(view.thinned(j)) for view in views]
-    scored = np.concatenate([v[one] for one, v in zip(known, values, strict=True)])
+    """Binned means, and a Wald test that all are equal; None for a constant variable."""
+    masks = [np.isfinite(view.thinned(j)) for view in views]
+    scored = np.concatenate([v[mask] for mask, v in zip(masks, values, strict=True)])
     if np.ptp(scored) <= 1e-12 * np.max(np.abs(scored)):
         return None
     edges = np.unique(np.quantile(scored, np.linspace(0, 1, bins + 1)[1:-1]))
     used, place = np.unique(np.searchsorted(edges, scored, side="right"), return_inverse=True)
     if len(used) < 2:
         return None
-    labels = [np.full(len(one), -1) for one in known]
-    starts = np.cumsum([np.sum(one) for one in known])[:-1]
-    for label, one, part in zip(labels, known, np.split(place, starts), strict=True):
-        label[one] = part
+    labels = [np.full(len(mask), -1) for mask in masks]
+    starts = np.cumsum([np.sum(mask) for mask in masks])[:-1]
+    for label, mask, part in zip(labels, masks, np.split(place, starts), strict=True):
+        label[mask] = part
     thinned = [view.thinned(j) for view in views]
     means = coloured_means(thinned, labels, len(used), _null(views, j))
     error = np.maximum(np.diagonal(means.coloured), np.diagonal(means.null))
-    e = np.concatenate([view.thinned(j)[one] for view, one in zip(views, known, strict=True)])
-    apart = means.mean - np.mean(e)
+    e = np.concatenate([view.thinned(j)[mask] for view, mask in zip(views, masks, strict=True)])
+    deviation = means.mean - np.mean(e)
     power = float(np.sum(e**2))
-    explained = float(np.sum(means.counts * (apart**2 - error))) / power if power > 0 else 0.0
-    # Hotelling's correction for the first: that covariance is itself an estimate.
+    explained = float(np.sum(means.counts * (deviation**2 - error))) / power if power > 0 else 0.0
+    # Hotelling's correction for the first: its covariance is an estimate.
     tests = (wald(means.mean, means.coloured, freedom), wald(means.mean, means.null, np.inf))
-    statistic, p_value = max(tests, key=lambda one: one[1])
+    statistic, p_value = max(tests, key=lambda test: test[1])
     return Map(
         *names,
         np.bincount(place, scored) / means.counts,
@@ -360,14 +364,14 @@ def _map(
 
 
 def _strongest(maps: Sequence[Map], level: float, rms: float, method_floor: float) -> Map | None:
-    """The map that explains most among those that chance and discretisation do not."""
+    """The map that explains most among those beyond chance and discretisation error."""
     good = [
-        one
-        for one in maps
-        if one.p_value < level / len(maps)
-        and one.explained > max(_SHOWN, (method_floor / rms) ** 2)
+        entry
+        for entry in maps
+        if entry.p_value < level / len(maps)
+        and entry.explained > max(_MIN_EXPLAINED, (method_floor / rms) ** 2)
     ]
-    return max(good, key=lambda one: one.explained) if good else None
+    return max(good, key=lambda entry: entry.explained) if good else None
 
 
 # -- parameters ------------------------------------------------------------------------------
@@ -376,7 +380,7 @@ def _strongest(maps: Sequence[Map], level: float, rms: float, method_floor: floa
 def _excitation(
     identification: Identification, views: Sequence[View]
 ) -> tuple[float, tuple[Window, ...], Solution]:
-    """Excitation of all records together and of each window, and the least squares behind it."""
+    """Excitation of all records together and of each window, and the least-squares solution."""
     index = identification.index[identification.best_pass]
     weights = np.where(np.isfinite(index) & (index > 0), 1.0 / np.where(index > 0, index, 1.0), 1.0)
     free = identification.plant.free
@@ -384,11 +388,13 @@ def _excitation(
     total = np.sum([stretch[3] for stretch in stretches], axis=0)
     count = max(sum(stretch[4] for stretch in stretches), 1)
     solution = least_squares(total, np.zeros(len(free)), free)
-    kept = free > 0
-    scale = np.sqrt(np.maximum(np.diagonal(total)[kept], np.finfo(float).tiny) / count)
+    estimated = free > 0
+    scale = np.sqrt(np.maximum(np.diagonal(total)[estimated], np.finfo(float).tiny) / count)
 
     def smallest_and_mean(information: np.ndarray, samples: int) -> tuple[float, float]:
-        scaled = information[np.ix_(kept, kept)] / max(samples, 1) / np.outer(scale, scale)
+        scaled = (
+            information[np.ix_(estimated, estimated)] / max(samples, 1) / np.outer(scale, scale)
+        )
         values = np.linalg.eigvalsh(scaled)
         return max(float(values[0]), 0.0), float(np.mean(values))
 
@@ -404,54 +410,54 @@ def _stretches(
 ) -> list[tuple[str, float, float, np.ndarray, int]]:
     """Information and scored samples of each window of a record, some twenty over all records."""
     record = view.record
-    length = sum(len(one.record) * one.record.sample_period for one in views)
+    length = sum(len(item.record) * item.record.sample_period for item in views)
     shortest = 10 * view.thin  # a few independent samples
     all_scored = np.any(np.isfinite(view.residual), axis=1)
-    first = int(np.argmax(all_scored))  # before it is the transient
+    first = int(np.argmax(all_scored))  # the transient is not scored
     size = max(round(length / _WINDOWS / record.sample_period), shortest)
     count = max(round((len(record) - first) / size), 1)
-    found = []
+    windows = []
     for part in np.array_split(np.arange(first, len(record)), count):
         scored = np.isfinite(view.residual[part])
         phi = np.where(scored[:, :, None], view.Phi[part], 0.0)
         information = np.einsum("j,tja,tjb->ab", weights, phi, phi, optimize=True)
         bounds = float(record.time[part[0]]), float(record.time[part[-1]])
-        found.append((record.name, *bounds, information, int(np.sum(np.any(scored, axis=1)))))
-    return found
+        windows.append((record.name, *bounds, information, int(np.sum(np.any(scored, axis=1)))))
+    return windows
 
 
 def _confounded(identification: Identification, solution: Solution) -> tuple[Confounded, ...]:
-    """Pairs of estimates that are nearly one, the closest first.
+    """Pairs of strongly correlated estimates, the most correlated first.
 
-    The smaller of two correlations counts: that of the estimates, which also has what the model
-    lacks in it, and that of the experiment alone, of estimates from white residuals.
+    The smaller of two correlations counts: that of the estimates, which includes model errors, and
+    that of the experiment alone, for white residuals.
     """
     correlation = _correlation(np.asarray(solution.inverse))
     if np.all(np.isfinite(identification.covariance)):
-        other = _correlation(identification.covariance)
-        correlation = np.where(np.abs(other) < np.abs(correlation), other, correlation)
+        estimated = _correlation(identification.covariance)
+        correlation = np.where(np.abs(estimated) < np.abs(correlation), estimated, correlation)
     names = identification.plant.names
     pairs = [
         Confounded(names[a], names[b], float(correlation[a, b]))
         for a in range(len(names))
         for b in range(a + 1, len(names))
-        if abs(correlation[a, b]) > _ALIKE
+        if abs(correlation[a, b]) > _CONFOUNDED
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
 
 
 def _correlation(covariance: Float[np.ndarray, "np np"]) -> Float[np.ndarray, "np np"]:
     error = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    known = np.where(error > 0, error, np.inf)
-    return covariance / np.outer(known, known)
+    scale = np.where(error > 0, error, np.inf)
+    return covariance / np.outer(scale, scale)
 
 
 def _worst_combination(plant: Plant, solution: Solution) -> str:
-    """The change of parameters that shows least in the data, if it shows far less than others."""
+    """The parameter combination that is least certain, if far less certain than the others."""
     eigenvalues = np.asarray(solution.eigenvalues)
     if eigenvalues[0] * _UNEVEN**2 > eigenvalues[-1] or not np.any(solution.scale):
         return ""
     first = np.arange(len(eigenvalues)) > 0
     return untraced(
-        eqx.tree_at(lambda one: one.identified, solution, first), plant.names, plant.free
+        eqx.tree_at(lambda fit: fit.identified, solution, first), plant.names, plant.free
     )[0]

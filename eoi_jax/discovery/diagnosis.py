@@ -17,12 +17,12 @@ class Cross:
 
     Attributes:
         output, input: names.
-        lags: [s]; positive where the residual follows the input, in steps of the thinning.
+        lags: in steps of the thinning [s]; positive if the residual follows the input.
         correlation: at each lag; ± 1.96 / √samples is its 95 % band without a relation.
-        p_value: that the largest at lags ≥ 0 is chance, corrected for the number of lags.
-        lag: at which it is largest [s].
-        future_p_value: the same for lags < 0: inputs that follow the residual.
-        delay: by which the input seems to act late [s]; NaN without evidence.
+        p_value: of the largest correlation at lags ≥ 0, corrected for the number of lags.
+        lag: lag of the largest correlation [s].
+        future_p_value: the same for lags < 0, where the input follows the residual.
+        delay: apparent delay of the input [s]; NaN without evidence.
         feedback: whether the input seems to be computed from the output.
     """
 
@@ -41,17 +41,17 @@ class Cross:
 class Map:
     """The residual of one output in bins of equal count of one variable.
 
-    The variable went through the filter F as the residual did, so both belong to one instant.
+    The variable is filtered by F like the residual, so both refer to the same instant.
 
     Attributes:
-        output: whose residual [unit of y^(r)].
-        variable: a name; with ′ for each derivative, or ``"time"``.
+        output: name of the output of the residual [unit of y^(r)].
+        variable: a name, with ′ for each derivative, or ``"time"``.
         centre: mean of the variable in each bin.
-        mean: of the residual.
+        mean: mean of the residual in each bin.
         band: half width of its 95 % band, for coloured residuals.
-        statistic: Wald statistic over its degrees of freedom: one if all bins are alike.
-        p_value: that all bins are alike.
-        explained: share of the residual's power that the bins' means hold.
+        statistic: Wald statistic over its degrees of freedom; about one if all bins are equal.
+        p_value: of the hypothesis that all bins are equal.
+        explained: share of the residual's power that the means of the bins explain.
     """
 
     output: str
@@ -66,14 +66,14 @@ class Map:
 
 @dataclass(frozen=True)
 class Window:
-    """What one stretch of a record says about the parameters.
+    """The information of one stretch of a record about the parameters.
 
     Attributes:
         record: name. start, stop: [s].
         excitation: smallest eigenvalue of the information per sample, for parameters scaled so
             that each alone has one over all records; 0 without scored samples.
-        poor: whether all regressors together have below a hundredth of their mean power. (One
-            frequency at a time, as in a chirp, is little excitation in each window, and is not.)
+        poor: whether all regressors together have less than a hundredth of their mean power. (A
+            chirp, with one frequency at a time, excites little in each window but is not poor.)
     """
 
     record: str
@@ -85,7 +85,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Confounded:
-    """Two parameters whose estimates the data hardly tell apart."""
+    """Two parameters whose estimates the data hardly distinguish."""
 
     first: str
     second: str
@@ -94,13 +94,13 @@ class Confounded:
 
 @dataclass(frozen=True)
 class Line:
-    """A line in the spectrum of an output that comes from elsewhere: hum, vibration.
+    """A line in the spectrum of an output that no input causes: hum, vibration.
 
     Attributes:
         output, record: names.
-        frequency: [rad/s].
-        rms: of the line [unit of y].
-        share: of the residual's power.
+        frequency: frequency of the line [rad/s].
+        rms: rms of the line [unit of y].
+        share: share of the residual's power.
     """
 
     output: str
@@ -112,35 +112,35 @@ class Line:
 
 @dataclass(frozen=True)
 class Diagnosis(Result):
-    """What the residual of an estimate tells.
+    """The analysis of the residual of an estimate.
 
     `plot` shows maps, correlations and excitation.
 
     Attributes:
-        findings: sentences, the most important first.
+        findings: the results in sentences, the most important first.
         outputs, inputs: names; `units` by name, `degrees` r of each output.
-        level: of significance of every test.
+        level: level of significance of every test.
         residual_rms: [unit of y^(r)]; NaN where nothing was scored.
-        noise_floor: rms that the record's noise leaves in a residual.
-        method_floor: rms that the discretisation may leave.
+        noise_floor: rms of the residual due to measurement noise.
+        method_floor: largest rms of the residual due to the discretisation.
         more_than_noise: whether the residual is above both.
         whiteness: p-value of the Ljung-Box test of the thinned and whitened residual.
         white: whether that is above `level`, or no test was possible.
         autocorrelation: of the thinned and whitened residual, at lags 1, 2, …
         thinning: samples of each record per thinned sample.
         offset, offset_error: mean of the residual and its standard error.
-        cross: one for each output and input.
+        cross: one entry for each output and input.
         maps: for each output against y, its derivatives, u and time.
-        strongest: for each output the map that explains most of the residual's power among those
-            that are significant, or None.
+        strongest: for each output, the significant map that explains most of the residual's power,
+            or None.
         excitation: smallest eigenvalue over all records, as in `Window`.
-        windows: the records in stretches.
+        windows: the stretches of the records.
         confounded: pairs of parameters.
         worst_combination: of parameters, in words; "" if all are about equally certain.
-        sliding_fraction: share of scored steps in sliding.
-        saturation: of inputs and outputs.
+        sliding_fraction: share of scored steps in sliding mode.
+        saturation: saturations of inputs and outputs.
         noise, quantum: of each output, the largest over the records [unit of y].
-        lines: of outputs that no input drives and that hold much of the residual.
+        lines: lines that no input causes and that have a large share of the residual.
     """
 
     findings: tuple[str, ...]

@@ -173,7 +173,7 @@ def _run(task: Task, spare: Sequence[AbstractEffect], progress: Progress) -> Dis
     # The search does not wait for the free runs before it.
     with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
         steps, rounds = _searched(task, progress)
-        if not rounds[0].base.whole_power > 0.0:
+        if not rounds[0].base.output_power > 0.0:
             none = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
             reason = none.format(task.declared.lowpass.cutoff)
             lost = replace(task.declared, status=Status("no_data", reason))

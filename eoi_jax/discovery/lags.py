@@ -99,7 +99,7 @@ def _signal(one: ModalRecord, modes: Rows, length: int) -> Float[np.ndarray, " n
     """The part of a signal that its low modes hold, of which none is left out."""
     from scipy.fft import idct  # only discovery needs it
 
-    low = one.kept == np.arange(len(one.kept))
+    low = one.indices == np.arange(len(one.indices))
     whole = np.zeros(length)
     whole[: np.sum(low)] = modes[low]
     return np.asarray(idct(whole, norm="ortho"))

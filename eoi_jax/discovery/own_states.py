@@ -1,6 +1,7 @@
-"""States that an effect has of its own, along the signals of a record.
+"""Internal states of an effect, simulated along the signals of a record.
 
-Compiled for a vector of shapes at once where that can be, and else followed by `lax.scan`.
+The loop is compiled for a vector of shapes if the effect can be translated; otherwise it is a
+`lax.scan`.
 """
 
 from dataclasses import dataclass
@@ -19,13 +20,13 @@ from eoi_jax.compiler.runtime import compiled_loop
 from eoi_jax.discovery.cosine_modes import integrated, moved_through
 from eoi_jax.models.effects.effect import AbstractEffect, At, Grid
 
-_LANES = 16  # shapes in one vector: one program whatever the grid
-_CHUNK = 4096  # steps at a time
+_LANES = 16  # shapes in one vector: one program for grids of any size
+_CHUNK = 4096  # steps per chunk
 
 Signals = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # time, output, velocity, input
 
 
-class _Own(eqx.Module):
+class _EffectStates(eqx.Module):
     """An effect, by its value."""
 
     effect: AbstractEffect = eqx.field(static=True)
@@ -49,47 +50,51 @@ def states_along(
     """The states in the middle of each step, from zero at the start of the record.
 
     Args:
-        effect: with or without states.
-        shapes: its shape parameters, (grid, shapes).
+        effect: an effect with or without states.
+        shapes: values of its shape parameters, (grid, shapes).
         signals: in the middle of each step, each (S,).
         change: of each signal over the step.
-        h: step [s].
+        h: length of a step [s].
     """
     steps = len(signals[0])
     if not effect.states:
         return np.zeros((len(shapes), steps, 0))
     dtype = np.dtype(jnp.result_type(float))
     scalars = tuple(np.zeros(()) for _ in signals)
-    own, lane, step = shapes_of((_Own(effect), shapes[0], _Row(scalars, scalars)), dtype)
+    equation, lane, step = shapes_of(
+        (_EffectStates(effect), shapes[0], _Row(scalars, scalars)), dtype
+    )
     try:
-        code = compiled_loop(_States(own, lane, step, dtype), 2 * len(signals), _LANES, True)
+        code = compiled_loop(
+            _StateLoop(equation, lane, step, dtype), 2 * len(signals), _LANES, True
+        )
     except Untranslatable:
         return np.asarray(_by_xla(effect, shapes, signals, change, np.asarray(h)))
     rows = np.stack([*signals, *change], axis=1).astype(dtype)
-    out = np.empty((len(shapes), steps, effect.states), dtype)
+    trajectories = np.empty((len(shapes), steps, effect.states), dtype)
     for first in range(0, len(shapes), _LANES):
         lanes = shapes[first : first + _LANES]
-        begun, at = code.begin(np.asarray(lanes.T, dtype), np.asarray([h], dtype)), 0
-        for shown in begun.outputs(rows, _CHUNK):
+        simulation, begin = code.begin(np.asarray(lanes.T, dtype), np.asarray([h], dtype)), 0
+        for chunk in simulation.outputs(rows, _CHUNK):
             for i, place in enumerate(code.outputs):
-                part = shown[:, place][:, : len(lanes)]
-                out[first : first + len(lanes), at : at + len(shown), i] = part.T
-            at += len(shown)
-    return out
+                part = chunk[:, place][:, : len(lanes)]
+                trajectories[first : first + len(lanes), begin : begin + len(chunk), i] = part.T
+            begin += len(chunk)
+    return trajectories
 
 
 @dataclass(frozen=True, eq=False)
-class _States(AbstractLoop):
-    """What is traced: a lane is a shape."""
+class _StateLoop(AbstractLoop):
+    """The loop to be compiled; each lane has one shape."""
 
-    own: _Own
+    equation: _EffectStates
     lane: Any
     step: _Row
     dtype: np.dtype
 
     @property
     def row(self) -> _Row:
-        """What a step reads of the record."""
+        """Signals that a step reads."""
         return self.step
 
     @property
@@ -100,15 +105,17 @@ class _States(AbstractLoop):
     def begin(self, lane: Any, fixed: Any) -> Any:
         """Zero."""
         del lane, fixed
-        return jnp.zeros(self.own.effect.states, self.dtype)
+        return jnp.zeros(self.equation.effect.states, self.dtype)
 
     def advance(self, lane: Any, fixed: Any, carry: Any, row: _Row) -> tuple[Any, Any]:
-        """The states after a step; those in its middle are shown."""
+        """The states at the end of a step, and those in its middle as output."""
         signals = row.middle, row.change
-        return moved_through(lambda z, now: self.own.rate(z, now, lane), carry, signals, fixed)
+        return moved_through(
+            lambda z, instant: self.equation.rate(z, instant, lane), carry, signals, fixed
+        )
 
     def result(self, carry: Any) -> Any:
-        """Nothing: all of it is shown."""
+        """Nothing: the states are outputs of the steps."""
         del carry
         return ()
 
@@ -117,10 +124,10 @@ class _States(AbstractLoop):
 def _by_xla(
     effect: AbstractEffect, shapes: Any, signals: tuple, change: tuple, h: Any
 ) -> Float[Array, "grid S states"]:
-    own = _Own(effect)
+    equation = _EffectStates(effect)
 
-    def along(shape: Array) -> Array:
+    def simulate(shape: Array) -> Array:
         start = jnp.zeros(effect.states, shape.dtype)
-        return integrated(lambda z, row: own.rate(z, row, shape), start, signals, change, h)
+        return integrated(lambda z, row: equation.rate(z, row, shape), start, signals, change, h)
 
-    return jax.vmap(along)(jnp.asarray(shapes))
+    return jax.vmap(simulate)(jnp.asarray(shapes))

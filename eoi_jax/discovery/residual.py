@@ -1,12 +1,13 @@
-r"""The residual of an estimate, thinned, and what noise alone would have made of it.
+r"""The thinned residual of an estimate, and its expected spectrum if it were noise alone.
 
 Under the null hypothesis (the model is right, the measurement noise n is white) the residual is
-known up to its size. It is not white: with the model linearised along the record it is
+known up to its size. It is not white. With the model linearised along the record it is
 
     e = F[n^(r) - Σ_m (∂f/∂y^(m)) n^(m)],        spectrum |F|² |(iω)^r - Σ_m a_m (iω)^m|² σ² h
 
 Differentiated r times, white noise is negatively correlated (its spectrum rises as ω^2r), and F
-makes neighbours alike. Two samples per half period of the cut-off (a step of π/2ω_c) are kept.
+correlates neighbouring samples. Two samples per half period of the cut-off (a step of π/2ω_c) are
+kept.
 """
 
 from typing import Any, NamedTuple
@@ -30,23 +31,23 @@ from eoi_jax.models.plant import Plant, State
 
 PerOutput = Float[np.ndarray, " ny"]
 
-_DELAYS = 32  # that are tried, up to one period of the cut-off
+_DELAYS = 32  # number of delays tested, up to one period of the cut-off
 _SLOPES = 400  # samples at which the model is linearised
 
 
 class View(NamedTuple):
-    """One record as the tests see it; n thinned samples of N.
+    """One record prepared for the tests; n thinned samples of N.
 
     Attributes:
         residual: (N, ny), NaN where not scored.
         Phi: F[φ], (N, ny, np).
-        thin: samples per thinned one.
+        thin: samples per thinned sample.
         variables: F of y, its derivatives and u, and time, thinned, (n, variables).
         inputs: F[u], thinned, (n, nu).
-        delays: that are tried [samples].
-        late: F[f(u late) - f(u)], thinned, (n, ny, nu, delays).
+        delays: the delays tested [samples].
+        late: F[f(delayed u) - f(u)], thinned, (n, ny, nu, delays).
         null: autocovariance of the residual under the null hypothesis at thinned lags, (ny, lags).
-        alike: samples per independent one in its mean square, (ny,).
+        samples_per_independent: samples per independent sample in the mean square, (ny,).
     """
 
     record: Record
@@ -58,7 +59,7 @@ class View(NamedTuple):
     delays: np.ndarray
     late: np.ndarray
     null: np.ndarray
-    alike: np.ndarray
+    samples_per_independent: np.ndarray
 
     def thinned(self, j: int) -> Float[np.ndarray, " n"]:
         """The residual of output j, thinned."""
@@ -66,7 +67,7 @@ class View(NamedTuple):
 
 
 def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
-    """All records as the tests need them, and the floor that the discretisation sets."""
+    """All records prepared for the tests, and the floor that the discretisation sets."""
     plant, lowpass = identification.plant, identification.lowpass
     explicit = identification.observer.scheme == "explicit"
     records = identification.records
@@ -78,30 +79,30 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
     for record, residual, phi in zip(records, identification.residual, Phi, strict=True):
         h = record.sample_period
         thin = max(round(0.5 * np.pi / (lowpass.cutoff * h)), 1)
-        time, states, inputs = _along(plant, record)
-        null, alike = _null_covariance(
+        time, states, inputs = _measured_signals(plant, record)
+        null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
             raw_noise(record),
             _gain(lowpass, record, substeps, thin),
             thin,
         )
-        flat = np.concatenate([*_owned(plant, states), inputs], axis=1)
+        flat = np.concatenate([*_state_columns(plant, states), inputs], axis=1)
         filtered = _filtered(lowpass.discretise(h), flat - flat[0]) + flat[0]
-        kept = np.concatenate([flat[:1], filtered])[::thin]
-        furthest = max(2.0 * np.pi / (lowpass.cutoff * h), 2.0)
-        delays = np.linspace(1.0, furthest, _DELAYS).round().astype(int)
+        thinned = np.concatenate([flat[:1], filtered])[::thin]
+        max_delay = max(2.0 * np.pi / (lowpass.cutoff * h), 2.0)
+        delays = np.linspace(1.0, max_delay, _DELAYS).round().astype(int)
         views.append(
             View(
                 record,
                 np.asarray(residual),
                 phi,
                 thin,
-                np.concatenate([kept, record.time[::thin, None]], axis=1),
-                kept[:, flat.shape[1] - len(plant.inputs) :],
+                np.concatenate([thinned, record.time[::thin, None]], axis=1),
+                thinned[:, flat.shape[1] - len(plant.inputs) :],
                 delays,
                 _late(plant, lowpass.discretise(h), time, states, inputs, delays, thin),
                 null,
-                alike,
+                samples_per_independent,
             )
         )
     return views, step**2 / 6.0 * observed
@@ -110,7 +111,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
 def _regressors(
     identification: Identification, substeps: int
 ) -> tuple[Any, list[Float[np.ndarray, "time ny np"]]]:
-    """Sums of a pass at the estimate, and F[φ] at the samples of each record."""
+    """Sums of one iteration at the estimate, and F[φ] at the samples of each record."""
     plant, lowpass = identification.plant, identification.lowpass
     observer, records = identification.observer, identification.records
     explicit = observer.scheme == "explicit"
@@ -145,7 +146,7 @@ def _regressors(
     return sums, arrays
 
 
-def _along(
+def _measured_signals(
     plant: Plant, record: Record
 ) -> tuple[
     Float[np.ndarray, " steps"], Float[np.ndarray, "steps r ny"], Float[np.ndarray, "steps nu"]
@@ -160,7 +161,7 @@ def _along(
     return time, 0.5 * (states[1:] + states[:-1]), record.midpoint_inputs()
 
 
-def _owned(
+def _state_columns(
     plant: Plant, states: Float[np.ndarray, "steps r ny"]
 ) -> list[Float[np.ndarray, "steps 1"]]:
     """Outputs and those derivatives that are states of the model."""
@@ -168,7 +169,7 @@ def _owned(
 
 
 def variable_names(plant: Plant) -> list[str]:
-    """In the order of `View.variables`."""
+    """Names of the variables, in the order of `View.variables`."""
     outputs = zip(plant.outputs, plant.degrees, strict=True)
     states = [name + "′" * m for name, degree in outputs for m in range(degree)]
     return [*states, *plant.inputs, "time"]
@@ -181,12 +182,12 @@ def _filtered(
     return states(np.asarray(lowpass.transition), np.asarray(lowpass.entry), columns)[:, 0]
 
 
-def _changed(plant: Plant, row: tuple[Any, ...], other: Any) -> Any:
-    """f with another input less f."""
+def _changed(plant: Plant, row: tuple[Any, ...], other_input: Any) -> Any:
+    """f with another input, minus f."""
     t, y, u = row
     theta = jnp.asarray(plant.theta)
     x = State(y, plant.internal_start(theta))
-    return plant.derivative(t, x, other, theta) - plant.derivative(t, x, u, theta)
+    return plant.derivative(t, x, other_input, theta) - plant.derivative(t, x, u, theta)
 
 
 def _late(
@@ -198,21 +199,21 @@ def _late(
     delays: Int[np.ndarray, " delays"],
     thin: int,
 ) -> Float[np.ndarray, "n ny nu delays"]:
-    """F of what the model would change by if one of its inputs came late."""
-    late, index = [], np.arange(len(inputs))
+    """F of the change of the model output if one of the inputs were delayed."""
+    blocks, index = [], np.arange(len(inputs))
     for k in range(inputs.shape[1]):
-        others = np.repeat(inputs[None], len(delays), axis=0)
-        for row, delay in zip(others, delays, strict=True):
+        delayed = np.repeat(inputs[None], len(delays), axis=0)
+        for row, delay in zip(delayed, delays, strict=True):
             row[:, k] = inputs[np.maximum(index - delay, 0), k]
         rows = (time, measured, driven(plant, time, inputs))
-        late_inputs = np.stack([driven(plant, time, one) for one in others])
+        late_inputs = np.stack([driven(plant, time, delayed_input) for delayed_input in delayed])
         change = along(_changed, ("fixed", "rows", "grid rows"), plant, rows, late_inputs)
         columns = np.moveaxis(np.nan_to_num(change), 0, -1).reshape(len(index), -1)
         filtered = _filtered(lowpass, columns)
         filtered = np.concatenate([np.zeros_like(filtered[:1]), filtered])[::thin]
-        late.append(filtered.reshape(len(filtered), -1, len(delays)))
+        blocks.append(filtered.reshape(len(filtered), -1, len(delays)))
     empty = np.zeros((len(index) // thin + 1, len(plant.outputs), 0, len(delays)))
-    return np.stack(late, axis=2) if late else empty
+    return np.stack(blocks, axis=2) if blocks else empty
 
 
 def raw_noise(record: Record) -> PerOutput:
@@ -226,9 +227,9 @@ def _noise_moments(
     states: Float[np.ndarray, "steps r ny"],
     inputs: Float[np.ndarray, "steps nu"],
 ) -> Float[np.ndarray, "ny ny r1 r1"]:
-    """Mean of c cᵀ, where Σ_m c_m n^(m) is what noise n in output j adds to residual i.
+    """Mean of c cᵀ, where Σ_m c_m n^(m) is the contribution of noise n in output j to residual i.
 
-    c is one at the degree of output i = j, less ∂f_i/∂y_j^(m); taken at up to 400 samples.
+    c is one at the degree of output i = j, minus ∂f_i/∂y_j^(m); averaged over up to 400 samples.
     """
     picked = np.linspace(0, len(time) - 1, min(len(time), _SLOPES)).astype(int)
     slopes = np.asarray(state_slopes(plant, time[picked], states[picked], inputs[picked]))
@@ -265,14 +266,14 @@ def _gain(lowpass: Any, record: Record, substeps: int, thin: int) -> _Gain:
 def _null_covariance(
     moments: Float[np.ndarray, "ny ny r1 r1"], noise: PerOutput, gain: _Gain, thin: int
 ) -> tuple[Float[np.ndarray, "ny lags"], PerOutput]:
-    """Autocovariance of the residual that white noise leaves, at thinned lags 0 … `ORDER`.
+    """Autocovariance of the residual due to white noise, at thinned lags 0 … `ORDER`.
 
-    Also how many samples make one independent one in the mean square, Σ_k (R_k / R_0)².
+    Also the number of samples per independent sample in the mean square, Σ_k (R_k / R_0)².
     """
     mixed = np.einsum("ijab,j->iab", moments, noise**2)
     powers = gain.derivative[:, None] ** np.arange(moments.shape[-1])
     density = np.einsum("wa,iab,wb->iw", powers.conj(), mixed, powers).real * gain.power
     covariance = np.fft.irfft(np.maximum(density, 0.0), axis=1)
     zero = np.maximum(covariance[:, :1], np.finfo(float).tiny)
-    alike = np.sum((covariance / zero) ** 2, axis=1)
-    return covariance[:, : thin * (ORDER + 1) : thin], np.maximum(alike, 1.0)
+    samples = np.sum((covariance / zero) ** 2, axis=1)
+    return covariance[:, : thin * (ORDER + 1) : thin], np.maximum(samples, 1.0)

@@ -1,4 +1,4 @@
-"""What `discover` answers."""
+"""The result of `discover`."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,18 @@ from eoi_jax.simulation.validate import Validation
 
 @dataclass(frozen=True)
 class Evidence:
-    """One candidate and what speaks for it.
+    """One candidate and the evidence for it.
 
     Attributes:
         effect: canonical name.
         output: the output (or the input, for an input effect) that it acts on.
-        parameters: estimate of its own parameters, gains and shapes.
-        explained: share of the residual's power that it takes away when it alone is added.
-        score: twice the log-likelihood gained less the penalty; above zero it is evidence. Of an
-            effect that was added: beside the others; of another one: alone.
-        remark: why it is out, or "".
-        against: the output that its displacement is counted from, of an effect between two; or "".
-        through: the input beside which it acts on all that this pushes; or "".
+        parameters: estimates of its gains and shapes.
+        explained: share of the residual's power that it explains when only it is added.
+        score: twice the gain in log-likelihood minus the penalty; above zero it is evidence. For an
+            added effect: together with the others; for any other candidate: alone.
+        remark: why it was excluded, or "".
+        against: for an effect between two outputs, the reference of its displacement; or "".
+        through: the input together with which it acts on everything this drives; or "".
     """
 
     effect: str
@@ -44,13 +44,13 @@ class Added:
     """One effect that was added.
 
     Attributes:
-        effect: what; it gives the equation's term.
+        effect: the effect, which gives the term of the equation.
         output: the output, or the input, that it acts on.
         parameters: estimates by name in `Discovery.plant`.
         standard_errors: by name.
         sentence: completes "the model lacks …".
-        against: the output that its displacement is counted from, of an effect between two; or "".
-        through: the input beside which it acts on all that this pushes; or "".
+        against: for an effect between two outputs, the reference of its displacement; or "".
+        through: the input together with which it acts on everything this drives; or "".
     """
 
     effect: AbstractEffect
@@ -64,7 +64,7 @@ class Added:
 
 @dataclass(frozen=True)
 class PartialExplanation:
-    """The best set of effects that is no answer: it leaves too much, but free runs get better.
+    """The best set of effects that explains too little to be an answer, but improves free runs.
 
     Attributes:
         added: the effects, strongest first.
@@ -82,12 +82,12 @@ class PartialExplanation:
 
 @dataclass(frozen=True)
 class Texts:
-    """What a discovery says that takes its model to work out: kept in its file, without the model.
+    """Texts of a discovery that need its model; they are stored in its file without the model.
 
     Attributes:
-        added, lead: each effect with its parameters, as the answer and the lead name them.
+        added, lead: each effect with its parameters, of the answer and of the lead.
         equation, values: the augmented equation, with names and with values.
-        latex: the one with names, in LaTeX.
+        latex: the equation with names, in LaTeX.
     """
 
     added: tuple[str, ...]
@@ -99,33 +99,33 @@ class Texts:
 
 @dataclass(frozen=True)
 class Discovery(Result):
-    """What a model lacks, and what adding it is worth.
+    """What a model lacks, and how much the model improves by adding it.
 
-    `plot` shows residual before and after, the effect in it, the free run.
+    `plot` shows the residual before and after, the effect in it, and the free run.
 
     Attributes:
-        effects: canonical names of what was added, the strongest first; empty if nothing is
-            justified, or if nothing explains the residual.
-        added: the same with parameters.
+        effects: canonical names of the added effects, the strongest first; empty if none is
+            justified, or if none explains the residual.
+        added: the same effects with parameters.
         ranking: every candidate with its evidence, best first.
-        ambiguous_with: names that the records support as well, instead of one of `effects`.
-        advice: which experiment would tell them apart.
+        ambiguous_with: names that the records support equally well, instead of one of `effects`.
+        advice: which experiment would distinguish them.
         explained: share of the residual's power above the noise that `effects` explain, 0 … 1.
         before, after: free-run errors of the declared and of the augmented model, on records that
-            were not used for the fit (`in_sample` says where there were none).
+            were not used for the fit (`in_sample` tells whether there were none).
         windows_before, windows_after: the same on re-initialised windows; None where the records
             are too short.
-        declared, found: the fits.
+        declared, found: the fits of the declared and of the augmented model.
         plant: the augmented model with its estimate.
         status: ``"explained"``, ``"nothing_missing"``, ``"unexplained"``, or that of the declared
             fit if it failed.
-        notes: what limits the answer.
+        notes: limitations of the answer.
         in_sample: whether the free-run errors are on the records of the fit.
-        held_out: the records that the free runs are on.
+        held_out: the records of the free runs.
         diagnosis: of the declared model's residual where no effect explains it; else None.
-        lead: where no effect explains it, the set that comes nearest, if free runs get better by
-            it; else None. It may stand for something that the library does not have.
-        texts: of one that was loaded: as they were when it was saved; else None.
+        lead: where no effect explains it, the set that comes nearest, if it improves free runs;
+            else None. It may represent an effect that the library does not contain.
+        texts: of a loaded discovery, the texts when it was saved; else None.
     """
 
     effects: tuple[str, ...]
@@ -151,12 +151,12 @@ class Discovery(Result):
 
     @property
     def engine(self) -> EngineUsed:
-        """That ran the passes of `found`, and why where it was not the fast one."""
+        """The engine of the iterations of `found`, and the reason if it was not the fast one."""
         return self.found.engine
 
     @property
     def declared_part(self) -> Plant:
-        """The declared model with its parameters as they are beside the effects."""
+        """The declared model with its parameters as estimated together with the effects."""
         model = self.declared.nominal
         return model.with_parameters({name: self.plant.parameters[name] for name in model.names})
 

@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import ModalRecord, model_rows, stretch, telling_band
+from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, modal_record, model_rows
 from eoi_jax.discovery.lags import Peak, lags, strongest
-from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
+from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.discovery.search import Search
 from eoi_jax.discovery.side_by_side import each, waits
@@ -68,7 +68,7 @@ class Task:
     def band(self) -> float:
         """Highest frequency of the modes [rad/s]."""
         cutoff = self.declared.lowpass.cutoff
-        telling = telling_band(self.plant, self.records)
+        telling = informative_band(self.plant, self.records)
         return _BAND * float(np.clip(telling, cutoff, _WIDER * cutoff))
 
 
@@ -79,7 +79,7 @@ class Round:
         self, task: Task, model: Plant, placed: Sequence[Placed], earlier: "Round | None" = None
     ):
         self.task, self.model, self.placed = task, model, tuple(placed)
-        self.stretches = [stretch(model, one, task.band) for one in task.records]
+        self.stretches = [modal_record(model, one, task.band) for one in task.records]
         self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
@@ -90,7 +90,7 @@ class Round:
     @cached_property
     def held(self) -> list[ModalRecord]:
         """The held-out records."""
-        return [stretch(self.model, one, self.task.band) for one in self.task.held]
+        return [modal_record(self.model, one, self.task.band) for one in self.task.held]
 
     def _weighs_as(self, other: "Round") -> bool:
         """Whether the same samples count: the columns of a term are then the same."""
@@ -159,7 +159,7 @@ class Round:
     @property
     def exhausted(self) -> bool:
         """Whether the chosen set leaves no more than noise."""
-        power = known_power(self.base.noise, self.base.local, self.base.output)
+        power = expected_power(self.base.noise, self.base.local, self.base.output)
         return float(np.mean(self.kept.residual**2 / power)) < _NOISE_LIKE
 
     @property

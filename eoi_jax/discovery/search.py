@@ -29,7 +29,7 @@ from jaxtyping import Float
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.noise_spectrum import fitted_power
 from eoi_jax.discovery.regression import Base, Fit, Make, Span, Spans, fitted, refined, system
-from eoi_jax.discovery.screening import Beside, Terms, changes
+from eoi_jax.discovery.screening import Projection, Terms, changes
 from eoi_jax.models.augmented import Placed
 
 _BEAM = 5  # sets of one size that are refined
@@ -71,7 +71,7 @@ class Search:
     lacking: float
     power: Rows = field(init=False)
     _columns: Terms = field(init=False)
-    _alone: Beside = field(init=False)
+    _alone: Projection = field(init=False)
     _refined: dict[frozenset, tuple[CandidateColumns, ...]] = field(
         init=False, default_factory=dict
     )
@@ -135,7 +135,7 @@ class Search:
             without = base.signal_power(self.fit(others).residual)
             rest = max(_MOSTLY * (without - base.noise_power), _HALF * without)
             least = min(_MATERIAL * self.lacking, rest)
-            if without - own < max(least, _TRACE * base.whole_power):
+            if without - own < max(least, _TRACE * base.output_power):
                 return False
             present = {other.placed.effect.name for other in others}
             for simple in self._contained(one):
@@ -157,14 +157,14 @@ class Search:
     def known(self, placed: Placed) -> bool:
         """Whether an effect is in the span of the declared model already."""
         own = [i for i, one in enumerate(self._terms) if one.placed == placed]
-        kept = self._alone.kept
+        kept = self._alone.independent
         return bool(own) and not any(kept[self._columns.part(i)].any() for i in own)
 
     def _weigh(self, residual: Rows) -> None:
         base = self.base
         self.power = fitted_power(residual, base.noise, base.local, base.output)
         self._columns = Terms(self._terms, self.power)
-        self._alone = self._columns.beside(base.columns, base.target)
+        self._alone = self._columns.project(base.columns, base.target)
         self._changes = changes(self._changing, base, self.power)
 
     # -- sets that are worth a look -------------------------------------------------------------
@@ -207,7 +207,7 @@ class Search:
         """The set with one more effect, at its best point of the grid; best first."""
         keys = {one.key for one in fit.atoms}
         target, matrix = system(self.base, fit.atoms)
-        beside = self._columns.beside(matrix, target) if keys else self._alone
+        beside = self._columns.project(matrix, target) if keys else self._alone
         by_atom = self._columns.by_atom(beside)
         best: dict[Placed, CandidateColumns] = {}
         for i in np.argsort(by_atom)[::-1]:
@@ -231,7 +231,7 @@ class Search:
         ]
         declared = float(self.fit([]).cost)
         for several in self._changes:
-            left, beside = several.beside(self._columns)
+            left, beside = several.project_terms(self._columns)
             gains = declared - left[:, None] + self._columns.by_atom(beside)
             for one, gain in zip(several.atoms, gains, strict=True):
                 found += [(gain[i], (one, terms[i])) for i in np.argsort(gain)[::-1][:_TRIED]]

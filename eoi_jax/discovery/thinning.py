@@ -1,4 +1,4 @@
-"""Signals along a record averaged as the r-th difference sees them, and thinned to a band."""
+"""Averages of signals over the samples of an r-th difference, thinned to a frequency band."""
 
 import math
 from collections.abc import Callable
@@ -9,18 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-_NUMBERS = 131072  # at a time: what is computed on the way stays in the processor's cache
+_CHUNK = 131072  # values per chunk, so that intermediate results stay in the processor's cache
 
 
 def thinning(step: float) -> Float[np.ndarray, "factor 4"]:
-    """Cubic B-splines over the samples between two nodes, four nodes to a band's quarter period.
+    """Cubic B-splines over the samples between two nodes, four nodes per quarter period of a band.
 
-    A power of two, so that records of many bands share their compiled kernels.
+    The factor is a power of two, so that records with different bands share compiled kernels.
     """
     factor = 2 ** max(int(np.floor(np.log2(max(np.pi / (4.0 * step), 1.0)))), 0)
     x = (np.arange(factor) + 0.5) / factor
-    parts = [(1.0 - x) ** 3, 3.0 * x**3 - 6.0 * x**2 + 4.0, 1.0 + 3.0 * x * (1.0 + x - x**2), x**3]
-    return np.stack(parts, axis=1) / 6.0
+    splines = [
+        (1.0 - x) ** 3,
+        3.0 * x**3 - 6.0 * x**2 + 4.0,
+        1.0 + 3.0 * x * (1.0 + x - x**2),
+        x**3,
+    ]
+    return np.stack(splines, axis=1) / 6.0
 
 
 def thinned(values: Any, weight: Any, kernel: Any) -> Any:
@@ -28,12 +33,12 @@ def thinned(values: Any, weight: Any, kernel: Any) -> Any:
 
     Measurement noise above the band, which differences raise as ω^2r, is damped as ω^-8.
 
-    NumPy's arrays stay with NumPy: XLA would compile every operation for every length of record.
+    NumPy arrays are processed by NumPy: XLA would compile each operation for each record length.
     """
     xp = jnp if isinstance(values, jax.Array) else np
     blocks = _blocks(xp, values * weight, kernel)
-    before = [(0, 0)] * (blocks.ndim - 2)
-    shifted = [xp.pad(blocks[..., i], [*before, (i, 3 - i)]) for i in range(4)]
+    leading_axes = [(0, 0)] * (blocks.ndim - 2)
+    shifted = [xp.pad(blocks[..., i], [*leading_axes, (i, 3 - i)]) for i in range(4)]
     return shifted[0] + shifted[1] + shifted[2] + shifted[3]
 
 
@@ -44,30 +49,30 @@ def averaged_and_thinned(
     weight: Float[np.ndarray, " samples"],
     kernel: Float[np.ndarray, "factor taps"],
 ) -> Float[np.ndarray, "*batch nodes"]:
-    """`thinned` of `averaged` signals that are never there as a whole.
+    """`thinned` of `averaged` signals, evaluated in chunks so that memory stays small.
 
     Args:
-        values: the signals at some steps, last axis.
-        batch: lengths of the axes before it.
-        degree: of the difference that averages.
-        weight: of each average.
-        kernel: of the thinning.
+        values: returns the signals at a slice of steps (last axis).
+        batch: lengths of the leading axes.
+        degree: order r of the difference.
+        weight: weight of each average.
+        kernel: kernel of the thinning.
     """
-    factor, beyond = len(kernel), len(averaging(degree)) - 1
-    out = np.zeros((*batch, -(-len(weight) // factor) + 3))
-    length = max(_NUMBERS // max(math.prod(batch), 1) // factor, 1)  # blocks
-    for first in range(0, out.shape[-1] - 3, length):
+    factor, overlap = len(kernel), len(averaging(degree)) - 1
+    nodes = np.zeros((*batch, -(-len(weight) // factor) + 3))
+    length = max(_CHUNK // max(math.prod(batch), 1) // factor, 1)  # blocks
+    for first in range(0, nodes.shape[-1] - 3, length):
         steps = slice(first * factor, min((first + length) * factor, len(weight)))
-        along = averaged(degree, values(slice(steps.start, steps.stop + beyond)))
-        along *= weight[steps]
-        blocks = _blocks(np, along, kernel)
+        weighted = averaged(degree, values(slice(steps.start, steps.stop + overlap)))
+        weighted *= weight[steps]
+        blocks = _blocks(np, weighted, kernel)
         for i in range(4):
-            out[..., first + i : first + i + blocks.shape[-2]] += blocks[..., i]
-    return out
+            nodes[..., first + i : first + i + blocks.shape[-2]] += blocks[..., i]
+    return nodes
 
 
 def _blocks(xp: Any, weighted: Any, kernel: Any) -> Any:
-    """What each block of samples adds to the four nodes around it."""
+    """The contribution of each block of samples to the four nodes around it."""
     factor, missing = kernel.shape[0], -weighted.shape[-1] % kernel.shape[0]
     if missing:
         weighted = xp.pad(weighted, [*[(0, 0)] * (weighted.ndim - 1), (0, missing)])
@@ -75,7 +80,7 @@ def _blocks(xp: Any, weighted: Any, kernel: Any) -> Any:
 
 
 def averaging(degree: int) -> Float[np.ndarray, " taps"]:
-    """Weights of f in the middles of steps that the r-th difference of y averages over.
+    """Weights with which the r-th difference of y averages f at the middles of steps.
 
     The B-spline of order r has the variance r/12 (in steps); binomial weights corrected to that
     variance are exact to fourth order in h.
@@ -88,18 +93,18 @@ def averaging(degree: int) -> Float[np.ndarray, " taps"]:
 
 
 def averaged(degree: int, values: Array | np.ndarray) -> Any:
-    """Moving average of signals (last axis: steps) as the r-th difference sees them."""
+    """Moving average of signals (last axis: steps) that corresponds to the r-th difference."""
     taps = averaging(degree)
     size = values.shape[-1] - len(taps) + 1
-    last, half = len(taps) - 1, len(taps) // 2
+    last, middle = len(taps) - 1, len(taps) // 2
 
     def lagged(i: int) -> Any:
         return values[..., i : i + size]
 
-    # They are symmetric.
-    out = taps[0] * (lagged(0) + lagged(last))
-    for i in range(1, half):
-        out += taps[i] * (lagged(i) + lagged(last - i))
+    # The taps are symmetric.
+    average = taps[0] * (lagged(0) + lagged(last))
+    for i in range(1, middle):
+        average += taps[i] * (lagged(i) + lagged(last - i))
     if len(taps) % 2:
-        out += taps[half] * lagged(half)
-    return out
+        average += taps[middle] * lagged(middle)
+    return average

@@ -9,10 +9,10 @@ from eoi_jax.discovery.cosine_modes import (
     ModalRecord,
     averaged,
     averaging,
+    informative_band,
+    modal_record,
     model_rows,
-    quiet_band,
-    stretch,
-    telling_band,
+    smoothing_cutoff,
     thinned,
 )
 
@@ -102,7 +102,7 @@ def smooth_record(plant: eoi.Plant, samples: int) -> eoi.Record:
 def test_true_model_leaves_an_error_of_fourth_order(plant: eoi.Plant):
     errors = []
     for samples in (1000, 2000, 4000):
-        one = stretch(plant, smooth_record(plant, samples), 15.0)
+        one = modal_record(plant, smooth_record(plant, samples), 15.0)
         assert one.sample_period == pytest.approx(20.0 / samples)  # no sub-steps
         errors.append(size(one, model_rows(plant, [one])[0]))
     assert errors[-1] < 1e-6
@@ -111,7 +111,7 @@ def test_true_model_leaves_an_error_of_fourth_order(plant: eoi.Plant):
 
 def test_wrong_model_leaves_what_it_lacks():
     """Modes of y^(r) - f of a model without spring are those of the spring's force."""
-    one = stretch(MASS, smooth_record(MASS, 2000), 15.0)
+    one = modal_record(MASS, smooth_record(MASS, 2000), 15.0)
     without = model_rows(MASS.with_parameters({"k": 0.0}), [one])[0][0]
     slopes = model_rows(MASS, [one])[1][0]
     np.testing.assert_allclose(without, 20.0 * slopes[:, 0], atol=1e-5 * np.max(np.abs(without)))
@@ -122,7 +122,7 @@ def test_staircase_input_is_averaged_exactly():
     plant = eoi.Plant(push, {"b": 2.0}, relative_degree=2)
     time = 0.01 * np.arange(3000)
     drive = eoi.excitation.prbs(time, 1.0, 0.07, seed=5)
-    one = stretch(plant, eoi.simulate(plant, time, drive, hold="zero"), BAND)
+    one = modal_record(plant, eoi.simulate(plant, time, drive, hold="zero"), BAND)
     # The corrected samples are the inverse of the average to fourth order only: 1/24² of a jump.
     assert size(one, model_rows(plant, [one])[0]) < 1e-3
     jumps = plant, (one.u[None], one.u[None] * 0.99)
@@ -131,7 +131,7 @@ def test_staircase_input_is_averaged_exactly():
 
 
 def test_several_inputs_at_once_are_those_one_by_one():
-    one = stretch(MASS, smooth_record(MASS, 1000), 15.0)
+    one = modal_record(MASS, smooth_record(MASS, 1000), 15.0)
     inputs = np.stack([one.u, 0.5 * one.u, one.u**2])
     together, slopes = model_rows(MASS, [one], [inputs])
     for i, u in enumerate(inputs):
@@ -141,7 +141,7 @@ def test_several_inputs_at_once_are_those_one_by_one():
 
 
 def test_stretches_stand_one_behind_the_other():
-    both = [stretch(MASS, smooth_record(MASS, samples), 15.0) for samples in (1000, 2000)]
+    both = [modal_record(MASS, smooth_record(MASS, samples), 15.0) for samples in (1000, 2000)]
     error, slopes = model_rows(MASS, both)
     apart = [model_rows(MASS, [one])[0][0] for one in both]
     np.testing.assert_array_equal(error[0], np.concatenate(apart))
@@ -171,7 +171,7 @@ def noisy(clean: eoi.Record, share: float, seed: int) -> eoi.Record:
 def stretches(case: str, share: float) -> tuple[eoi.Plant, list[ModalRecord]]:
     plant, drive = NOISY[case]
     clean = eoi.simulate(plant, TIME, drive, substeps=2)
-    return plant, [stretch(plant, noisy(clean, share, seed), BAND) for seed in range(8)]
+    return plant, [modal_record(plant, noisy(clean, share, seed), BAND) for seed in range(8)]
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_states_carry_less_noise_than_the_record():
     plant, drive = NOISY["mass"]
     clean = eoi.simulate(plant, TIME, drive, substeps=2)
     record = noisy(clean, 1e-2, 0)
-    one = stretch(plant, record, BAND)
+    one = modal_record(plant, record, BAND)
     assert one.state_noise[0] < 0.6 * record.noise[0]
 
 
@@ -243,11 +243,11 @@ def test_band_ends_where_noise_hides_the_highest_derivative(share: float):
     below = record.noise[0] ** 2 * 2e-3 / np.pi * omega**5 / 5.0
     top = omega[np.flatnonzero(np.diff(below, prepend=0.0) < 0.5)[-1]]
     # Power is averaged over neighbours, 5 % of the frequency on each side, before it is judged.
-    assert top == pytest.approx(2.0 * telling_band(MASS, [record]), rel=0.1)
+    assert top == pytest.approx(2.0 * informative_band(MASS, [record]), rel=0.1)
 
 
 def test_more_noise_means_a_narrower_band():
-    several = [telling_band(MASS, [lines(640.0, share)]) for share in (1e-3, 1e-2, 5e-2)]
+    several = [informative_band(MASS, [lines(640.0, share)]) for share in (1e-3, 1e-2, 5e-2)]
     assert several[0] > 1.5 * several[1] > 2.0 * several[2]
 
 
@@ -255,7 +255,7 @@ def test_more_noise_means_a_narrower_band():
 def test_smoothing_passes_a_state_far_above_its_noise(share: float):
     """A line that stands out keeps all but the floor and what noise makes of it anyway."""
     record = lines(20.0, share)
-    cutoff = quiet_band(MASS, record)
+    cutoff = smoothing_cutoff(MASS, record)
     assert cutoff is not None
     assert (20.0 / cutoff) ** 8 < 3e-3  # 2e-3 and some leakage of the window
 
@@ -269,7 +269,7 @@ def test_samples_in_a_gap_do_not_count():
     outputs[1500:1900] = np.nan
     with pytest.warns(eoi.RecordWarning):
         gap = eoi.Record(record.time, record.inputs, outputs, hold="smooth")
-    whole, one = (stretch(MASS, one, 15.0) for one in (record, gap))
+    whole, one = (modal_record(MASS, one, 15.0) for one in (record, gap))
     assert not np.any(one.weight[0][1500:1895])
     assert np.max(one.weight[0]) == pytest.approx(1.0)
     assert size(whole, model_rows(MASS, [one])[0]) < 1e-5
@@ -281,7 +281,7 @@ def test_samples_at_rest_do_not_count_where_friction_is_dry():
     record = eoi.simulate(ROUGH, time, drive, substeps=4)
     still = np.abs(np.gradient(record.outputs[:, 0])) < 1e-9
     assert 0.1 < np.mean(still) < 0.9
-    one = stretch(ROUGH, record, BAND)
+    one = modal_record(ROUGH, record, BAND)
     assert np.mean(one.weight[0][still[2:-2]]) < 0.05
     # Friction at rest is a reaction: with those samples in, it would be a tenth of y''.
     assert size(one, model_rows(ROUGH, [one])[0]) < 0.01
@@ -297,7 +297,7 @@ def test_rows_before_the_relative_degree_are_empty():
     time = 0.01 * np.arange(1500)
     drive = eoi.excitation.multisine(time, 1.0, (0.2, 2.0), 6, seed=3)
     record = eoi.simulate(mixed, time, drive, [[0.0, 1.0], [0.0, 0.0]], hold="linear")
-    one = stretch(mixed, record, 15.0)
+    one = modal_record(mixed, record, 15.0)
     assert not np.any(one.y[:, 1, 1])
     assert len(one.highest) == len(one.weight) == 2
     assert size(one, model_rows(mixed, [one])[0]) < 1e-3
@@ -308,7 +308,7 @@ def test_rows_before_the_relative_degree_are_empty():
 
 def test_thinning_is_one_linear_operation():
     random = np.random.default_rng(2)
-    one = stretch(MASS, smooth_record(MASS, 4000), 15.0)
+    one = modal_record(MASS, smooth_record(MASS, 4000), 15.0)
     first, second = random.standard_normal((2, len(one.weight[0])))
     apart = [np.asarray(thinned(part, one.weight[0], one.kernel)) for part in (first, second)]
     both = np.asarray(thinned(np.stack([3.0 * first - second, first]), one.weight[0], one.kernel))
@@ -317,7 +317,7 @@ def test_thinning_is_one_linear_operation():
 
 
 def test_thinning_spreads_each_sample_over_four_nodes_of_weight_one():
-    one = stretch(MASS, smooth_record(MASS, 4000), 15.0)
+    one = modal_record(MASS, smooth_record(MASS, 4000), 15.0)
     assert one.kernel.shape[1] == 4
     assert len(one.kernel) > 1
     np.testing.assert_allclose(one.kernel.sum(axis=1), 1.0)
@@ -329,7 +329,7 @@ def test_thinning_spreads_each_sample_over_four_nodes_of_weight_one():
 
 
 def test_modes_hold_the_power_of_a_signal_within_the_band():
-    one = stretch(MASS, smooth_record(MASS, 4000), 15.0)
+    one = modal_record(MASS, smooth_record(MASS, 4000), 15.0)
     time = one.time[1:-2] + 0.5 * one.sample_period  # of the second difference
     window = np.sin(np.pi * np.arange(len(time)) / len(time)) ** 2
     signal = np.sin(2.0 * time) + 0.3 * np.cos(3.0 * time)
@@ -343,6 +343,6 @@ def test_modes_hold_the_power_of_a_signal_within_the_band():
 
 def test_band_stays_below_half_of_the_nyquist_frequency():
     record = smooth_record(MASS, 1000)
-    one = stretch(MASS, record, 1e6)
+    one = modal_record(MASS, record, 1e6)
     assert one.omega[-1] <= 0.5 * np.pi / record.sample_period
     assert one.sample_period < record.sample_period  # fast against the step: sub-steps

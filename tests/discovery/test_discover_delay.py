@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.discovery.cosine_modes import model_rows, stretch
+from eoi_jax.discovery.cosine_modes import modal_record, model_rows
 from eoi_jax.discovery.lags import lags
 from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
 
@@ -69,7 +69,7 @@ def test_a_delay_gives_back_what_it_took_of_a_lag(delay, lag):
 
 
 def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
-    one = stretch(DECLARED, measured(1, 60, noise=1e-3), 60.0)
+    one = modal_record(DECLARED, measured(1, 60, noise=1e-3), 60.0)
     residual = model_rows(DECLARED.with_parameters(TRUTH), [one])[0][0]
     local = local_power(one.rows(one.highest[0]))
     power = fitted_power(residual, one.noise[:, 0], local, np.zeros(len(residual), int))

@@ -10,8 +10,8 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import round
 from eoi_jax.discovery.candidates import CandidateColumns
-from eoi_jax.discovery.cosine_modes import ModalRecord, stretch
-from eoi_jax.discovery.noise_spectrum import known_power
+from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record
+from eoi_jax.discovery.noise_spectrum import expected_power
 from eoi_jax.discovery.regression import Fit
 from eoi_jax.discovery.round import in_step, read_friction
 from eoi_jax.models.augmented import place
@@ -26,7 +26,7 @@ def free(t, x, u, p):
 
 def moved(position: np.ndarray) -> list[ModalRecord]:
     plant = eoi.Plant(free, {"gain": 1.0}, 2, inputs=("force",), outputs=("position",))
-    return [stretch(plant, eoi.Record(TIME, 0.0 * TIME, position), 20.0)]
+    return [modal_record(plant, eoi.Record(TIME, 0.0 * TIME, position), 20.0)]
 
 
 def strokes(period: float) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_friction_beside_an_input_is_read_as_a_level_and_an_offset_there():
 def test_an_output_at_rest_has_some_power_all_the_same():
     """Errors are divided by it."""
     rest = np.zeros(5)
-    assert np.all(known_power(rest, rest, np.zeros(5, int)) > 0.0)
+    assert np.all(expected_power(rest, rest, np.zeros(5, int)) > 0.0)
 
 
 @pytest.mark.parametrize(("waiting", "threads"), [(True, 0), (False, os.cpu_count())])

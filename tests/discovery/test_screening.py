@@ -28,6 +28,6 @@ def test_what_an_atom_takes_is_that_of_least_squares_in_any_unit(size):
         CandidateColumns(place(plant, AsymmetricFriction(), 0), (), size * two),
     ]
     terms = Terms(atoms, np.ones(ROWS))
-    got = terms.by_atom(terms.beside(model, target))
+    got = terms.by_atom(terms.project(model, target))
     want = [left(model, target) - left(np.hstack([model, own]), target) for own in (one, two)]
     np.testing.assert_allclose(got, want, rtol=1e-9)

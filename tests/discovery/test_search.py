@@ -10,8 +10,8 @@ from scipy.stats import chi2
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.candidates import CandidateColumns, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import stretch
-from eoi_jax.discovery.noise_spectrum import fitted_power, known_power, local_power
+from eoi_jax.discovery.cosine_modes import modal_record
+from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import (
     Base,
     Fit,
@@ -391,7 +391,7 @@ def test_power_never_falls_below_the_floor():
     floor = (2e-3) ** 2 * local + (1e-4) ** 2 * 50.5
     assert np.all(found >= floor)
     np.testing.assert_allclose(
-        known_power(np.full(500, 0.3), local, np.zeros(500, int)), 0.3 + floor
+        expected_power(np.full(500, 0.3), local, np.zeros(500, int)), 0.3 + floor
     )
 
 
@@ -399,8 +399,8 @@ def test_floor_of_an_output_does_not_know_the_unit_of_another():
     """One in metres, the other in micrometres: each as if it stood alone."""
     local = np.linspace(1.0, 100.0, 500)
     output = np.repeat([0, 1], 500)
-    both = known_power(np.zeros(1000), np.concatenate([local, 1e12 * local]), output)
-    alone = known_power(np.zeros(500), local, np.zeros(500, int))
+    both = expected_power(np.zeros(1000), np.concatenate([local, 1e12 * local]), output)
+    alone = expected_power(np.zeros(500), local, np.zeros(500, int))
     np.testing.assert_allclose(both, np.concatenate([alone, 1e12 * alone]))
 
 
@@ -477,7 +477,7 @@ def test_columns_of_a_term_are_those_of_its_own_output():
     time = 0.01 * np.arange(1500)
     drive = np.stack([np.sin(3.0 * time), np.cos(time)], axis=1)
     record = eoi.simulate(TWO, time, drive, [[0.1, 0.2], [0.0, 0.0]], hold="linear")
-    several = [stretch(TWO, record, 15.0)]
+    several = [modal_record(TWO, record, 15.0)]
     tried = alone(TWO, effects.CubicStiffness())
     first, second, joint, _ = tried
     size = len(several[0].omega)
@@ -501,7 +501,7 @@ def test_columns_of_a_term_are_those_of_its_own_output():
 def test_shape_at_which_a_term_is_not_finite_is_not_tried():
     time = 0.01 * np.arange(1000)
     record = eoi.simulate(TWO, time, np.stack([np.sin(time)] * 2, axis=1), hold="linear")
-    several = [stretch(TWO, record, 15.0)]
+    several = [modal_record(TWO, record, 15.0)]
     (placed, _) = alone(TWO, effects.StribeckFriction())
     shapes = [one.shape for one in atoms(TWO, placed, np.array([[0.1], [np.nan]]), several)]
     assert shapes == [(0.1,)]

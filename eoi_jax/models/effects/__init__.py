@@ -1,4 +1,4 @@
-"""What a model may lack: the canonical effects, and what one is."""
+"""What a model may lack: the canonical effects and their interfaces."""
 
 from eoi_jax.models.effects.disturbance import ConstantOffset as ConstantOffset
 from eoi_jax.models.effects.disturbance import Drift as Drift

@@ -1,4 +1,4 @@
-"""What acts from outside, whatever the plant does."""
+"""External disturbances, which do not depend on the plant."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,7 +26,7 @@ class Drift(AbstractTerm):
     """a (t - t_0): a disturbance that grows with time.
 
     Its value at t_0 is part of it where the model has a constant; else it starts from zero. A
-    search takes the start of the records for t_0: far from zero, a t would be a constant.
+    search sets t_0 to the start of the records: far from t = 0, a t would be nearly constant.
 
     Attributes:
         start: t_0 [s].
@@ -40,7 +40,7 @@ class Drift(AbstractTerm):
     start: float = 0.0
 
     def since(self, start: float) -> "Drift":
-        """From there on, unless it has a start of its own."""
+        """The drift with this start, unless a start was already set."""
         return replace(self, start=start) if self.start == 0.0 else self
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
@@ -57,10 +57,10 @@ class SinusoidalDisturbance(AbstractTerm):
     depends_on = "t"
 
     def grid(self, seen: Seen) -> Grid:
-        # A neighbour on the grid would have to be within 1/T: only peaks of the residual are tried.
+        # A full grid would need a spacing below 1/T, so only peaks of the residual are tried.
         step = 1.5 / seen.duration
-        around = seen.peaks[:, None] + step * np.array([-0.5, 0.0, 0.5])
-        return np.maximum(around.reshape(-1, 1), step)
+        frequencies = seen.peaks[:, None] + step * np.array([-0.5, 0.0, 0.5])
+        return np.maximum(frequencies.reshape(-1, 1), step)
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.t

@@ -1,9 +1,8 @@
-r"""What an effect is: one thing that a model may lack, with its term, parameters and grid.
+r"""Interfaces of effects: what a model may lack, with its term, parameters and grid.
 
 An effect adds a term to y^(r) that is linear in its *gains* and may depend nonlinearly on its
-*shapes*, or it changes an input on its way into the model, or the rate of an internal state of the
-model. It may carry a state of its own.
-A new one is a small class:
+*shapes*. Or it changes an input before it enters the model, or the rate of an internal state of the
+model. It may have internal states. A new effect is a small class:
 
     class CubicStiffness(AbstractTerm):
         name = "cubic_stiffness"
@@ -28,7 +27,7 @@ from jaxtyping import Float
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
 
-_TURNS = 0.01  # share of the samples
+_TURNS = 0.01  # share of the samples of each sign above which a signal goes both ways
 
 Grid = Float[np.ndarray, "grid shapes"]
 
@@ -39,9 +38,9 @@ class Parameter:
 
     Attributes:
         name: appended to the name of the effect; "" for an effect with one parameter.
-        unit: with {f}, {y}, {v}, {u} for the units of y^(r), the output, its rate, the input; and
-            {f/y}, {f/v} for quotients, a power of 1/s where y^(r) is a derivative of the other.
-        lower, upper: where it is physical.
+        unit: template; {f}, {y}, {v}, {u} are the units of y^(r), the output, its rate, the input;
+            {f/y}, {f/v} are quotients, a power of 1/s where y^(r) is a derivative of y or v.
+        lower, upper: physical range.
     """
 
     name: str
@@ -51,15 +50,15 @@ class Parameter:
 
 
 class At(NamedTuple):
-    """One instant, as an effect on one channel sees it.
+    """The signals at one instant, for an effect on one channel.
 
     Attributes:
         t: time [s].
         y: the output, or the internal state that it acts on.
-        v: velocity of the output: its first derivative; of relative degree one the output itself,
-            a speed as far as friction is concerned.
+        v: velocity: the first derivative of the output; for an output of relative degree one the
+            output itself, which friction treats as a speed.
         u: the input (of the channel, or the first one).
-        z: own states of the effect, shape (states,).
+        z: internal states of the effect, shape (states,).
     """
 
     t: Any
@@ -71,17 +70,17 @@ class At(NamedTuple):
 
 @dataclass(frozen=True)
 class Seen:
-    """What the records show of one channel: where grids of shape parameters come from.
+    """Data of the records for one channel, from which grids of shape parameters are made.
 
     Attributes:
-        y, v, u: samples of all records (those that count), of what the effect acts on.
+        y, v, u: the scored samples of all records for the channel that the effect acts on.
         measured: whether `v` is the output itself, of relative degree one.
-        noise: standard deviation of the noise left in `y`.
-        duration: of the longest record [s].
+        noise: standard deviation of the remaining noise in `y`.
+        duration: duration of the longest record [s].
         sample_period: h [s].
         band: frequency that holds most of y^(r) [rad/s].
-        peaks: frequencies at which the residual stands out [rad/s].
-        lags: at which it follows the input [s].
+        peaks: frequencies of the peaks of the residual [rad/s].
+        lags: lags at which the residual follows the input [s].
     """
 
     y: Float[np.ndarray, " samples"]
@@ -100,14 +99,14 @@ class AbstractEffect(ABC):
     """One thing that a model may lack.
 
     Attributes:
-        name: canonical.
+        name: canonical name.
         sentence: completes "the model lacks …".
         gains: parameters that enter linearly.
         shapes: parameters that do not.
-        states: number of own internal states; they start at zero.
-        depends_on: the variable that it is drawn against: "y", "v", "u" or "t".
-        contains: names of simpler effects that it can imitate exactly.
-        rarity: twice the log-odds by which a twin that is more common is preferred.
+        states: number of internal states of the effect; they start at zero.
+        depends_on: the variable that it is plotted against: "y", "v", "u" or "t".
+        contains: names of simpler effects that are special cases of it.
+        rarity: twice the log-odds by which a more common effect of the same fit is preferred.
     """
 
     name: ClassVar[str]
@@ -120,24 +119,24 @@ class AbstractEffect(ABC):
     rarity: ClassVar[float] = 0.0
 
     def __eq__(self, other: object) -> bool:
-        # By value: a model with the same effects is then compiled once.
+        # Equality by value, so that models with equal effects are compiled once.
         return type(self) is type(other) and vars(self) == vars(other)
 
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
 
     def since(self, start: float) -> "AbstractEffect":
-        """The effect for records that start at this time; the same where time plays no part."""
+        """The effect for records that start at this time; unchanged unless it depends on time."""
         del start
         return self
 
     @abstractmethod
     def channels(self, plant: Plant) -> tuple[str, ...]:
-        """Names of what it may act on: the outputs, the inputs, or the internal states."""
+        """Names of the outputs, inputs or internal states that it may act on."""
 
     @property
     def kind(self) -> str:
-        """Of two effects of one kind and channel only one is ever in a model."""
+        """A model contains at most one effect of each kind and channel."""
         return self.name
 
     @property
@@ -146,27 +145,27 @@ class AbstractEffect(ABC):
         return self.gains + self.shapes
 
     def fits(self, plant: Plant, output: int) -> bool:
-        """Whether it makes sense at this output of this plant."""
+        """Whether it is meaningful for this output of this plant."""
         del plant, output
         return True
 
     def shows(self, seen: Seen) -> bool:
-        """Whether it makes sense on these records."""
+        """Whether it is meaningful for these records."""
         del seen
         return True
 
     def grid(self, seen: Seen) -> Grid:
-        """Shape parameters to start from, one row each; refined locally later."""
+        """Initial values of the shape parameters, one row each; they are refined locally."""
         del seen
         return np.zeros((1, 0))
 
     def beyond(self, gains: Sequence[float] | np.ndarray) -> float:
-        """How much it adds to the simpler effect that it contains, as a share of that; or 0."""
+        """Its excess over the simpler effect that it contains, as a share of that; or 0."""
         del gains
         return 0.0
 
     def rate(self, at: At, shape: Any) -> Any:
-        """dz/dt of the own states, shape (states,)."""
+        """dz/dt of the internal states of the effect, shape (states,)."""
         del shape
         return at.z
 
@@ -175,8 +174,8 @@ class AbstractTerm(AbstractEffect):
     """An effect that adds a term to y^(r) of one output.
 
     Attributes:
-        joins: whether it may also act between two outputs of one kind, as a spring from one mass
-            to another does: `At.y` and `At.v` are then those of one output less the other's.
+        joins: whether it may also act between two outputs of one kind, like a spring between two
+            masses: `At.y` and `At.v` are then the differences between the two outputs.
     """
 
     joins: ClassVar[bool] = False
@@ -186,29 +185,29 @@ class AbstractTerm(AbstractEffect):
 
     @abstractmethod
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        """What it adds to y^(r) [its unit], linear in `gain`."""
+        """The contribution to y^(r) [its unit], linear in `gain`."""
 
 
 class AbstractInputEffect(AbstractEffect):
-    """An effect that changes one input on its way into the model."""
+    """An effect that changes one input before it enters the model."""
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
 
     @abstractmethod
     def changed(self, at: At, shape: Any) -> Any:
-        """The input that the model gets instead of `at.u`."""
+        """The input of the model, which replaces `at.u`."""
 
 
 class AbstractActuator(AbstractEffect):
-    """An effect that one input goes through before anything else: known from past inputs alone."""
+    """An effect that acts on one input first and depends on its past values only."""
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
 
     @abstractmethod
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        """What comes of the input along a whole record.
+        """The input of the model along a record.
 
         Args:
             time: middle of each step, shape (S,), uniform [s].
@@ -216,13 +215,13 @@ class AbstractActuator(AbstractEffect):
             shape: the shape parameters.
 
         Returns:
-            Mean of what the model gets over each step, shape (S,).
+            Mean of the input of the model over each step, shape (S,).
         """
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
-        """`along` of measured arrays, for several shapes; an effect that knows how uses NumPy."""
+        """`along` of measured arrays for several shapes; subclasses may override it with NumPy."""
         return np.asarray(_sampled(self, time, u, shapes))
 
 
@@ -231,15 +230,15 @@ def _sampled(effect: AbstractActuator, time: Any, u: Any, shapes: Any) -> Any:
     return jax.vmap(lambda shape: effect.along(time, u, shape))(jnp.asarray(shapes))
 
 
-# What acts on an input, in whichever way.
+# All interfaces of effects on an input.
 INPUT_EFFECTS = (AbstractInputEffect, AbstractActuator)
 
 
 class AbstractInternalEffect(AbstractEffect):
-    """An effect that changes the rate of one internal state, and what of it reaches y^(r).
+    """An effect that changes the rate of one internal state, with a contribution to y^(r).
 
-    Nobody measures that state: it is followed by the model. What it loses may enter the first
-    output, linear in the gains.
+    The state is not measured; the model simulates it. What it loses may enter the first output,
+    linear in the gains.
     """
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
@@ -247,15 +246,15 @@ class AbstractInternalEffect(AbstractEffect):
 
     @abstractmethod
     def change(self, at: At, shape: Any) -> Any:
-        """What it adds to dz/dt of the state `at.y`."""
+        """The contribution to dz/dt of the state `at.y`."""
 
     @abstractmethod
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        """What it adds to y^(r) of the first output [its unit], linear in `gain`."""
+        """The contribution to y^(r) of the first output [its unit], linear in `gain`."""
 
 
 def internal_names(plant: Plant) -> tuple[str, ...]:
-    """Names of a plant's internal states: its own (`internal.states`), else z, or z1, z2, …."""
+    """Names of a plant's internal states: `internal.states` if defined, else z, or z1, z2, …."""
     names = getattr(plant.internal, "states", None)
     if isinstance(names, tuple):
         return names
@@ -269,10 +268,10 @@ def mechanical(plant: Plant, output: int) -> bool:
 
 
 def turns(values: Float[np.ndarray, " samples"]) -> bool:
-    """Whether a signal goes both ways, as a speed does and a level does not."""
+    """Whether a signal takes both signs, like a speed and unlike a level."""
     return bool(min(np.mean(values > 0), np.mean(values < 0)) > _TURNS)
 
 
 def quantiles(values: Float[np.ndarray, " samples"], shares: Any) -> Grid:
-    """Values below which these shares of the samples lie, as a grid of one shape parameter."""
+    """Quantiles of the samples, as a grid of one shape parameter."""
     return np.unique(np.quantile(values, shares))[:, None]

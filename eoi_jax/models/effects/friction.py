@@ -10,7 +10,7 @@ from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, See
 
 
 class AbstractFriction(AbstractTerm):
-    """A function of the velocity. An output of degree one is a speed only if it goes both ways."""
+    """A function of the velocity. An output of degree one is a speed if it takes both signs."""
 
     depends_on = "v"
 
@@ -42,10 +42,10 @@ class CoulombFriction(AbstractFriction):
 
 
 class AsymmetricFriction(AbstractFriction):
-    """-c₊ for v > 0, +c₋ for v < 0: dry friction of another level in each direction.
+    """-c₊ for v > 0, +c₋ for v < 0: dry friction whose level depends on the direction.
 
-    While the plant moves it cannot be told from Coulomb friction of the mean level beside a
-    constant offset of half the difference: the two are one function of v.
+    While the plant moves it cannot be distinguished from Coulomb friction of the mean level plus a
+    constant offset of half the difference: the two are the same function of v.
     """
 
     name = "asymmetric_friction"
@@ -59,7 +59,7 @@ class AsymmetricFriction(AbstractFriction):
 
 
 class StribeckFriction(AbstractFriction):
-    """-(F_c + F_d exp(-(v/v_s)²)) sign(v): dry friction that falls as motion sets in."""
+    """-(F_c + F_d exp(-(v/v_s)²)) sign(v): dry friction that decreases as the velocity grows."""
 
     name = "stribeck_friction"
     sentence = "Stribeck friction: dry friction that is higher near rest"
@@ -107,7 +107,7 @@ class CubicDamping(AbstractFriction):
 class AsymmetricViscousFriction(AbstractFriction):
     """-c|v|: viscous friction that differs between the two directions.
 
-    Beside a viscous friction b the slope is b + c forwards and b - c backwards.
+    Together with a viscous friction b the slope is b + c forwards and b - c backwards.
     """
 
     name = "asymmetric_friction"

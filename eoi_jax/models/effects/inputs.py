@@ -1,4 +1,4 @@
-"""What happens to an input between the recorded value and the plant."""
+"""Effects between the recorded input and the plant."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ from eoi_jax.models.effects.effect import (
     quantiles,
 )
 
-_INSTANT = 1e-3  # time of a lag, in steps, at which a step leaves nothing of it: exp(-1000)
+_INSTANT = 1e-3  # shortest time constant of a lag in steps; it decays by exp(-1000) in a step
 
 
 class InputDeadZone(AbstractInputEffect):
@@ -27,7 +27,7 @@ class InputDeadZone(AbstractInputEffect):
 
     name = "input_dead_zone"
     sentence = "a dead zone of the input"
-    rarity = 1.0  # of an input of one sign, a zone that it never enters is an offset
+    rarity = 1.0  # for an input of one sign, a zone that it never enters is an offset
     shapes = (Parameter("", "{u}", lower=0.0),)
     depends_on = "u"
 
@@ -60,7 +60,7 @@ class InputQuadratic(AbstractInputEffect):
     """u + q u|u| (an actuator whose gain grows), or u + q u² (one that differs between the signs).
 
     Attributes:
-        odd: the first of the two.
+        odd: whether it is the first form.
     """
 
     name = "input_quadratic"
@@ -80,7 +80,7 @@ class InputQuadratic(AbstractInputEffect):
 
 
 class ActuatorLag(AbstractActuator):
-    """T dz/dt = u - z; the plant gets z, which had settled before the record."""
+    """T dz/dt = u - z; the plant gets z, which is in steady state at the start of the record."""
 
     name = "actuator_lag"
     sentence = "a first-order lag of the actuator"
@@ -91,9 +91,9 @@ class ActuatorLag(AbstractActuator):
         return _times(seen)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        # Exact for a staircase: z decays towards u in each step, and the mean over it is taken.
+        # Exact for a staircase: z decays towards u in each step; the mean over it is returned.
         period = time[1] - time[0]
-        # No lag at all has a slope as well: its z has settled within each step.
+        # The limit keeps the derivative at T = 0: there z settles within each step.
         decay = jnp.exp(-period / jnp.maximum(shape[0], _INSTANT * period))
         late = (1.0 - decay) * shape[0] / period
 
@@ -106,18 +106,20 @@ class ActuatorLag(AbstractActuator):
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
         period = time[1] - time[0]
-        out = []
+        signals = []
         for (lag,) in shapes:
             decay = np.exp(-period / max(lag, _INSTANT * period))
             late = (1.0 - decay) * lag / period
-            after = states(np.full((1, 1), decay), np.full(1, 1.0 - decay), u[:, None], u[:1, None])
-            before = np.concatenate([u[:1], after[:-1, 0, 0]])
-            out.append(u + (before - u) * late)
-        return np.stack(out)
+            end_of_step = states(
+                np.full((1, 1), decay), np.full(1, 1.0 - decay), u[:, None], u[:1, None]
+            )
+            start_of_step = np.concatenate([u[:1], end_of_step[:-1, 0, 0]])
+            signals.append(u + (start_of_step - u) * late)
+        return np.stack(signals)
 
 
 class InputDelay(AbstractActuator):
-    """u(t - τ); before the record the input had been what it is at its start."""
+    """u(t - τ); before the record the input is constant at its first value."""
 
     name = "input_delay"
     sentence = "a delay of the input"
@@ -125,34 +127,37 @@ class InputDelay(AbstractActuator):
     depends_on = "t"
 
     def grid(self, seen: Seen) -> Grid:
-        # A cost over delays is narrow, a quarter period of the band: long ones are looked for.
+        # Minima of the cost over delays are narrow (a quarter period of the band): long delays are
+        # taken from `lags`.
         times = _times(seen)
-        near = seen.lags[:, None] + np.array([-0.5, 0.0, 0.5]) / seen.band
-        return np.unique(np.concatenate([times, near[near > np.max(times)][:, None]]), axis=0)
+        candidates = seen.lags[:, None] + np.array([-0.5, 0.0, 0.5]) / seen.band
+        return np.unique(
+            np.concatenate([times, candidates[candidates > np.max(times)][:, None]]), axis=0
+        )
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        # Means over steps: of a shifted staircase they are interpolated linearly, exactly.
+        # Linear interpolation gives the exact means over steps of a shifted staircase.
         steps = shape[0] / (time[1] - time[0])
         whole_steps = jnp.floor(steps)
         late = jnp.arange(len(u)) - whole_steps.astype(int)
-        after, before = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
-        return after + (steps - whole_steps) * (before - after)
+        current, previous = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
+        return current + (steps - whole_steps) * (previous - current)
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
         steps = shapes[:, :1] / (time[1] - time[0])
-        whole = np.floor(steps)
-        late = np.arange(len(u)) - whole.astype(int)
-        after, before = u[np.maximum(late, 0)], u[np.maximum(late - 1, 0)]
-        return after + (steps - whole) * (before - after)
+        whole_steps = np.floor(steps)
+        late = np.arange(len(u)) - whole_steps.astype(int)
+        current, previous = u[np.maximum(late, 0)], u[np.maximum(late - 1, 0)]
+        return current + (steps - whole_steps) * (previous - current)
 
 
 def _times(seen: Seen) -> Grid:
-    """Times that shift the phase at the edge of the band by a hundredth to a few radians.
+    """Times that shift the phase at the edge of the band by 0.01 to 4 rad.
 
-    Half a sample is a matter of how the record was read, not of the plant.
+    Less than half a sample depends on how the record was sampled, not on the plant.
     """
-    least = 0.5 * seen.sample_period
+    shortest = 0.5 * seen.sample_period
     times = np.geomspace(0.01, 4.0, 11) / seen.band
-    return np.unique(np.maximum(times, least))[:, None]
+    return np.unique(np.maximum(times, shortest))[:, None]

@@ -77,8 +77,8 @@ def standard() -> tuple[AbstractEffect, ...]:
 def rare() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries only where the standard ones leave a residual unexplained.
 
-    Viscous friction that differs between the two directions: |v| and a constant offset are hard to
-    tell apart, and the offset is far more common.
+    Viscous friction that differs between the two directions: |v| is hard to distinguish from a
+    constant offset, which is far more common.
 
     Returns:
         One object of each form.

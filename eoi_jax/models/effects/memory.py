@@ -1,4 +1,4 @@
-"""Forces with a memory of their own."""
+"""Forces with memory."""
 
 from typing import Any
 

@@ -18,7 +18,7 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.plant import Plant
 
-# Shares of the samples that lie below the levels tried.
+# Shares of the samples below the levels of the grid.
 _LEVELS = [0.2, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985]
 
 
@@ -34,7 +34,7 @@ class Leak(AbstractTerm):
         return plant.degrees[output] == 1
 
     def shows(self, seen: Seen) -> bool:
-        return not turns(seen.y)  # no level goes below the bottom: that is a speed
+        return not turns(seen.y)  # a level is never negative; a signal of both signs is a speed
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y
@@ -61,15 +61,15 @@ class Overflow(AbstractTerm):
 
 @dataclass(frozen=True)
 class InternalOverflow(AbstractInternalEffect):
-    """An overflow of a tank whose level z nobody measures: dz/dt loses k max(z - L, 0).
+    """An overflow of a tank whose level z is not measured: dz/dt loses k max(z - L, 0).
 
-    Of what is spilt a share may fall into the tank whose level is the first output: it gains
-    s k max(z - L, 0). z has a unit of its own, so s is in output per z and may exceed one. A brim
-    is a hard stop: a large k keeps z at L. Source: the two tanks of M. Schoukens, P. Mattsson,
+    A share of the overflow may enter the tank whose level is the first output, which gains
+    s k max(z - L, 0). z has its own unit, so s is in output per z and may exceed one. A brim is a
+    hard stop: a large k keeps z at L. Source: the two tanks of M. Schoukens, P. Mattsson,
     T. Wigren, J.-P. Noël, *Cascaded tanks benchmark combining soft and hard nonlinearities*, 2016.
 
     Attributes:
-        caught: whether the first output gets a share; otherwise all of it is lost.
+        caught: whether the first output receives a share; otherwise the overflow is lost.
     """
 
     name = "overflow"
@@ -81,7 +81,7 @@ class InternalOverflow(AbstractInternalEffect):
 
     @property
     def gains(self) -> tuple[Parameter, ...]:
-        """The share that is caught."""
+        """The share that enters the first output."""
         return (Parameter("share", "1", lower=0.0),) if self.caught else ()
 
     def fits(self, plant: Plant, output: int) -> bool:

@@ -1,4 +1,4 @@
-"""Terms that no effect of the library has: what discovery holds against an answer."""
+"""Terms outside the library of effects, which discovery uses as alternatives to its answer."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,7 @@ from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
 
 @dataclass(frozen=True)
 class Product(AbstractTerm):
-    """a v w: two of y, ẏ and u multiplied, as in a gain that changes with the position."""
+    """a v w: product of two of y, ẏ and u, as in a gain that changes with the position."""
 
     first: str
     second: str

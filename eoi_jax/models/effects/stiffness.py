@@ -38,7 +38,7 @@ class LinearStiffness(AbstractTerm):
 
 
 class QuadraticStiffness(AbstractTerm):
-    """-k y²: a spring that differs between pull and push."""
+    """-k y²: a spring that differs between tension and compression."""
 
     name = "quadratic_stiffness"
     sentence = "a spring force with the square of the displacement (pull and push differ)"
@@ -76,8 +76,8 @@ class Gravity(AbstractTerm):
     """-g sin(y), y an angle.
 
     Attributes:
-        degrees: whether y is in degrees: it fits the outputs whose unit says so ("deg", "degree",
-            "degrees" or "°"), the other form all others.
+        degrees: whether y is in degrees: this form fits outputs with the unit "deg", "degree",
+            "degrees" or "°", the form in radians all others.
     """
 
     name = "gravity"
@@ -93,14 +93,14 @@ class Gravity(AbstractTerm):
         return mechanical(plant, output) and in_degrees == self.degrees
 
     def grid(self, seen: Seen) -> Grid:
-        # Below that, sin(y) is y - y³/6 to within its own size over a hundred: a spring.
+        # At smaller angles sin(y) is y - y³/6 to within one per cent: a spring.
         return np.zeros((1 if np.max(np.abs(self._angle(seen.y))) > _SMALL_ANGLE else 0, 0))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.sin(self._angle(at.y))
 
     def _angle(self, y: Any) -> Any:
-        """In radians."""
+        """The angle in radians."""
         return y * (np.pi / 180.0) if self.degrees else y
 
 
@@ -117,10 +117,10 @@ class PositionRipple(AbstractTerm):
         return mechanical(plant, output)
 
     def grid(self, seen: Seen) -> Grid:
-        # Two periods over the range at least: fewer look like a spring. A neighbour on the grid
-        # is off by less than a radian at the ends of the range.
+        # At least two periods over the range: fewer look like a spring. Neighbours on the grid
+        # differ by less than a radian at the ends of the range.
         phases = np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6)
-        # A ripple as fine as the noise would be fitted to the noise.
+        # A ripple with a wavelength near the noise would be fitted to the noise.
         reach = np.ptp(seen.y) or 1.0
         resolved = phases * seen.noise < 0.3 * reach
         resolved[0] = True
@@ -148,7 +148,7 @@ class EndStop(AbstractTerm):
 
     @property
     def kind(self) -> str:
-        """A stop at each end may be in one model."""
+        """The side is part of the kind: a model may have a stop at each end."""
         return f"{self.name} {self.side:+d}"
 
     @property
@@ -163,7 +163,7 @@ class EndStop(AbstractTerm):
 
     @property
     def _end(self) -> str:
-        """Of the name of a parameter: beside a stop above, that below needs another."""
+        """Prefix of the parameter names, which distinguishes a stop below from one above."""
         return "lower_" if self.side < 0 else ""
 
     def fits(self, plant: Plant, output: int) -> bool:
@@ -180,7 +180,7 @@ class EndStop(AbstractTerm):
 class FreePlay(AbstractTerm):
     """k clip(y, -g, g): the declared spring does not act inside a gap.
 
-    Beside a declared spring of stiffness k the total is -k times the dead zone of y.
+    Together with a declared spring of stiffness k the total is -k times the dead zone of y.
     """
 
     name = "free_play"

@@ -12,7 +12,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.compiler.programs import jit
 from eoi_jax.discovery.candidates import atoms
-from eoi_jax.discovery.cosine_modes import stretch
+from eoi_jax.discovery.cosine_modes import modal_record
 from eoi_jax.discovery.regression import fitted
 from eoi_jax.discovery.round import base_of
 from eoi_jax.models.augmented import Placed, augmented, place, unit
@@ -290,7 +290,7 @@ def test_regression_on_the_columns_of_an_effect_finds_the_true_parameters(effect
     """All rows at once: a free run, its modes, the columns at the true shape."""
     plant = plant_for(effect)
     placed, (gains, shape) = place(plant, effect, 0), truth(effect)
-    one = stretch(plant, simulated(plant, placed), 40.0)
+    one = modal_record(plant, simulated(plant, placed), 40.0)
     declared = plant.with_parameters(0.8 * np.asarray(plant.theta))
     (atom,) = atoms(declared, placed, np.reshape(shape, (1, -1)), [one])
     base = base_of(declared, [one])
@@ -311,7 +311,7 @@ def test_spill_of_an_internal_state_leaves_nothing_at_the_true_parameters(
     true, time = augmented(CASCADE, [placed], own), 0.02 * np.arange(4000)
     drive = 1.0 + eoi.excitation.multisine(time, 2.0, (0.02, 0.5), 16, seed=4)
     record = eoi.simulate(true, time, drive, substeps=4, hold="linear")
-    one = stretch(CASCADE, record, 10.0)
+    one = modal_record(CASCADE, record, 10.0)
     (atom,) = atoms(CASCADE, placed, np.array([list(own.values())[-2:]]), [one])
     base = base_of(CASCADE, [one])
     found = fitted(base, [atom], one.noise[:, 0] + 1e-6 * base.local)
@@ -324,7 +324,7 @@ def test_spill_of_an_internal_state_leaves_nothing_at_the_true_parameters(
 def test_effect_that_repeats_a_declared_term_shares_its_column(effect: AbstractTerm):
     plant = plant_for(effect)
     placed = place(plant, effect, 0)
-    one = stretch(plant, simulated(plant, placed, 1000), 40.0)
+    one = modal_record(plant, simulated(plant, placed, 1000), 40.0)
     (atom,) = atoms(plant, placed, np.zeros((1, 0)), [one])
     declared = base_of(plant, [one]).columns
     alike = [np.allclose(atom.columns[:, 0], column, rtol=1e-6) for column in declared.T]
