@@ -248,7 +248,9 @@ def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
         program: of both.
         driven: how many numbers of a step are inputs behind an actuator; they come first.
     """
-    sums = {program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()}
+    sums = {
+        program.representatives[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()
+    }
     fixed, own = _numbered(program.fixed), _numbered(program.lane_constants)
 
     def loop(body: Body, inputs: dict[Node, int]) -> _Loop:
@@ -321,14 +323,16 @@ def _launch(
 def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
     """Sums of all lanes from the carried numbers that were kept; what never changed is known."""
     dtype = next(iter(found.values())).dtype
-    places = [program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()]
+    places = [
+        program.representatives[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()
+    ]
     known = {i: program.initial[i].value for i in places if i not in found}
     values = found | {i: jnp.asarray(value, dtype) for i, value in known.items()}
     row = {i: place for place, i in enumerate(values)}
     table = jnp.stack([jnp.where(spoilt, np.nan, one).astype(dtype) for one in values.values()])
 
     def gathered(leaf: np.ndarray) -> jax.Array:
-        rows = np.reshape([row[program.same[i]] for i in leaf.ravel()], leaf.shape)
+        rows = np.reshape([row[program.representatives[i]] for i in leaf.ravel()], leaf.shape)
         return jnp.moveaxis(table[rows], -1, 0)
 
     return jax.tree.map(gathered, program.result)
