@@ -164,12 +164,12 @@ def telling_band(plant: Plant, records: Sequence[Record]) -> float:
     frequency below which nearly all of y^(r) lies.
     """
     several = [spectrum(one, j, r) for one in records for j, r in enumerate(plant.degrees)]
-    return max(min(one.below(_MOST_POWER, one.own), 0.5 * _crossing(one)) for one in several)
+    return max(min(one.below(_MOST_POWER, one.motion), 0.5 * _crossing(one)) for one in several)
 
 
 def _crossing(one: Spectrum) -> float:
     """Frequency from which on a spectrum is more noise than signal [rad/s]."""
-    lost, passed = np.sum(one.own) - np.cumsum(one.own), np.cumsum(one.noise)
+    lost, passed = np.sum(one.motion) - np.cumsum(one.motion), np.cumsum(one.noise)
     return float(one.omega[int(np.argmin(lost + passed))])
 
 
@@ -183,8 +183,8 @@ def quiet_band(plant: Plant, record: Record) -> float | None:
     best = []
     for j, degree in enumerate(plant.degrees):
         one = spectrum(record, j, degree - 1)
-        seen = one.own > 0.0
-        allowed = one.noise[seen] / one.own[seen] + _LOST**2
+        seen = one.motion > 0.0
+        allowed = one.noise[seen] / one.motion[seen] + _LOST**2
         whole = one.omega[seen] * allowed ** (-0.5 / _SLOPE)
         best += [_QUIET * _crossing(one), float(np.max(whole, initial=0.0))]
     cutoff = max(best)

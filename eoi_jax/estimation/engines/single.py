@@ -48,7 +48,7 @@ class OnePass:
         return self.run(theta, store)
 
 
-def alone(
+def single_pass(
     plant: Plant, observer: AbstractObserver, lowpass: DiscreteFilter, steps: Steps
 ) -> OnePass:
     """The pass of one observer over the same records, again and again.
@@ -142,9 +142,9 @@ class _SinglePass(AbstractLoop):
 
     def _kernel(self, lane: Any, fixed: tuple) -> Kernel:
         plant, lowpass, observer, theta, *_ = fixed
-        theta, along = jnp.asarray(theta), jnp.asarray(lane)[:, None]
-        none, ones = jnp.zeros_like(theta), jnp.ones(len(plant.outputs), self.dtype)
-        return Kernel(plant, observer, lowpass, theta, none, ones, "signals", along)
+        theta, columns = jnp.asarray(theta), jnp.asarray(lane)[:, None]
+        no_increment, ones = jnp.zeros_like(theta), jnp.ones(len(plant.outputs), self.dtype)
+        return Kernel(plant, observer, lowpass, theta, no_increment, ones, "signals", columns)
 
     def result(self, carry: Carry) -> Any:
         """What is wanted after the last step."""
