@@ -19,15 +19,15 @@ def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *
         args: trees of arrays.
     """
 
-    def given(*parts: Any) -> np.ndarray:
+    def converted(*parts: Any) -> np.ndarray:
         return function(*jax.tree.map(np.asarray, parts))
 
-    def written(context: Any, out: Any, *parts: Any) -> None:
+    def written(context: Any, buffer: Any, *parts: Any) -> None:
         del context
         with np.errstate(over="ignore"):  # in single precision, of what diverges
-            np.asarray(out)[...] = given(*parts)
+            np.asarray(buffer)[...] = converted(*parts)
 
     # On the CPU it reads the arrays where they lie: to copy them takes longer than many a function.
     if BUFFER_CALLBACK is not None and jax.default_backend() == "cpu":
         return BUFFER_CALLBACK(written, result, vmap_method="expand_dims")(*args)
-    return jax.pure_callback(given, result, *args, vmap_method="expand_dims")
+    return jax.pure_callback(converted, result, *args, vmap_method="expand_dims")

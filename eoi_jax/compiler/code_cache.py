@@ -22,7 +22,7 @@ from eoi_jax._atomic import sweep_up, write_file
 _MAGIC = b"eoi_jax machine code 1\n"
 _DIGEST = hashlib.sha256().digest_size
 _LENGTH = 8  # bytes of the length
-_MOST = 2000  # files, of some ten kilobytes each; beyond, the older half goes
+_MAX_FILES = 2000  # files, of some ten kilobytes each; beyond, the older half goes
 
 
 def read(path: Path) -> bytes | None:
@@ -68,12 +68,12 @@ def usable(folder: Path) -> bool:
     Warns:
         RuntimeWarning: somebody else owns it or can write to it, or it cannot be made.
     """
-    why = _fault(folder)
-    if why is None:
+    fault = _fault(folder)
+    if fault is None:
         sweep_up(folder)
         return True
     warnings.warn(
-        f"Compiled code is not kept on disk: {why}. Every process compiles anew. Let `EOI_CACHE` "
+        f"Compiled code is not kept on disk: {fault}. Every process compiles anew. Let `EOI_CACHE` "
         f"name a folder of your own.",
         RuntimeWarning,
         stacklevel=2,
@@ -86,21 +86,21 @@ def _fault(folder: Path) -> str | None:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        about = folder.stat()
+        status = folder.stat()
     except OSError as error:
         return f"{folder} cannot be made ({error.strerror})"
     if not hasattr(os, "geteuid"):  # Windows keeps a user's folders by other means
         return None
-    if about.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         return f"{folder} belongs to another user"
-    if stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
+    if stat.S_IMODE(status.st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
         return f"others can write to {folder} (`chmod go-w` would end that)"
     return None if os.access(folder, os.W_OK) else f"{folder} cannot be written to"
 
 
 def _prune(folder: Path) -> None:
     files = list(folder.glob("*.o"))
-    if len(files) > _MOST:
-        files.sort(key=lambda one: one.stat().st_mtime)
+    if len(files) > _MAX_FILES:
+        files.sort(key=lambda file: file.stat().st_mtime)
         for path in files[: len(files) // 2]:
             path.unlink(missing_ok=True)

@@ -149,14 +149,14 @@ class Graph:
 
 def topological_order(nodes: Iterable[Node]) -> list[Node]:
     """These nodes and all that they depend on, arguments first."""
-    seen: dict[int, Node] = {}
+    found_nodes: dict[int, Node] = {}
     open_nodes = list(nodes)
     while open_nodes:
         node = open_nodes.pop()
-        if node.order not in seen:
-            seen[node.order] = node
+        if node.order not in found_nodes:
+            found_nodes[node.order] = node
             open_nodes.extend(node.args)
-    return [seen[order] for order in sorted(seen)]
+    return [found_nodes[order] for order in sorted(found_nodes)]
 
 
 def rewrite(
@@ -171,7 +171,7 @@ def rewrite(
         replaced: the new node of each that is replaced.
         make: makes an operation, as `Graph.make` does.
     """
-    new: dict[int, Node] = {node.order: instead for node, instead in replaced.items()}
+    new: dict[int, Node] = {node.order: replacement for node, replacement in replaced.items()}
     for node in topological_order(nodes):
         if node.order not in new:
             args = [new[arg.order] for arg in node.args]
@@ -204,7 +204,7 @@ def evaluate(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) ->
 # -- simplification ---------------------------------------------------------------------------
 
 
-def _is(node: Node, value: float) -> bool:
+def _is_value(node: Node, value: float) -> bool:
     return node.op == "constant" and not node.is_bool and node.value == value
 
 
@@ -215,17 +215,17 @@ def _simplify(graph: Graph, op: str, args: tuple[Node, ...]) -> Node | None:
 
 
 def _add(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is(a, 0.0) or _is(b, 0.0):
-        return b if _is(a, 0.0) else a
+    if _is_value(a, 0.0) or _is_value(b, 0.0):
+        return b if _is_value(a, 0.0) else a
     if b.op == "neg":
         return graph.make("sub", a, b.args[0])
     return graph.make("sub", b, a.args[0]) if a.op == "neg" and not graph.as_written else None
 
 
 def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is(b, 0.0):
+    if _is_value(b, 0.0):
         return a
-    if _is(a, 0.0):
+    if _is_value(a, 0.0):
         return graph.make("neg", b)
     if b.op == "neg":
         return graph.make("add", a, b.args[0])
@@ -236,23 +236,23 @@ def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
 
 def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
     for x, y in ((a, b), (b, a)):
-        if _is(x, 0.0):
+        if _is_value(x, 0.0):
             return x
-        if _is(x, 1.0):
+        if _is_value(x, 1.0):
             return y
-        if _is(x, -1.0):
+        if _is_value(x, -1.0):
             return graph.make("neg", y)
         if x.op == "neg":
             sides = (x.args[0], y) if x is a else (y, x.args[0])
             return graph.make("neg", graph.make("mul", *sides))
-        flag = x.op == "select" and _is(x.args[1], 1.0) and _is(x.args[2], 0.0)
+        flag = x.op == "select" and _is_value(x.args[1], 1.0) and _is_value(x.args[2], 0.0)
         if flag and not graph.as_written:
             return graph.make("select", x.args[0], y, x.args[2])
     return None
 
 
 def _div(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is(b, 1.0) or (_is(a, 0.0) and not _is(b, 0.0)):
+    if _is_value(b, 1.0) or (_is_value(a, 0.0) and not _is_value(b, 0.0)):
         return a
     if a.op == "neg":
         return graph.make("neg", graph.make("div", a.args[0], b))
@@ -264,14 +264,14 @@ def _neg(graph: Graph, a: Node) -> Node | None:
     return a.args[0] if a.op == "neg" else None
 
 
-def _select(graph: Graph, which: Node, a: Node, b: Node) -> Node | None:
+def _select(graph: Graph, condition: Node, a: Node, b: Node) -> Node | None:
     del graph
-    if which.op == "constant":
-        return a if which.value else b
+    if condition.op == "constant":
+        return a if condition.value else b
     return a if a is b else None
 
 
-def _and(graph: Graph, a: Node, b: Node) -> Node | None:
+def _logical_and(graph: Graph, a: Node, b: Node) -> Node | None:
     del graph
     for x, y in ((a, b), (b, a)):
         if x.op == "constant":
@@ -279,7 +279,7 @@ def _and(graph: Graph, a: Node, b: Node) -> Node | None:
     return a if a is b else None
 
 
-def _or(graph: Graph, a: Node, b: Node) -> Node | None:
+def _logical_or(graph: Graph, a: Node, b: Node) -> Node | None:
     del graph
     for x, y in ((a, b), (b, a)):
         if x.op == "constant":
@@ -294,6 +294,6 @@ _RULES: dict[str, Callable] = {
     "div": _div,
     "neg": _neg,
     "select": _select,
-    "and": _and,
-    "or": _or,
+    "and": _logical_and,
+    "or": _logical_or,
 }

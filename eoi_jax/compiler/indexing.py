@@ -21,17 +21,17 @@ def gather(params: dict, array: np.ndarray, starts: np.ndarray) -> np.ndarray:
     squeezed = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims}
     window = tuple(size for i, size in enumerate(sizes) if i not in squeezed)
     batch = starts.shape[:-1]
-    out = np.full((*batch, *window), -1, array.dtype)
+    result = np.full((*batch, *window), -1, array.dtype)
     for at in np.ndindex(batch):
         first = _start(
             array, starts[at], at, numbers.start_index_map, numbers.operand_batching_dims,
             numbers.start_indices_batching_dims,
         )  # fmt: skip
-        first = _within(array, first, sizes, params["mode"])
+        first = _window_start(array, first, sizes, params["mode"])
         if first is not None:
-            out[at] = array[_box(first, sizes)].reshape(window)
+            result[at] = array[_box(first, sizes)].reshape(window)
     offsets = numbers.offset_dims
-    return np.moveaxis(out, range(len(batch), out.ndim), offsets) if offsets else out
+    return np.moveaxis(result, range(len(batch), result.ndim), offsets) if offsets else result
 
 
 def scatter(params: dict, array: np.ndarray, starts: np.ndarray, new: np.ndarray) -> np.ndarray:
@@ -43,22 +43,22 @@ def scatter(params: dict, array: np.ndarray, starts: np.ndarray, new: np.ndarray
     inserted = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
     window = iter(parts.shape[len(batch) :])
     sizes = tuple(1 if i in inserted else next(window) for i in range(array.ndim))
-    out = array.copy()
+    result = array.copy()
     for at in np.ndindex(batch):
         first = _start(
             array, starts[at], at, numbers.scatter_dims_to_operand_dims,
             numbers.operand_batching_dims, numbers.scatter_indices_batching_dims,
         )  # fmt: skip
-        first = _within(array, first, sizes, params["mode"])
+        first = _window_start(array, first, sizes, params["mode"])
         if first is not None:
-            out[_box(first, sizes)] = parts[at].reshape(sizes)
-    return out
+            result[_box(first, sizes)] = parts[at].reshape(sizes)
+    return result
 
 
 def dynamic_slice(params: dict, array: np.ndarray, *starts: np.ndarray) -> np.ndarray:
     """`lax.dynamic_slice`."""
     sizes = params["slice_sizes"]
-    return array[_box(_clipped(array, [int(one) for one in starts], sizes), sizes)]
+    return array[_box(_clipped(array, [int(start) for start in starts], sizes), sizes)]
 
 
 def dynamic_update_slice(
@@ -66,18 +66,18 @@ def dynamic_update_slice(
 ) -> np.ndarray:
     """`lax.dynamic_update_slice`."""
     del params
-    out = array.copy()
-    out[_box(_clipped(array, [int(one) for one in starts], new.shape), new.shape)] = new
-    return out
+    result = array.copy()
+    result[_box(_clipped(array, [int(start) for start in starts], new.shape), new.shape)] = new
+    return result
 
 
 def pad(params: dict, array: np.ndarray, value: np.ndarray) -> np.ndarray:
     """`lax.pad`, with gaps inside and with negative amounts, which cut off."""
-    for axis, (low, high, inside) in enumerate(params["padding_config"]):
+    for axis, (low, high, interior) in enumerate(params["padding_config"]):
         count = array.shape[axis]
-        size = count + max(count - 1, 0) * inside
+        size = count + max(count - 1, 0) * interior
         spread = np.full((*array.shape[:axis], size, *array.shape[axis + 1 :]), value)
-        np.moveaxis(spread, axis, 0)[:: inside + 1] = np.moveaxis(array, axis, 0)
+        np.moveaxis(spread, axis, 0)[:: interior + 1] = np.moveaxis(array, axis, 0)
         amounts = [(0, 0)] * array.ndim
         amounts[axis] = max(low, 0), max(high, 0)
         padded = np.pad(spread, amounts, constant_values=value)
@@ -87,22 +87,22 @@ def pad(params: dict, array: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _start(
-    array: np.ndarray, values: np.ndarray, at: Axes, dims: Axes, batched: Axes, by: Axes
+    array: np.ndarray, values: np.ndarray, at: Axes, dims: Axes, batched: Axes, index_axes: Axes
 ) -> list[int]:
     """Where a window begins: as the indices say, and along axes of a batch where that stands."""
     first = [0] * array.ndim
     for dim, value in zip(dims, values, strict=True):
         first[dim] = int(value)
-    for dim, axis in zip(batched, by, strict=True):
+    for dim, axis in zip(batched, index_axes, strict=True):
         first[dim] = at[axis]
     return first
 
 
-def _within(array: np.ndarray, first: list[int], sizes: Any, mode: Any) -> list[int] | None:
+def _window_start(array: np.ndarray, first: list[int], sizes: Any, mode: Any) -> list[int] | None:
     """The start of a window inside the array; None where one beyond it is dropped."""
-    inside = _clipped(array, first, sizes)
+    clipped = _clipped(array, first, sizes)
     drops = GatherScatterMode.from_any(mode) == GatherScatterMode.FILL_OR_DROP
-    return None if drops and inside != first else inside
+    return None if drops and clipped != first else clipped
 
 
 def _clipped(array: np.ndarray, first: list[int], sizes: Any) -> list[int]:

@@ -99,8 +99,8 @@ def layout(
 
 def width_for(lanes: int, dtype: Any) -> int:
     """Numbers of a vector for so many lanes: a power of two, which LLVM splits into registers."""
-    least = register_bytes() // np.dtype(dtype).itemsize
-    return max(least, 1 << (lanes - 1).bit_length())
+    register_numbers = register_bytes() // np.dtype(dtype).itemsize
+    return max(register_numbers, 1 << (lanes - 1).bit_length())
 
 
 def output_places(program: LaneProgram, body: Body, width: int) -> list[slice]:
@@ -158,7 +158,7 @@ class _Loop:
         columns: int,
     ):
         self._text, self._name, self._columns = text, name, columns
-        self._program, self._body, self._where = program, body, where
+        self._program, self._body, self._layout = program, body, where
         self._places = output_places(program, body, where.width)
         self._scalar, self._vector = self._scopes()
         self._fixed: dict[Node, tuple[str, str]] = {}
@@ -223,9 +223,9 @@ class _Loop:
 
     def _scopes(self) -> tuple[Scope, Scope]:
         """Of single numbers and of vectors."""
-        never_nan = _is_constant if self._where.inline else self._same_in_all_rows
+        never_nan = _is_constant if self._layout.inline else self._same_in_all_rows
         scalar = Scope(self._text, 1, self._outside_scalar, _is_constant)
-        return scalar, Scope(self._text, self._where.width, self._outside_vector, never_nan)
+        return scalar, Scope(self._text, self._layout.width, self._outside_vector, never_nan)
 
     # -- memory -------------------------------------------------------------------------------
 
@@ -234,14 +234,14 @@ class _Loop:
 
     def _memory_places(self) -> dict[int, tuple[str, int]]:
         """Where each carried number lies between two calls."""
-        where = self._where
+        where = self._layout
         scalars = {i: ("%scalars", where.scalars[i]) for i in self._body.scalars}
         vectors = {i: ("%vector.at", where.carries[i] * where.width) for i in self._body.vectors}
         return scalars | vectors
 
     def _read_memory(self) -> None:
         """Carries, and what stays the same in all rows."""
-        text, where = self._text, self._where
+        text, where = self._text, self._layout
         scalar, vector = self._scalar, self._vector
         offset = text.let(f"mul i64 %number, {where.rows * where.width}")
         text.add(f"  %vector.at = getelementptr {text.real}, ptr %memory, i64 {offset}")
@@ -294,21 +294,21 @@ class _Loop:
 
     def _any_event(self) -> str:
         """Whether anything happens to any lane of the vector."""
-        text, program, width = self._text, self._program, self._where.width
+        text, program, width = self._text, self._program, self._layout.width
         by_lane = [event for event in self._body.events if program.level(event) & LANE]
         shared = [event for event in self._body.events if not program.level(event) & LANE]
         flags = [self._scalar.value(event) for event in shared]
         if by_lane:
             scope = self._vector
-            flag = self._either(scope.flag, [scope.value(event) for event in by_lane])
+            flag = self._any_flag(scope.flag, [scope.value(event) for event in by_lane])
             if width > 1:
                 name = f"@llvm.vector.reduce.or.v{width}i1"
                 text.declared.add(f"declare i1 {name}({scope.flag})")
                 flag = text.let(f"call i1 {name}({scope.flag} {flag})")
             flags.append(flag)
-        return self._either("i1", flags)
+        return self._any_flag("i1", flags)
 
-    def _either(self, kind: str, flags: Sequence[str]) -> str:
+    def _any_flag(self, kind: str, flags: Sequence[str]) -> str:
         return functools.reduce(lambda a, b: self._text.let(f"or {kind} {a}, {b}"), flags)
 
     # -- what a scope does not compute itself -------------------------------------------------
@@ -348,7 +348,7 @@ class _Loop:
 
     def _block_value(self) -> str:
         """Of this vector's lanes, in the block of this row."""
-        let, width = self._text.let, self._where.width
+        let, width = self._text.let, self._layout.width
         block = let("getelementptr i64, ptr %blocks, i64 %row.k")
         block = let(f"load i64, ptr {block}")
         line = let(f"add i64 {let('mul i64 %number, %block_count')}, {block}")

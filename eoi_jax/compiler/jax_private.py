@@ -85,11 +85,11 @@ def closed_jaxpr(jaxpr: Any) -> ClosedJaxpr:
 
 def jaxprs_within(equation: Any) -> list[Any]:
     """The jaxprs among the parameters of an equation: bodies of loops, branches, calls."""
-    found = []
+    jaxprs = []
     for value in equation.params.values():
         parts = value if isinstance(value, tuple | list) else (value,)
-        found += [part for part in parts if hasattr(part, "eqns")]
-    return found
+        jaxprs += [part for part in parts if hasattr(part, "eqns")]
+    return jaxprs
 
 
 _CALLS = {

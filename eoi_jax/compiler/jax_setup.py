@@ -41,7 +41,8 @@ def configure(
             `~/.cache/eoi_jax`; not where neither can be written.
         devices: make this many devices of the CPU, over which `engines.Scan` spreads its lanes.
         programs: keep so many compiled programs in memory at most, 128 by default; the least
-            recently used go first. A refinement of a new kind of plant needs some twenty, of 2 to 5 MB each.
+            recently used go first. A refinement of a new kind of plant needs some twenty, of
+            2 to 5 MB each.
 
     Raises:
         ValueError: fewer devices or programs than one, or too late to make the devices.
@@ -66,9 +67,9 @@ def configure(
 
 def _cache_folder() -> str | None:
     """Where compiled kernels are kept; None where no folder can be written."""
-    given = os.environ.get("EOI_CACHE")
+    variable = os.environ.get("EOI_CACHE")
     try:
-        folder = Path(given) if given else Path.home() / ".cache" / "eoi_jax"
+        folder = Path(variable) if variable else Path.home() / ".cache" / "eoi_jax"
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(f"{folder} must not be written")
@@ -114,7 +115,7 @@ if hasattr(os, "register_at_fork"):
 def _set_options() -> None:
     """The options of XLA, beside those of the caller; his own settings of them stay."""
     flags = os.environ.get("XLA_FLAGS", "")
-    options = [one for one in (_WHOLE_LOOPS, _OLD_FUSIONS) if _name(one) not in flags]
+    options = [option for option in (_WHOLE_LOOPS, _OLD_FUSIONS) if _name(option) not in flags]
     if _WHOLE_LOOPS not in options:
         return
     if backend_runs():

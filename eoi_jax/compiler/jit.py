@@ -19,21 +19,21 @@ from eoi_jax.compiler import code_cache
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.llvm import llvm
 
-_MOST = 64  # translations of machine code
+_MAX_TRANSLATIONS = 64  # translations of machine code
 
 
-def cached_translation(function: Callable, most: int = _MOST) -> Callable:
+def cached_translation(function: Callable, maxsize: int = _MAX_TRANSLATIONS) -> Callable:
     """A translation that is done once for the same arguments; so is one that fails.
 
     Args:
         function: of hashable arguments.
-        most: translations that are kept; the least recently used go first.
+        maxsize: translations that are kept; the least recently used go first.
 
     Returns:
         The same function; it raises `Untranslatable`, whatever the failure was.
     """
 
-    @functools.lru_cache(maxsize=most)
+    @functools.lru_cache(maxsize=maxsize)
     def attempt(*arguments: Hashable) -> Any:
         try:
             return function(*arguments)

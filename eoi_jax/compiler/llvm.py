@@ -107,10 +107,10 @@ class Scope:
         self,
         text: Text,
         width: int,
-        outside: Callable[[Node], str | None],
+        read_outside: Callable[[Node], str | None],
         never_nan: Callable[[Node], bool],
     ):
-        self._text, self._width, self._outside = text, width, outside
+        self._text, self._width, self._read_outside = text, width, read_outside
         self._never_nan = never_nan
         self._names: dict[Node, str] = {}
         self.real = self._kind(text.real)
@@ -143,7 +143,9 @@ class Scope:
         while waiting:
             node = waiting[-1]
             if node not in self._names:
-                name = self.constant(node.value) if node.op == "constant" else self._outside(node)
+                name = (
+                    self.constant(node.value) if node.op == "constant" else self._read_outside(node)
+                )
                 if name is None:
                     missing = [arg for arg in node.args if arg not in self._names]
                     if missing:
@@ -194,16 +196,16 @@ class Scope:
         for i, j in ((0, 1), (1, 0)):
             if self._never_nan(node.args[i]):  # a comparison with NaN fails: NaN is taken
                 order = "ogt" if node.op == "max" else "olt"
-                which = self._text.let(f"fcmp {order} {self.real} {args[i]}, {args[j]}")
+                flag = self._text.let(f"fcmp {order} {self.real} {args[i]}, {args[j]}")
                 pair = f"{self.real} {args[i]}, {self.real} {args[j]}"
-                return self._text.let(f"select {self.flag} {which}, {pair}")
+                return self._text.let(f"select {self.flag} {flag}, {pair}")
         return self._intrinsic("maximum" if node.op == "max" else "minimum", args)
 
     def _sign(self, x: str) -> str:
         unit = self._intrinsic("copysign", [self.constant(1.0), x])
-        away = self._text.let(f"fcmp one {self.real} {x}, {self.constant(0.0)}")
+        nonzero = self._text.let(f"fcmp one {self.real} {x}, {self.constant(0.0)}")
         # Neither above nor below: zero or NaN, which stay.
-        return self._text.let(f"select {self.flag} {away}, {self.real} {unit}, {self.real} {x}")
+        return self._text.let(f"select {self.flag} {nonzero}, {self.real} {unit}, {self.real} {x}")
 
     def _library(self, op: str, args: list[str]) -> str:
         real, let = self._text.real, self._text.let
@@ -212,12 +214,12 @@ class Scope:
         self._text.declared.add(f"declare {real} @{name}({kinds}) nounwind willreturn memory(none)")
         if self._width == 1:
             return let(f"call {real} @{name}({', '.join(f'{real} {x}' for x in args)})")
-        out = "poison"
+        vector = "poison"
         for i in range(self._width):
             scalars = [let(f"extractelement {self.real} {x}, i64 {i}") for x in args]
             value = let(f"call {real} @{name}({', '.join(f'{real} {x}' for x in scalars)})")
-            out = let(f"insertelement {self.real} {out}, {real} {value}, i64 {i}")
-        return out
+            vector = let(f"insertelement {self.real} {vector}, {real} {value}, i64 {i}")
+        return vector
 
 
 # -- functions ----------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ class LaneProgram:
 
     Attributes:
         initial: of each carried number before the first row; depends on `fixed` and `lane`.
-        same: as which carried number each one always is.
+        representatives: for each carried number, the first one that always equals it.
         lane_carries, shared_carries: those carried for each lane, and once for all.
         common, general: as in `Body`, of all that is carried and put out.
         events: what may happen to a lane in a row, found where the program branches; each as
@@ -99,7 +99,7 @@ class LaneProgram:
     """
 
     initial: tuple[Node, ...]
-    same: tuple[int, ...]
+    representatives: tuple[int, ...]
     lane_carries: tuple[int, ...]
     shared_carries: tuple[int, ...]
     common: Path
@@ -244,12 +244,12 @@ def lane_program(loop: AbstractLoop) -> LaneProgram:
     step, _, carried = _merge_carries(graph.make, graph, initial, step)
     # Terms that differ in the order of their factors only are found equal in the second round.
     make = _Lowering(graph, Levels(carried))
-    step, same, carried = _merge_carries(make, graph, initial, step.rewrite({}, make))
+    step, representatives, carried = _merge_carries(make, graph, initial, step.rewrite({}, make))
     level = Levels(carried)
     make = _Lowering(graph, level)
     unset = {flag: graph.constant(False) for flag in flags}
     quiet, events = _without_events(graph, step.rewrite(unset, make), make)
-    order = _Order(tuple(same), tuple(carried), level)
+    order = _Order(tuple(representatives), tuple(carried), level)
     return _sort(tuple(initial), step, quiet, tuple(events), bool(flags), order, result)
 
 
@@ -292,16 +292,16 @@ def _traced(graph: Graph, loop: AbstractLoop) -> tuple[list[Node], _Step, list[N
     if any(leaf.dtype != loop.dtype for leaf in jax.tree.leaves(carry)):
         raise Untranslatable("a carry of another type than the lanes")
     lane, fixed = _inputs(graph, "lane", loop.lane), _inputs(graph, "fixed", loop.fixed)
-    row, before = _inputs(graph, "row", loop.row), _inputs(graph, CARRY, carry)
+    row, carry_inputs = _inputs(graph, "row", loop.row), _inputs(graph, CARRY, carry)
     if loop.by_block:  # the last of a row's leaves
         row[-1] = _inputs(graph, BLOCK, jax.tree.leaves(loop.row)[-1])[0]
     initial = _translated(graph, loop.begin, (loop.lane, loop.fixed), [*lane, *fixed])
     trees = (loop.lane, loop.fixed, carry, loop.row)
     graph.branches = [] if loop.branches else None
-    after = _translated(graph, loop.advance, trees, [*lane, *fixed, *before, *row])
+    after = _translated(graph, loop.advance, trees, [*lane, *fixed, *carry_inputs, *row])
     names = [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(loop.row)]
     flags = [row[names.index(name)].item() for name in loop.flags]
-    places = [np.vectorize(lambda node: node.value[1], otypes=[int])(leaf) for leaf in before]
+    places = [np.vectorize(lambda node: node.value[1], otypes=[int])(leaf) for leaf in carry_inputs]
     count = len(initial)
     return (
         initial,
@@ -313,10 +313,10 @@ def _traced(graph: Graph, loop: AbstractLoop) -> tuple[list[Node], _Step, list[N
 
 def _inputs(graph: Graph, group: str, tree: Any) -> list[np.ndarray]:
     """The leaves of a tree of shapes as arrays of inputs, numbered through."""
-    out, count = [], 0
+    arrays, count = [], 0
     for leaf in jax.tree.leaves(tree):
         if not isinstance(leaf, jax.ShapeDtypeStruct):
-            out.append(constant_nodes(graph, leaf))
+            arrays.append(constant_nodes(graph, leaf))
             continue
         array = np.empty(leaf.shape, object)
         for index in np.ndindex(leaf.shape):
@@ -325,8 +325,8 @@ def _inputs(graph: Graph, group: str, tree: Any) -> list[np.ndarray]:
             flag = leaf.dtype == bool
             array[index] = graph.make("ne", node, graph.constant(0.0)) if flag else node
             count += 1
-        out.append(array)
-    return out
+        arrays.append(array)
+    return arrays
 
 
 def _translated(graph: Graph, function: Callable, trees: tuple, inputs: list) -> list[Node]:
@@ -335,42 +335,42 @@ def _translated(graph: Graph, function: Callable, trees: tuple, inputs: list) ->
     def flat(*leaves: Any) -> list:
         return jax.tree.leaves(function(*jax.tree.unflatten(structure, leaves)))
 
-    out = translate(graph, flat, leaves, inputs)
-    return [node for array in out for node in array.ravel()]
+    arrays = translate(graph, flat, leaves, inputs)
+    return [node for array in arrays for node in array.ravel()]
 
 
 def _merge_carries(
     make: Callable[..., Node], graph: Graph, initial: list[Node], step: _Step
 ) -> tuple[_Step, list[int], list[int]]:
-    """A step, as which carried number each one always is, and how often each is computed.
+    """A step, the representative of each carried number, and how often each is computed.
 
     Start from the most hopeful answer: carried numbers that begin alike stay alike, those that
     begin with a constant keep it, and only the first value decides how often they are computed.
     Give way where an update contradicts that, until none does.
     """
     inputs = [graph.input((CARRY, i)) for i in range(len(initial))]
-    same = [initial.index(node) for node in initial]
+    leaders = [initial.index(node) for node in initial]
     constant = [node.op == "constant" for node in initial]
     carried = [Levels([])(node) for node in initial]
     while True:
         replaced = {
             node: start if stays else inputs[first]
-            for node, start, stays, first in zip(inputs, initial, constant, same, strict=True)
+            for node, start, stays, first in zip(inputs, initial, constant, leaders, strict=True)
         }
         new = rewrite(step.updated, replaced, make)
-        level, before = Levels(carried), (same, constant, carried)
+        level, previous_answer = Levels(carried), (leaders, constant, carried)
         constant = [
             stayed and node is start
             for stayed, node, start in zip(constant, new, initial, strict=True)
         ]
-        kinds = list(zip(same, new, strict=True))
-        same = [kinds.index(kind) for kind in kinds]
+        kinds = list(zip(leaders, new, strict=True))
+        leaders = [kinds.index(kind) for kind in kinds]
         carried = [
             FIXED if stays else previous | level(node) | ROW
             for stays, previous, node in zip(constant, carried, new, strict=True)
         ]
-        if (same, constant, carried) == before:
-            return step.rewrite(replaced, make), same, carried
+        if (leaders, constant, carried) == previous_answer:
+            return step.rewrite(replaced, make), leaders, carried
 
 
 class Levels:
@@ -464,15 +464,15 @@ class _Lowering:
 
 @dataclass(frozen=True)
 class _Order:
-    """How often things are computed: `same` and `level` of a `LaneProgram`, and of each carry."""
+    """Levels of nodes and of carried numbers; fields as in `LaneProgram`."""
 
-    same: tuple[int, ...]
+    representatives: tuple[int, ...]
     carried: tuple[int, ...]
     level: Levels
 
     def carries(self, kind: int) -> tuple[int, ...]:
         """Those of one kind that are as no earlier one is."""
-        pairs = enumerate(zip(self.carried, self.same, strict=True))
+        pairs = enumerate(zip(self.carried, self.representatives, strict=True))
         return tuple(i for i, (level, first) in pairs if level == kind and first == i)
 
 
@@ -500,7 +500,7 @@ def _sort(
     read_by_rows = _read([*paths[1].scalars, *in_row], level, ROW)
     return LaneProgram(
         initial=initial,
-        same=order.same,
+        representatives=order.representatives,
         lane_carries=lanes,
         shared_carries=shared,
         common=paths[0],

@@ -1,6 +1,6 @@
-"""Functions of one instant, evaluated along a whole record by NumPy.
+"""Functions of one instant, evaluated along a record by NumPy.
 
-What a model or an effect says of one instant is a scalar program (`graph.py`) of a few dozen
+A model or an effect at one instant is a scalar program (`graph.py`) of a few dozen
 operations, and along the samples of a record each of them is one call of NumPy. XLA would compile
 every such function for every length of record, which takes longer than most records take.
 
@@ -28,7 +28,7 @@ from eoi_jax.compiler.trace import translate
 # Leading axes that the arrays of an argument may have.
 AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
 _BLOCK = 131072  # numbers of one intermediate result
-_MOST = 256  # programs kept, of some ten kilobytes each
+_MAX_PROGRAMS = 256  # in memory, of some ten kilobytes each
 
 Kind = tuple[tuple[int, ...], str]  # shape and kind of type of a leaf
 
@@ -36,7 +36,7 @@ Read = Callable[[tuple[int, int]], Any]  # a component of a leaf
 
 
 def along(function: Callable, axes: tuple[str, ...], *args: Any) -> Any:
-    """A function at every row of a record, and at every point of a grid where there is one.
+    """Evaluate a function at every row of a record, and at every point of a grid if there is one.
 
     Args:
         function: of one tree of arrays for each argument, gives a tree of arrays; hashable, and
@@ -53,7 +53,7 @@ def along(function: Callable, axes: tuple[str, ...], *args: Any) -> Any:
 
 
 class Along:
-    """A function along a record, of which any rows can be asked for; arguments as of `along`.
+    """A function along a record, evaluated at any rows; arguments as in `along`.
 
     Attributes:
         rows: of the record.
@@ -64,8 +64,12 @@ class Along:
         self._function, self._axes, self._args = function, axes, args
         self.rows, self.grid = _length(axes, args, "rows"), _length(axes, args, "grid")
         dtype = np.dtype(jnp.result_type(float))
-        leaves, structures = zip(*(jax.tree.flatten(one) for one in args), strict=True)
-        pairs = [(leaf, axis) for some, axis in zip(leaves, axes, strict=True) for leaf in some]
+        leaves, structures = zip(*(jax.tree.flatten(arg) for arg in args), strict=True)
+        pairs = [
+            (leaf, axis)
+            for argument_leaves, axis in zip(leaves, axes, strict=True)
+            for leaf in argument_leaves
+        ]
         kinds = tuple((np.shape(leaf)[AXES[axis] :], leaf.dtype.kind) for leaf, axis in pairs)
         try:
             self._program = _program(function, structures, kinds, dtype)
@@ -75,33 +79,33 @@ class Along:
             self._columns = [_columns(leaf, axis, dtype) for leaf, axis in pairs]
 
     def __call__(self, part: slice) -> Any:
-        """The result at some rows; as of `along`."""
+        """The result at some rows, as from `along`."""
         if self._program is None:
             return jax.tree.map(
                 lambda leaf: leaf[part] if self.grid is None else leaf[:, part], self._by_xla
             )
         rows = range(self.rows)[part]
         lead = (len(rows),) if self.grid is None else (self.grid, len(rows))
-        out = np.empty((len(self._program.outputs), *lead), self._program.dtype)
+        result = np.empty((len(self._program.outputs), *lead), self._program.dtype)
         step = max(_BLOCK // max(self.grid or 1, 1), 1)
         with np.errstate(all="ignore"):
             for first in range(0, len(rows), step):
                 last = min(first + step, len(rows))
                 block = slice(rows.start + first, rows.start + last)
                 values = self._program.values(functools.partial(self._read, block))
-                for component, value in zip(out, values, strict=True):
+                for component, value in zip(result, values, strict=True):
                     component[..., first:last] = value
-        return self._program.tree(out)
+        return self._program.tree(result)
 
     def _read(self, block: slice, at: tuple[int, int]) -> Any:
-        """One input at some rows, in the shape in which it meets the others."""
+        """One input at some rows, in a shape that broadcasts with the other inputs."""
         leaf, component = at
         by_rows, columns = self._columns[leaf]
         return columns[component][..., block] if by_rows else columns[component]
 
     @functools.cached_property
     def _by_xla(self) -> Any:
-        """At all rows, where the function is more than arithmetic of scalars."""
+        """The result at all rows, for a function that a scalar program cannot express."""
         return jax.tree.map(np.asarray, _compiled(self._function, self._axes, self._args))
 
 
@@ -116,16 +120,16 @@ def _compiled(function: Callable, axes: tuple[str, ...], args: tuple) -> Any:
         return at_point(*args)
 
     def at(point: list) -> Any:
-        rest = iter(point)
+        coordinates = iter(point)
         pairs = zip(args, gridded, strict=True)
-        return at_point(*(next(rest) if moves else one for one, moves in pairs))
+        return at_point(*(next(coordinates) if moves else arg for arg, moves in pairs))
 
-    # Side by side XLA evaluates for each point what is the same for all.
+    # `vmap` over the grid would repeat at each point what does not depend on it.
     return jax.lax.map(at, list(itertools.compress(args, gridded)))
 
 
 def _length(axes: tuple[str, ...], args: tuple, name: str) -> Any:
-    """Of one of the leading axes; None if no argument has it."""
+    """Length of a leading axis; None if no argument has it."""
     for tree, axis in zip(args, axes, strict=True):
         leaves = jax.tree.leaves(tree)
         if name in axis and leaves:
@@ -145,17 +149,17 @@ def _columns(leaf: Any, axis: str, dtype: Any) -> tuple[bool, np.ndarray]:
 
 @dataclass(frozen=True)
 class _Step:
-    """One operation: where its result and its arguments are, and what nothing needs after it."""
+    """One operation: places of its result and arguments, and of results last used by it."""
 
     function: Callable
     place: int
     args: tuple[int, ...]
-    done: tuple[int, ...]
+    released: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class _Program:
-    """Operations in the order in which they are done.
+    """Operations in order of execution.
 
     Attributes:
         steps: the operations.
@@ -175,13 +179,13 @@ class _Program:
     dtype: Any
 
     def values(self, read: Read) -> Iterator[Any]:
-        """The components of the results, given what reads an input."""
-        known = self.constants | {place: read(at) for place, at in self.inputs.items()}
+        """The components of the results; `read` gives the value of an input."""
+        values = self.constants | {place: read(at) for place, at in self.inputs.items()}
         for step in self.steps:
-            known[step.place] = step.function(*[known[arg] for arg in step.args])
-            for place in step.done:
-                del known[place]
-        return (known[place] for place in self.outputs)
+            values[step.place] = step.function(*[values[arg] for arg in step.args])
+            for place in step.released:
+                del values[place]
+        return (values[place] for place in self.outputs)
 
     def tree(self, components: np.ndarray) -> Any:
         """The results with their leading axes in front: views of all components."""
@@ -195,7 +199,7 @@ class _Program:
         return jax.tree.unflatten(self.structure, leaves)
 
 
-@functools.partial(cached_translation, most=_MOST)
+@functools.partial(cached_translation, maxsize=_MAX_PROGRAMS)
 def _program(
     function: Callable,
     structures: tuple,
@@ -204,25 +208,28 @@ def _program(
 ) -> _Program:
     """Trace a function and put its operations in order, once."""
     if any(kind not in "fb" for _, kind in kinds):
-        raise Untranslatable("arguments that are whole numbers")
+        raise Untranslatable("arguments of integer type")
     graph, structure = Graph(), None
-    counts = [one.num_leaves for one in structures]
+    counts = [arg_structure.num_leaves for arg_structure in structures]
     shapes = [jax.ShapeDtypeStruct(shape, dtype if kind == "f" else bool) for shape, kind in kinds]
     inputs = [_inputs(graph, leaf, shape) for leaf, shape in enumerate(shapes)]
     results: list[tuple[int, ...]] = []
 
     def flat(*leaves: Any) -> list:
         nonlocal structure
-        rest = iter(leaves)
-        parts = [list(itertools.islice(rest, count)) for count in counts]
-        trees = [jax.tree.unflatten(one, part) for one, part in zip(structures, parts, strict=True)]
-        out, structure = jax.tree.flatten(function(*trees))
-        results[:] = [jnp.shape(one) for one in out]
-        return out
+        iterator = iter(leaves)
+        parts = [list(itertools.islice(iterator, count)) for count in counts]
+        trees = [
+            jax.tree.unflatten(arg_structure, part)
+            for arg_structure, part in zip(structures, parts, strict=True)
+        ]
+        arrays, structure = jax.tree.flatten(function(*trees))
+        results[:] = [jnp.shape(array) for array in arrays]
+        return arrays
 
     with jax.enable_x64(dtype == np.float64):
-        out = translate(graph, flat, shapes, inputs)
-    outputs = [node for array in out for node in array.ravel()]
+        arrays = translate(graph, flat, shapes, inputs)
+    outputs = [node for array in arrays for node in array.ravel()]
     needed = topological_order(outputs)
     return _Program(
         steps=_steps(needed, outputs),
@@ -236,16 +243,18 @@ def _program(
 
 
 def _steps(nodes: Sequence[Node], outputs: Sequence[Node]) -> tuple[_Step, ...]:
-    """The operations among some nodes, and when each result is no more needed."""
+    """The operations among some nodes, and the results that each is the last to use."""
     last = {arg.order: node.order for node in nodes for arg in node.args}
-    kept = {node.order for node in outputs}
+    output_orders = {node.order for node in outputs}
     steps = []
     for node in nodes:
         if node.args:
-            done = {arg.order for arg in node.args if arg.args and last[arg.order] == node.order}
+            released = {
+                arg.order for arg in node.args if arg.args and last[arg.order] == node.order
+            }
             places = tuple(arg.order for arg in node.args)
             function = OPERATIONS[node.op].function
-            steps.append(_Step(function, node.order, places, tuple(done - kept)))
+            steps.append(_Step(function, node.order, places, tuple(released - output_orders)))
     return tuple(steps)
 
 
@@ -255,8 +264,8 @@ def _number(node: Node, dtype: Any) -> Any:
 
 def _inputs(graph: Graph, leaf: int, shape: jax.ShapeDtypeStruct) -> np.ndarray:
     """A leaf as an array of inputs; flags come as numbers."""
-    out = np.empty(shape.shape, object)
+    nodes = np.empty(shape.shape, object)
     for component, where in enumerate(np.ndindex(shape.shape)):
         node = graph.input((leaf, component))
-        out[where] = graph.make("ne", node, graph.constant(0.0)) if shape.dtype == bool else node
-    return out
+        nodes[where] = graph.make("ne", node, graph.constant(0.0)) if shape.dtype == bool else node
+    return nodes

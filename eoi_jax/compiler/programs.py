@@ -30,7 +30,9 @@ from eoi_jax.compiler.jax_private import Literal, Tracer, forget_lowered, tracin
 PROGRAMS = 128  # of two to five megabytes each, and ten to forty mappings of memory
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
 _NESTED = 4  # so many functions inside others: their traces take ten megabytes each
-_MADE = 10  # programs, after which what their compilation has freed goes back to the system
+_RELEASE_INTERVAL = (
+    10  # programs, after which what their compilation has freed goes back to the system
+)
 _CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
 
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
@@ -51,19 +53,22 @@ def jit(function: Callable | None = None, *, static: tuple[str, ...] | None = No
         The same function, compiled at its first call for each shape and static value.
     """
     if function is None:
-        return lambda one: jit(one, static=static)
+        return lambda decorated: jit(decorated, static=static)
     names, kinds = static or (), _ARRAYS if static is None else _NUMBERS
     signature = inspect.signature(function)
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        given: tuple[tuple[str, Any], ...] = ()
+        static_arguments: tuple[tuple[str, Any], ...] = ()
         if names:
             kwargs = dict(signature.bind(*args, **kwargs).arguments)
-            args, given = (), tuple((name, kwargs.pop(name)) for name in names if name in kwargs)
+            args, static_arguments = (
+                (),
+                tuple((name, kwargs.pop(name)) for name in names if name in kwargs),
+            )
         leaves, structure = jax.tree.flatten((args, kwargs))
-        split = _Split(*_parted(leaves, kinds), structure, given)
-        if tracing() or any(_is(type(array), Tracer) for array in split.arrays):
+        split = _Split(*_parted(leaves, kinds), structure, static_arguments)
+        if tracing() or any(_is_kind(type(array), Tracer) for array in split.arrays):
             return _combined(_nested(function, split)(split.arrays))
         return _run(function, split)
 
@@ -96,19 +101,28 @@ class _Split(NamedTuple):
     arrays: list[Any]
     fixed: tuple[Hashable, ...]
     structure: Any
-    given: tuple[tuple[str, Hashable], ...]
+    static_arguments: tuple[tuple[str, Hashable], ...]
 
     @property
     def key(self) -> tuple[Hashable, ...]:
         """Without the arrays."""
         # 1, 1.0 and True are equal, but not the same to a program.
-        kinds = tuple(map(type, self.fixed)), tuple(type(value) for _, value in self.given)
-        return self.structure, self.fixed, kinds, self.given, jax.dtypes.canonicalize_dtype(float)
+        kinds = (
+            tuple(map(type, self.fixed)),
+            tuple(type(value) for _, value in self.static_arguments),
+        )
+        return (
+            self.structure,
+            self.fixed,
+            kinds,
+            self.static_arguments,
+            jax.dtypes.canonicalize_dtype(float),
+        )
 
     def arguments(self, arrays: list[Any]) -> tuple[tuple, dict[str, Any]]:
         """Of the function, with these arrays."""
         args, kwargs = _joined(self.structure, self.fixed, arrays)
-        return args, {**kwargs, **dict(self.given)}
+        return args, {**kwargs, **dict(self.static_arguments)}
 
 
 class _Marker:
@@ -122,7 +136,7 @@ def _parted(leaves: list[Any], kinds: tuple) -> tuple[list[Any], tuple[Hashable,
     """The arrays among the leaves of a tree, and all others with a mark where an array was."""
     arrays, fixed, kinds = [], [], (*kinds, Tracer)
     for leaf in leaves:
-        dynamic = _is(type(leaf), kinds)
+        dynamic = _is_kind(type(leaf), kinds)
         (arrays if dynamic else fixed).append(leaf)
         if dynamic:
             fixed.append(_ARRAY)
@@ -130,15 +144,17 @@ def _parted(leaves: list[Any], kinds: tuple) -> tuple[list[Any], tuple[Hashable,
 
 
 @lru_cache(maxsize=1000)
-def _is(kind: type, kinds: type | tuple[type, ...]) -> bool:
+def _is_kind(kind: type, kinds: type | tuple[type, ...]) -> bool:
     """As `issubclass`, which takes longer of JAX's own."""
     return issubclass(kind, kinds)
 
 
 def _joined(structure: Any, fixed: tuple, arrays: list[Any]) -> Any:
     """The tree of both."""
-    rest = iter(arrays)
-    return jax.tree.unflatten(structure, [next(rest) if one is _ARRAY else one for one in fixed])
+    remaining_arrays = iter(arrays)
+    return jax.tree.unflatten(
+        structure, [next(remaining_arrays) if leaf is _ARRAY else leaf for leaf in fixed]
+    )
 
 
 @jax.tree_util.register_pytree_node_class
@@ -181,7 +197,7 @@ class _Call:
 
 
 _limit = PROGRAMS
-_made = 0  # programs since memory was given back
+_compiled_count = 0  # programs since memory was given back
 _lock = threading.RLock()
 _programs: OrderedDict[str, _Program] = OrderedDict()
 _calls: dict[Hashable, _Call] = {}
@@ -191,20 +207,20 @@ _inner: OrderedDict[Hashable, Callable] = OrderedDict()
 def _run(function: Callable, split: _Split) -> Any:
     key = (function, split.key, tuple(map(_kind, split.arrays)))
     with _lock:
-        known = _calls.get(key)
-        if known is not None:
-            _programs.move_to_end(known.program)
-            _programs[known.program].calls.move_to_end(key)
-            run = _programs[known.program].run
-    if known is None:
-        known, run = _traced(function, split, key)
+        call = _calls.get(key)
+        if call is not None:
+            _programs.move_to_end(call.program)
+            _programs[call.program].calls.move_to_end(key)
+            run = _programs[call.program].run
+    if call is None:
+        call, run = _traced(function, split, key)
     leaves = jax.tree.leaves(run(split.arrays))
-    return _combined(jax.tree.unflatten(known.result, leaves))
+    return _combined(jax.tree.unflatten(call.result, leaves))
 
 
 def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Callable]:
     """Trace a function; if what it computes is known its program serves."""
-    global _made
+    global _compiled_count
     run = _jitted(function, split)
     traced = run.trace(split.arrays)
     name = fingerprint(traced.jaxpr)
@@ -213,15 +229,15 @@ def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Ca
         program = _programs.get(name)
         if program is None:
             program = _programs[name] = _Program(run, traced.jaxpr, OrderedDict())
-            _made += 1
+            _compiled_count += 1
         _programs.move_to_end(name)
         if len(program.calls) >= _CALLS:
             _calls.pop(program.calls.popitem(last=False)[0], None)
         program.calls[key] = None
         _calls[key] = _Call(name, result)
         _trim()
-        if _made >= _MADE:
-            _made = 0
+        if _compiled_count >= _RELEASE_INTERVAL:
+            _compiled_count = 0
             _give_back()
         return _calls[key], program.run
 
@@ -257,7 +273,7 @@ def _nested(function: Callable, split: _Split) -> Callable:
 
 def _jitted(function: Callable, split: _Split) -> Callable:
     """A function of the arrays alone, new for each key: what JAX keeps for it goes with it."""
-    frame = _Split([], split.fixed, split.structure, split.given)
+    frame = _Split([], split.fixed, split.structure, split.static_arguments)
 
     def of_arrays(arrays: list[Any]) -> Any:
         args, kwargs = frame.arguments(arrays)
@@ -270,17 +286,17 @@ def _jitted(function: Callable, split: _Split) -> Callable:
 
 
 def _combined(result: Any) -> Any:
-    arrays, other = result
-    structure, fixed = other.value
+    arrays, static_part = result
+    structure, fixed = static_part.value
     return _joined(structure, fixed, arrays)
 
 
 def _kind(array: Any) -> Hashable:
     """What decides how an argument is compiled."""
     kind = type(array)
-    if _is(kind, (np.ndarray, np.generic)):
+    if _is_kind(kind, (np.ndarray, np.generic)):
         return array.shape, array.dtype
-    return (array.shape, array.dtype, array.weak_type) if _is(kind, jax.Array) else kind
+    return (array.shape, array.dtype, array.weak_type) if _is_kind(kind, jax.Array) else kind
 
 
 def fingerprint(closed: Any) -> str:

@@ -173,40 +173,42 @@ class Run:
         rows = np.ascontiguousarray(rows, code.dtype)
         flags, blocks, values = self._flags(rare, total)
         for first in range(0, total, count):
-            now = slice(first, min(first + count, total))
+            block = slice(first, min(first + count, total))
             if code.shared is not None:
-                self._call(code.shared, rows[now], shared)
-            taken = np.zeros(1, np.int64)  # like the others it lives until all threads are done
-            seen = rows[now] if code.shared is None else shared[: now.stop - first]
-            job = self._job(taken, flags[now], blocks[now], values, seen)
-            together(job, min(threads, len(self.memory)))
+                self._call(code.shared, rows[block], shared)
+            next_tile = np.zeros(1, np.int64)  # like the others it lives until all threads are done
+            visible_rows = rows[block] if code.shared is None else shared[: block.stop - first]
+            job = self._job(next_tile, flags[block], blocks[block], values, visible_rows)
+            run_in_threads(job, min(threads, len(self.memory)))
 
     def outputs(
-        self, rows: np.ndarray, count: int, out: np.ndarray | None = None
+        self, rows: np.ndarray, count: int, buffer: np.ndarray | None = None
     ) -> Iterator[np.ndarray]:
         """Through the rows of a table, so many at a time; for inline loops without flags.
 
         Args:
             rows: as the loop reads them, one after the other in memory.
             count: at a time.
-            out: where all outputs go, as many rows or more; None for one array of `count` rows,
+            buffer: where all outputs go, as many rows or more; None for one array of `count` rows,
                 which is written over and over.
 
         Returns:
             Outputs, in the columns of `CompiledLoop.outputs`.
         """
         width = self.code.outputs[-1].stop
-        buffer = _aligned((min(count, len(rows)), width), self.code.dtype) if out is None else out
+        reused = buffer is None
+        if buffer is None:
+            buffer = _aligned((min(count, len(rows)), width), self.code.dtype)
         for first in range(0, len(rows), count):
-            now = min(count, len(rows) - first)
-            written = buffer[:now] if out is None else buffer[first : first + now]
-            self._call(self.code.lanes, rows[first : first + now], written)
+            block_rows = min(count, len(rows) - first)
+            written = buffer[:block_rows] if reused else buffer[first : first + block_rows]
+            self._call(self.code.lanes, rows[first : first + block_rows], written)
             yield written
 
     def carried(self, number: Any) -> Any:
         """A carried number: of each lane, or a single one that they share."""
         program, where = self.code.program, self.code.where
-        i = program.same[number]
+        i = program.representatives[number]
         if i in where.carries:
             return self.memory[:, where.carries[i]].reshape(-1)[: self.lanes]
         return self.scalars[where.scalars[i]] if i in where.scalars else program.initial[i].value
@@ -216,22 +218,22 @@ class Run:
         return jax.tree.map(self._gathered, self.code.program.result)
 
     def _gathered(self, places: np.ndarray) -> np.ndarray:
-        out = np.empty((self.lanes, *places.shape), self.code.dtype)
+        values = np.empty((self.lanes, *places.shape), self.code.dtype)
         for index in np.ndindex(places.shape):
-            out[(slice(None), *index)] = self.carried(places[index])
-        out[self.spoilt] = np.nan
-        return out
+            values[(slice(None), *index)] = self.carried(places[index])
+        values[self.spoilt] = np.nan
+        return values
 
     def _flags(
         self, rare: RowFlags | None, total: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whether each row has a flag, the block of each row, values of the blocks."""
-        none, nowhere = np.zeros((1, 1)), np.zeros(total, np.int64)
+        no_blocks, nowhere = np.zeros((1, 1)), np.zeros(total, np.int64)
         if rare is None:
-            return np.zeros(total, np.uint8), nowhere, none
+            return np.zeros(total, np.uint8), nowhere, no_blocks
         flags = rare.flags.astype(np.uint8)
         if rare.values is None or rare.blocks is None:
-            return flags, nowhere, none
+            return flags, nowhere, no_blocks
         values = np.asarray(rare.values, self.code.dtype)
         lines = values[self.padding].reshape(-1, self.code.where.width, values.shape[1])
         by_vector = _aligned((len(lines), values.shape[1], self.code.where.width), lines.dtype)
@@ -239,18 +241,18 @@ class Run:
         blocks = np.minimum(rare.blocks, values.shape[1] - 1)
         return flags, blocks.astype(np.int64), by_vector
 
-    def _call(self, function: Callable, rows: np.ndarray, out: np.ndarray) -> None:
+    def _call(self, function: Callable, rows: np.ndarray, result: np.ndarray) -> None:
         """A loop without flags over a vector, or none, in this thread."""
-        taken = np.zeros(1, np.int64)
+        next_tile = np.zeros(1, np.int64)
         pointers = [array.ctypes.data for array in (rows, self.scalars, self.fixed)]
         function(
-            self.memory.ctypes.data, taken.ctypes.data, 1, *pointers,
-            None, None, None, 0, out.ctypes.data, len(rows),
+            self.memory.ctypes.data, next_tile.ctypes.data, 1, *pointers,
+            None, None, None, 0, result.ctypes.data, len(rows),
         )  # fmt: skip
 
     def _job(
         self,
-        taken: np.ndarray,
+        next_tile: np.ndarray,
         flags: np.ndarray,
         blocks: np.ndarray,
         values: np.ndarray,
@@ -261,7 +263,7 @@ class Run:
         return functools.partial(
             self.code.lanes,
             self.memory.ctypes.data,
-            taken.ctypes.data,
+            next_tile.ctypes.data,
             len(self.memory),
             *(array.ctypes.data for array in arrays),
             values.shape[1],
@@ -283,10 +285,10 @@ def numbers(tree: Any, dtype: Any, skip: int = 0) -> np.ndarray:
 
 def _table(values: Sequence[Any], count: int, dtype: Any) -> np.ndarray:
     """A row for each value, shape (values, count): it is a number, or has one for each lane."""
-    out = np.empty((len(values), count), dtype)
-    for row, value in zip(out, values, strict=True):
+    table = np.empty((len(values), count), dtype)
+    for row, value in zip(table, values, strict=True):
         row[...] = value
-    return out
+    return table
 
 
 def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
@@ -307,7 +309,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def together(job: Callable[[], None], threads: int) -> None:
+def run_in_threads(job: Callable[[], None], threads: int) -> None:
     """The same call in several threads; compiled code runs without Python's lock."""
     pending = [_pool(threads - 1).submit(job) for _ in range(threads - 1)] if threads > 1 else []
     job()

@@ -25,9 +25,9 @@ def constant_nodes(graph: Graph, value: Any) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fbiu":
         raise Untranslatable(f"numbers of type {array.dtype}")
-    out = np.empty(array.shape, object)
-    out.ravel()[:] = [graph.constant(value) for value in array.ravel()]
-    return out
+    nodes = np.empty(array.shape, object)
+    nodes.ravel()[:] = [graph.constant(value) for value in array.ravel()]
+    return nodes
 
 
 def translate(
@@ -73,8 +73,8 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
     name, params = equation.primitive.name, equation.params
     if (function := called(equation)) is not None:
         return _run(graph, function, args)
-    if name in _MANY:
-        return _MANY[name](graph, params, *args)
+    if name in _ARRAY_RULES:
+        return _ARRAY_RULES[name](graph, params, *args)
     shape = equation.outvars[0].aval.shape
     if name in _MOVES:
         moved = _MOVES[name](params, *args)
@@ -87,9 +87,9 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
         moved = np.frompyfunc(component, len(args), 1)(*args)
     else:
         raise Untranslatable(name)
-    out = np.empty(shape, object)
-    out[...] = moved
-    return [out]
+    result = np.empty(shape, object)
+    result[...] = moved
+    return [result]
 
 
 def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
@@ -107,15 +107,15 @@ def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
     stacked: dict[int, list[np.ndarray]] = {}
     for k in turns:
         row = [np.asarray(array[k], object) for array in rows]
-        out = _run(graph, loop.body, [*fixed, *carry, *row])
-        carry, stacked[k] = out[:carries], out[carries:]
+        results = _run(graph, loop.body, [*fixed, *carry, *row])
+        carry, stacked[k] = results[:carries], results[carries:]
     parts = zip(*(stacked[k] for k in range(length)), strict=True)
     return carry + [np.stack(part) for part in parts]
 
 
-def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
+def _cond(graph: Graph, params: dict, index: np.ndarray, *args: np.ndarray) -> list[np.ndarray]:
     """All branches, and of their results the right one: branches have no other effect."""
-    chosen = _flag_of(graph, which.item())
+    chosen = _flag_of(graph, index.item())
     outer, branches = graph.branches, []
     for i, branch in enumerate(branches_of(params)):
         graph.branches = None if outer is None else []
@@ -125,27 +125,27 @@ def _cond(graph: Graph, params: dict, which: np.ndarray, *args: np.ndarray) -> l
             inner = [graph.make("and", chosen, branch) for branch in graph.branches or []]
             outer.extend([chosen, *inner])
     graph.branches = outer
-    out = []
+    results = []
     for ways in zip(*branches, strict=True):
         array = np.empty(ways[0].shape, object)
         for at in np.ndindex(array.shape):
-            array[at] = _choose(graph, chosen, *(way[at] for way in ways))
-        out.append(array)
-    return out
+            array[at] = _choose(graph, chosen, *(values[at] for values in ways))
+        results.append(array)
+    return results
 
 
-def _flag_of(graph: Graph, which: Node) -> Node:
+def _flag_of(graph: Graph, node: Node) -> Node:
     """The flag that was made a number to choose between two branches."""
-    plain = which.op == "select" and which.args[1:] == (graph.constant(1.0), graph.constant(0.0))
-    return which.args[0] if plain else which
+    plain = node.op == "select" and node.args[1:] == (graph.constant(1.0), graph.constant(0.0))
+    return node.args[0] if plain else node
 
 
-def _choose(graph: Graph, which: Node, *ways: Node) -> Node:
-    if which.is_bool:
-        return graph.make("select", which, ways[1], ways[0])
+def _choose(graph: Graph, index: Node, *ways: Node) -> Node:
+    if index.is_bool:
+        return graph.make("select", index, ways[1], ways[0])
     choice = ways[-1]
     for i in range(len(ways) - 2, -1, -1):
-        first = graph.make("le", which, graph.constant(i))
+        first = graph.make("le", index, graph.constant(i))
         choice = graph.make("select", first, ways[i], choice)
     return choice
 
@@ -167,7 +167,7 @@ def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
     return [constant_nodes(graph, fits.index(True))]
 
 
-_MANY: dict[str, Callable] = {
+_ARRAY_RULES: dict[str, Callable] = {
     "platform_index": _platform,
     "scan": _scan,
     "cond": _cond,
@@ -258,13 +258,13 @@ def _scatter_add(
     nowhere = np.full(array.shape, -1, np.int32)
     places = _constants("scatter-add", where, equation.invars[1])
     hits = indexing.scatter(equation.params, nowhere, places, numbers)
-    out, flat = array.copy(), added.ravel()
+    result, flat = array.copy(), added.ravel()
     if np.sum(hits >= 0) != added.size:
         raise Untranslatable("scatter-add beyond its array, or twice at one place")
     for at in np.ndindex(hits.shape):
         if hits[at] >= 0:
-            out[at] = graph.make("add", array.item(at), flat.item(hits[at]))
-    return out
+            result[at] = graph.make("add", array.item(at), flat.item(hits[at]))
+    return result
 
 
 # -- sums and products of components ----------------------------------------------------------
@@ -299,10 +299,12 @@ def _folded(graph: Graph, op: str, array: np.ndarray, axes: Sequence, start: Nod
     shape = [array.shape[i] for i in outer]
     size = math.prod(array.shape[i] for i in axes)
     lines = array.transpose([*outer, *axes]).reshape(math.prod(shape), size)
-    out = np.empty(len(lines), object)
+    result = np.empty(len(lines), object)
     for i, line in enumerate(lines):
-        out[i] = functools.reduce(functools.partial(graph.make, op), line) if len(line) else start
-    return out.reshape(shape)
+        result[i] = (
+            functools.reduce(functools.partial(graph.make, op), line) if len(line) else start
+        )
+    return result.reshape(shape)
 
 
 def _reduction(op: str, start: Any) -> Callable:
@@ -314,11 +316,11 @@ def _reduction(op: str, start: Any) -> Callable:
 
 def _running(op: str) -> Callable:
     def run(graph: Graph, equation: Any, array: np.ndarray) -> np.ndarray:
-        axis, back = equation.params["axis"], equation.params["reverse"]
+        axis, reverse = equation.params["axis"], equation.params["reverse"]
         step = np.frompyfunc(functools.partial(graph.make, op), 2, 1)
-        array = np.flip(array, axis) if back else array
-        out = step.accumulate(array, axis=axis, dtype=object) if array.size else array
-        return np.flip(out, axis) if back else out
+        array = np.flip(array, axis) if reverse else array
+        result = step.accumulate(array, axis=axis, dtype=object) if array.size else array
+        return np.flip(result, axis) if reverse else result
 
     return run
 
@@ -362,14 +364,14 @@ def _plain(graph: Graph, equation: Any, *args: Node) -> Node:
 
 def _converted(graph: Graph, equation: Any, node: Node) -> Node:
     kind = np.dtype(equation.params["new_dtype"]).kind
-    was = equation.invars[0].aval.dtype.kind
+    source_kind = equation.invars[0].aval.dtype.kind
     if kind == "b":
         return node if node.is_bool else graph.make("ne", node, graph.constant(0.0))
     if kind not in "fiu":
         raise Untranslatable(f"numbers of type {equation.params['new_dtype']}")
     if node.is_bool:
         return graph.make("select", node, graph.constant(1.0), graph.constant(0.0))
-    return graph.make("trunc", node) if kind in "iu" and was == "f" else node
+    return graph.make("trunc", node) if kind in "iu" and source_kind == "f" else node
 
 
 def _power(graph: Graph, equation: Any, node: Node) -> Node:
@@ -382,16 +384,16 @@ def power(graph: Graph, node: Node, exponent: int) -> Node:
         return graph.make("div", graph.constant(1.0), power(graph, node, -exponent))
     if exponent == 0:
         return graph.constant(1.0)
-    half = power(graph, node, exponent // 2)
-    square = graph.make("mul", half, half)
+    half_power = power(graph, node, exponent // 2)
+    square = graph.make("mul", half_power, half_power)
     return graph.make("mul", square, node) if exponent % 2 else square
 
 
 def _round(graph: Graph, equation: Any, node: Node) -> Node:
     if equation.params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
         return graph.make("round_even", node)
-    up = graph.make("floor", graph.make("add", graph.make("abs", node), graph.constant(0.5)))
-    return graph.make("mul", graph.make("sign", node), up)
+    rounded = graph.make("floor", graph.make("add", graph.make("abs", node), graph.constant(0.5)))
+    return graph.make("mul", graph.make("sign", node), rounded)
 
 
 def _polynomial(graph: Graph, equation: Any, node: Node, *coefficients: Node) -> Node:
@@ -408,9 +410,9 @@ def _clamp(graph: Graph, equation: Any, low: Node, node: Node, high: Node) -> No
     return graph.make("min", graph.make("max", low, node), high)
 
 
-def _select_n(graph: Graph, equation: Any, which: Node, *ways: Node) -> Node:
+def _select_n(graph: Graph, equation: Any, index: Node, *ways: Node) -> Node:
     del equation
-    return _choose(graph, which, *ways)
+    return _choose(graph, index, *ways)
 
 
 def _composed(*steps: str | float) -> Callable:

@@ -72,9 +72,9 @@ def moving(
         np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
     )
     direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
-    before = np.concatenate([direction[:1], direction[:-1]])
-    after = np.concatenate([direction[1:], direction[-1:]])
-    return (direction != 0) & (direction == before) & (direction == after)
+    previous = np.concatenate([direction[:1], direction[:-1]])
+    following = np.concatenate([direction[1:], direction[-1:]])
+    return (direction != 0) & (direction == previous) & (direction == following)
 
 
 def usable_steps(
@@ -112,22 +112,22 @@ def usable_steps(
 
 def consecutive(good: Bool[np.ndarray, "steps ny"], count: int) -> Bool[np.ndarray, "steps ny"]:
     """Steps that are good together with the `count` - 1 before them, as far as there are any."""
-    together = good.copy()
+    all_good = good.copy()
     for lag in range(1, count):
-        together[lag:] &= good[:-lag]
-    return together
+        all_good[lag:] &= good[:-lag]
+    return all_good
 
 
 def beyond_starts(starts: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
     """All steps but the first `count` from each start on."""
-    beyond = np.ones(len(starts), dtype=bool)
+    mask = np.ones(len(starts), dtype=bool)
     for start in np.flatnonzero(starts):
-        beyond[start : start + count] = False
-    return beyond
+        mask[start : start + count] = False
+    return mask
 
 
 def constant(record: Record) -> Bool[np.ndarray, " ny"]:
-    """Outputs that never move: all that differences show of them is rounding."""
+    """Outputs that never move: their differences are rounding."""
     y = record.outputs[record.valid]
     return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
 
@@ -144,8 +144,8 @@ def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarr
         [np.minimum(_since_zero(channel), _since_zero(channel[::-1])[::-1]) for channel in use.T],
         axis=1,
     )
-    weights, near = np.ones_like(distance), distance < max(length, 1.0)
-    weights[near] = 0.5 - 0.5 * np.cos(np.pi * distance[near] / max(length, 1.0))
+    weights, is_near = np.ones_like(distance), distance < max(length, 1.0)
+    weights[is_near] = 0.5 - 0.5 * np.cos(np.pi * distance[is_near] / max(length, 1.0))
     return weights
 
 

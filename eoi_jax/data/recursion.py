@@ -26,9 +26,9 @@ def substituted(bands: Float[np.ndarray, "band period"], right: Columns) -> Colu
     right = np.asarray(right, float)
     if not right.size:
         return right.copy()
-    whole = np.asfortranarray(np.tile(bands, len(right) // bands.shape[1]))
-    (solve,) = get_lapack_funcs(("tbtrs",), (whole,))
-    return solve(whole, right, uplo="L", diag="U")[0]
+    tiled = np.asfortranarray(np.tile(bands, len(right) // bands.shape[1]))
+    (solve,) = get_lapack_funcs(("tbtrs",), (tiled,))
+    return solve(tiled, right, uplo="L", diag="U")[0]
 
 
 def states(

@@ -24,7 +24,7 @@ _NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and
 # of an input, from which on that drives it; share of an output's power from which on it is motion.
 _LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
 _ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
-_CUTOFFS = 200  # that are tried
+_CUTOFFS = 200  # number of cut-offs that are tried
 _BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
 
 
@@ -35,17 +35,17 @@ class Spectrum:
     Attributes:
         omega: frequencies, evenly spaced [rad/s].
         signal: power of the signal at each, 0 where it is lost in the noise.
-        own: of these what is the plant's motion, 0 in lines that come from elsewhere.
+        motion: power of the plant's motion at each, 0 in lines of other sources.
         noise: expected power of the measurement noise at each.
     """
 
     omega: Float[np.ndarray, " frequency"]
     signal: Float[np.ndarray, " frequency"]
-    own: Float[np.ndarray, " frequency"]
+    motion: Float[np.ndarray, " frequency"]
     noise: Float[np.ndarray, " frequency"]
 
     def below(self, share: float, power: Float[np.ndarray, " frequency"]) -> float:
-        """Frequency below which this share of a power lies [rad/s]; 0 without any."""
+        """Frequency below which this share of a power lies [rad/s]; 0 for zero power."""
         total = np.cumsum(power)
         if total[-1] <= 0:
             return 0.0
@@ -56,7 +56,9 @@ class Spectrum:
         cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
         omega, signal, noise = self._bands()
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
-        top, bottom = ((one / self.omega[-1]) ** (2 * order) for one in (omega, cutoffs))
+        top, bottom = (
+            (frequencies / self.omega[-1]) ** (2 * order) for frequencies in (omega, cutoffs)
+        )
         gain = bottom[:, None] / (bottom[:, None] + top)
         quiet = cutoffs[gain @ noise <= share**2 * (gain @ signal)]
         return float(quiet[-1]) if len(quiet) else 0.0
@@ -65,7 +67,7 @@ class Spectrum:
         """Mean frequency, motion and noise of bands so narrow that a filter is flat in each."""
         edges = np.geomspace(1.0, len(self.omega), round(np.log(len(self.omega)) / _BAND))
         first = np.unique(np.append(0, edges[:-1].astype(int)))
-        sums = (np.add.reduceat(one, first) for one in (self.omega, self.own, self.noise))
+        sums = (np.add.reduceat(column, first) for column in (self.omega, self.motion, self.noise))
         omega, signal, noise = sums
         return omega / np.diff(np.append(first, len(self.omega))), signal, noise
 
@@ -75,11 +77,12 @@ def spectrum(record: Record, output: int, degree: int) -> Spectrum:
     omega, power, foreign, window = _periodogram(record, output)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
     derivative = omega ** (2 * degree)
-    signal, own = (
-        np.where(_above(one, floor, len(window)), one, 0.0) * derivative
-        for one in (power, np.where(foreign, 0.0, power))
+    signal, motion = (
+        np.where(_exceeds_noise(spectral_power, floor, len(window)), spectral_power, 0.0)
+        * derivative
+        for spectral_power in (power, np.where(foreign, 0.0, power))
     )
-    return Spectrum(omega, signal, own, floor * derivative)
+    return Spectrum(omega, signal, motion, floor * derivative)
 
 
 def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
@@ -98,13 +101,13 @@ def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
     omega, power, foreign, window = _periodogram(record, output)
     floor = np.sum(window**2) * float(record.noise[output]) ** 2
     edges = np.flatnonzero(np.diff(np.concatenate([[0], foreign.astype(int), [0]])))
-    found = []
+    lines = []
     for first, last in edges.reshape(-1, 2):
-        held = power[first:last]
-        size = max(np.sum(held) - len(held) * floor, 0.0)
+        line_power = power[first:last]
+        size = max(np.sum(line_power) - len(line_power) * floor, 0.0)
         rms = np.sqrt(2.0 * size / (len(window) * np.sum(window**2)))
-        found.append((float(held @ omega[first:last] / np.sum(held)), float(rms)))
-    return found
+        lines.append((float(line_power @ omega[first:last] / np.sum(line_power)), float(rms)))
+    return lines
 
 
 def _periodogram(
@@ -125,7 +128,7 @@ def _periodogram(
 def _power(
     signal: Float[np.ndarray, " time"], window: Float[np.ndarray, " time"]
 ) -> Float[np.ndarray, " frequency"]:
-    """|FFT|² of what a straight line leaves."""
+    """|FFT|² of a signal without its straight line."""
     middle = np.arange(len(signal)) - 0.5 * (len(signal) - 1)
     slope = middle @ signal / (middle @ middle)
     return np.abs(np.fft.rfft(window * (signal - np.mean(signal) - slope * middle))) ** 2
@@ -143,9 +146,9 @@ def _foreign(
     """
     for u in inputs:
         lines = lines & ~_lines(u, _DRIVEN)
-    held, _ = _within(power, _LINE_WIDTH)
-    lines = lines & (held < _MOTION * np.sum(power)) & (held > _ROUNDED * np.sum(power))
-    return _within(lines.astype(float), _LINE_WIDTH)[0] > 0.0
+    line_power, _ = _neighbour_sums(power, _LINE_WIDTH)
+    lines = lines & (line_power < _MOTION * np.sum(power)) & (line_power > _ROUNDED * np.sum(power))
+    return _neighbour_sums(lines.astype(float), _LINE_WIDTH)[0] > 0.0
 
 
 def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndarray, " frequency"]:
@@ -153,25 +156,29 @@ def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndar
 
     A free motion that decays within the record has skirts, which the near ones show.
     """
-    line, narrow = _within(power, _LINE_WIDTH)
-    around = [_within(power, reach) for reach in (_NEIGHBOURS, _reach(power))]
-    above = [line * (wide - narrow) > ratio * narrow * (whole - line) for whole, wide in around]
-    return above[0] & above[1]
+    line, narrow = _neighbour_sums(power, _LINE_WIDTH)
+    neighbourhoods = [_neighbour_sums(power, reach) for reach in (_NEIGHBOURS, _reach(power))]
+    exceeds = [
+        line * (wide - narrow) > ratio * narrow * (total - line) for total, wide in neighbourhoods
+    ]
+    return exceeds[0] & exceeds[1]
 
 
 def _reach(power: Float[np.ndarray, " frequency"]) -> np.ndarray:
-    """Bins on each side of each one that count as neighbours."""
+    """Neighbouring bins on each side of each bin."""
     return _NEIGHBOURS + (_RATIO * np.arange(len(power))).astype(int)
 
 
-def _within(power: Float[np.ndarray, " frequency"], reach: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Sum over so many bins on each side of each one, and how many these are."""
+def _neighbour_sums(
+    power: Float[np.ndarray, " frequency"], reach: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum of each bin and of `reach` bins on each side, and the number of bins summed."""
     bins, total = np.arange(len(power)), np.concatenate([[0.0], np.cumsum(power)])
     first, last = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, len(power))
     return total[last] - total[first], last - first
 
 
-def _above(
+def _exceeds_noise(
     power: Float[np.ndarray, " frequency"], floor: float, samples: int
 ) -> Bool[np.ndarray, " frequency"]:
     r"""Where the power, averaged over neighbours, is more than white noise gives by chance.
@@ -183,7 +190,7 @@ def _above(
 
     Source: Wilson and Hilferty, PNAS 17 (1931) 684.
     """
-    total, count = _within(power, _reach(power))
+    total, count = _neighbour_sums(power, _reach(power))
     spread = _SHARED / (9.0 * count)  # 2/9ν
     z = NormalDist().inv_cdf(1.0 - _CHANCE / len(power))
     highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (1.0 + _FLOOR_ERROR / np.sqrt(samples))

@@ -164,12 +164,12 @@ def informative_band(plant: Plant, records: Sequence[Record]) -> float:
     large as y^(r), or to twice the frequency below which nearly all the power of y^(r) lies.
     """
     spectra = [spectrum(record, j, r) for record in records for j, r in enumerate(plant.degrees)]
-    return max(min(s.below(_MOST_POWER, s.own), 0.5 * _crossing(s)) for s in spectra)
+    return max(min(s.below(_MOST_POWER, s.motion), 0.5 * _crossing(s)) for s in spectra)
 
 
 def _crossing(density: Spectrum) -> float:
     """Frequency above which noise exceeds the signal in a spectrum [rad/s]."""
-    removed, passed = np.sum(density.own) - np.cumsum(density.own), np.cumsum(density.noise)
+    removed, passed = np.sum(density.motion) - np.cumsum(density.motion), np.cumsum(density.noise)
     return float(density.omega[int(np.argmin(removed + passed))])
 
 
@@ -183,8 +183,8 @@ def smoothing_cutoff(plant: Plant, record: Record) -> float | None:
     cutoffs = []
     for j, degree in enumerate(plant.degrees):
         density = spectrum(record, j, degree - 1)
-        positive = density.own > 0.0
-        allowed = density.noise[positive] / density.own[positive] + _LOST**2
+        positive = density.motion > 0.0
+        allowed = density.noise[positive] / density.motion[positive] + _LOST**2
         unchanged = density.omega[positive] * allowed ** (-0.5 / _SLOPE)
         cutoffs += [_QUIET * _crossing(density), float(np.max(unchanged, initial=0.0))]
     cutoff = max(cutoffs)

@@ -21,7 +21,7 @@ from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.data.recursion import states
 from eoi_jax.estimation.defaults import default_substeps, velocity_noise
-from eoi_jax.estimation.engines.single import alone
+from eoi_jax.estimation.engines.single import single_pass
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import prepare_steps, step_inputs
@@ -134,7 +134,7 @@ def _regressors(
     )
     sampled = [lowpass.discretise(record.sample_period) for record in fine]
     filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
-    one_pass = alone(plant, observer, filters, steps)
+    one_pass = single_pass(plant, observer, filters, steps)
     sums, trace = one_pass(np.asarray(plant.theta), "signals")
     sums = jax.tree.map(lambda leaf: np.sum(np.asarray(leaf), axis=0), sums)
     arrays = []

@@ -138,7 +138,9 @@ def _cutoff(
     spectra: Sequence[Spectrum], records: Sequence[Record], order: int
 ) -> tuple[float, str]:
     """Cut-off [rad/s] for records with these spectra of y^(r), and the reason."""
-    half_power = max(output_spectrum.below(0.5, output_spectrum.own) for output_spectrum in spectra)
+    half_power = max(
+        output_spectrum.below(0.5, output_spectrum.motion) for output_spectrum in spectra
+    )
     highest = max(
         output_spectrum.below(0.99, output_spectrum.signal) for output_spectrum in spectra
     )

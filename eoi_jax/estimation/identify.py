@@ -23,7 +23,7 @@ from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
-from eoi_jax.estimation.engines.single import OnePass, alone
+from eoi_jax.estimation.engines.single import OnePass, single_pass
 from eoi_jax.estimation.instrumental_variables import InstrumentalEstimate, correct_bias
 from eoi_jax.estimation.iteration import (
     Iteration,
@@ -246,7 +246,7 @@ def estimate(
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
     notes += _precision_note()
-    run = alone(plant, observer, filters, steps)
+    run = single_pass(plant, observer, filters, steps)
     driver = _Driver(
         plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction
     )

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
-from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, together
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, run_in_threads
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
@@ -190,7 +190,7 @@ def summed(
         for job in waiting:  # threads take from one iterator
             sums[job.lane_range, job.run] = job.sums()
 
-    together(work, min(cores(), len(jobs)))
+    run_in_threads(work, min(cores(), len(jobs)))
     return sums
 
 
@@ -261,7 +261,7 @@ class _OneLane:
             for run in waiting:  # threads take from one iterator
                 results[run] = job(run)
 
-        together(work, min(cores(), runs))
+        run_in_threads(work, min(cores(), runs))
         return results
 
     def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:

@@ -46,8 +46,8 @@ def gauss_newton(
     points: Sequence[P],
     linearise: Callable[[list[P]], Sequence[tuple[Any, float]]],
     evaluate: Callable[[list[P], list[Any]], Sequence[Iterable[P]]],
-    enough: float,
-    most: int,
+    smallest_fall: float,
+    max_rounds: int,
 ) -> Descent[P]:
     """Descend from points of several problems until none gets any lower to speak of.
 
@@ -57,22 +57,22 @@ def gauss_newton(
             predicts the cost to fall; zero where there is no step.
         evaluate: for each of some points and their steps the points at the step, at a half of it,
             and so on. Of an iterator only as many are asked for as are needed.
-        enough: fall of the cost, relative to it, below which a problem ends.
-        most: rounds, each of one linearisation.
+        smallest_fall: fall of the cost, relative to it, below which a problem ends.
+        max_rounds: rounds, each of one linearisation.
     """
     best = list(points)
     active = [i for i, point in enumerate(best) if math.isfinite(point.cost)]
     rounds = 0
-    while active and rounds < most:
+    while active and rounds < max_rounds:
         rounds += 1
         proposals = zip(active, linearise([best[i] for i in active]), strict=True)
-        steps = {i: step for i, (step, fall) in proposals if fall > enough * best[i].cost}
-        tried = evaluate([best[i] for i in steps], list(steps.values())) if steps else []
+        steps = {i: step for i, (step, fall) in proposals if fall > smallest_fall * best[i].cost}
+        trial_steps = evaluate([best[i] for i in steps], list(steps.values())) if steps else []
         active = []
-        for i, trials in zip(steps, tried, strict=True):
-            now = best[i].cost
-            lower = next((trial for trial in trials if trial.cost < now), best[i])
+        for i, trials in zip(steps, trial_steps, strict=True):
+            cost = best[i].cost
+            lower = next((trial for trial in trials if trial.cost < cost), best[i])
             best[i] = lower
-            if now - lower.cost > enough * now:
+            if cost - lower.cost > smallest_fall * cost:
                 active.append(i)
     return Descent(best, rounds, active)

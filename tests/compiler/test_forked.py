@@ -18,7 +18,7 @@ TIME = 0.01 * np.arange(200)
 
 def work(queue):
     try:
-        runtime.together(lambda: None, 2)
+        runtime.run_in_threads(lambda: None, 2)
         queue.put(len(eoi.simulate(PLANT, TIME, np.sin(TIME))))
     except ValueError as error:
         queue.put(str(error))
@@ -28,7 +28,7 @@ if sys.argv[1] == "used":
     jnp.sin(jnp.ones(3))
 if sys.argv[1] == "simulated":  # by machine code, in threads of the library's own
     eoi.simulate(PLANT, TIME, np.sin(TIME))
-    runtime.together(lambda: None, 2)
+    runtime.run_in_threads(lambda: None, 2)
 fork = multiprocessing.get_context("fork")
 queue = fork.Queue()
 child = fork.Process(target=work, args=(queue,))

@@ -21,7 +21,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.gauss_newton import gauss_newton
 
 _STEPS, _LENGTHS = 30, 20  # most steps; lengths of each, a half of the one before
-_ENOUGH = 1e-14  # relative fall of the power of the residuals below which they have settled
+_SMALLEST_FALL = 1e-14  # relative fall of the power of the residuals below which they have settled
 
 
 class StateVariableFilter(AbstractComparator):
@@ -81,15 +81,17 @@ def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
 
     def linearise(points: list[Regression]) -> list[tuple[np.ndarray, float]]:
         steps = [
-            np.clip(now.theta + now.solved.increment, plant.lower, plant.upper) - now.theta
-            for now in points
+            np.clip(point.theta + point.solved.increment, plant.lower, plant.upper) - point.theta
+            for point in points
         ]
-        return [(step, _predicted_fall(now, step)) for now, step in zip(points, steps, strict=True)]
+        return [
+            (step, _predicted_fall(point, step)) for point, step in zip(points, steps, strict=True)
+        ]
 
     def evaluate(points: list[Regression], steps: list[np.ndarray]) -> list[Iterator[Regression]]:
         return [
-            (at(now.theta + 0.5**i * step) for i in range(_LENGTHS))
-            for now, step in zip(points, steps, strict=True)
+            (at(point.theta + 0.5**i * step) for i in range(_LENGTHS))
+            for point, step in zip(points, steps, strict=True)
         ]
 
     start = at(np.asarray(plant.theta, dtype=float))
@@ -97,7 +99,7 @@ def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
         return start, Status("no_data", _NO_DATA)
     if not np.isfinite(start.cost):
         return start, Status("diverged", _DIVERGED)
-    descent = gauss_newton([start], linearise, evaluate, _ENOUGH, _STEPS)
+    descent = gauss_newton([start], linearise, evaluate, _SMALLEST_FALL, _STEPS)
     (end,) = descent.points
     status = _identified(plant, end.solved, descent.rounds)
     if status.ok and descent.exhausted:
@@ -111,12 +113,12 @@ def _mean_power(power: Float[np.ndarray, " ny"]) -> float:
     return float(np.exp(np.mean(logs))) if np.all(np.isfinite(power)) else np.inf
 
 
-def _predicted_fall(now: Regression, step: Float[np.ndarray, " np"]) -> float:
+def _predicted_fall(point: Regression, step: Float[np.ndarray, " np"]) -> float:
     """By how much the cost falls along a step if φ does not change."""
     residuals = [
-        error - phi @ step for error, phi in zip(now.rows.error, now.rows.phi, strict=True)
+        error - phi @ step for error, phi in zip(point.rows.error, point.rows.phi, strict=True)
     ]
-    return now.cost - _mean_power(np.mean(np.concatenate(residuals) ** 2, axis=0))
+    return point.cost - _mean_power(np.mean(np.concatenate(residuals) ** 2, axis=0))
 
 
 def _identified(plant: Plant, solved: WeightedSolution, number: int) -> Status:

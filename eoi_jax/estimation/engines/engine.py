@@ -40,9 +40,9 @@ class Lanes(eqx.Module):
     def __len__(self) -> int:
         return self.theta.shape[0]
 
-    def __getitem__(self, which: Any) -> "Lanes":
+    def __getitem__(self, index: Any) -> "Lanes":
         """Some of the lanes, by slice or indices."""
-        return jax.tree.map(lambda leaf: leaf[which], self)
+        return jax.tree.map(lambda leaf: leaf[index], self)
 
     def padded(self, room: int) -> "Lanes":
         """As many lanes as there is room for, the last one repeated."""

@@ -65,7 +65,7 @@ class OneKernel(AbstractEngine):
     memory: int = 2**30
 
     def __post_init__(self) -> None:
-        """A wrong tile is found here."""
+        """Check the tile."""
         good = self.tile >= 1 and self.tile & (self.tile - 1) == 0
         check(good, "tile", "must be a power of two", self.tile)
 
@@ -84,15 +84,15 @@ class OneKernel(AbstractEngine):
         Raises:
             Untranslatable: the plant or the observer does what a scalar program cannot.
         """
-        count, most = len(lanes), len(lanes)
+        count, lanes_per_launch = len(lanes), len(lanes)
         if row := _driven(plant):
             size = np.shape(steps.u)[0] * row * lanes.theta.dtype.itemsize
-            most = max(self.memory // size, self.tile)
+            lanes_per_launch = max(self.memory // size, self.tile)
         parts = []
-        for first in range(0, count, most):
-            some = lanes[first : first + most]
-            sums = self.launch(plant, some, lowpass, steps, store)
-            parts.append(jax.tree.map(functools.partial(_first, len(some)), sums))
+        for first in range(0, count, lanes_per_launch):
+            part = lanes[first : first + lanes_per_launch]
+            sums = self.launch(plant, part, lowpass, steps, store)
+            parts.append(jax.tree.map(functools.partial(_first, len(part)), sums))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def launch(
@@ -103,7 +103,7 @@ class OneKernel(AbstractEngine):
         steps: Steps,
         store: str = "nothing",
     ) -> Sums:
-        """The same as JAX arrays, on whose completion nothing waits; for use inside `jit` too.
+        """The sums as JAX arrays, without waiting for them; also for use inside `jit`.
 
         Args:
             plant: as in `run`.
@@ -120,9 +120,9 @@ class OneKernel(AbstractEngine):
         room = self.tile * 2 ** int(np.ceil(np.log2(used)))
         padded = lanes.padded(room)
         interpret = jax.default_backend() == "cpu" if self.interpret is None else self.interpret
-        what = _pass(plant, lanes, lowpass, steps, store)
+        traced_pass = _pass(plant, lanes, lowpass, steps, store)
         used = jnp.asarray(used, jnp.int32).reshape(1)
-        return _launch(what, plant, padded, lowpass, steps, used, self.tile, interpret)
+        return _launch(traced_pass, plant, padded, lowpass, steps, used, self.tile, interpret)
 
 
 def _first(count: int, leaf: jax.Array) -> np.ndarray:
@@ -130,7 +130,7 @@ def _first(count: int, leaf: jax.Array) -> np.ndarray:
 
 
 def _driven(plant: Plant) -> int:
-    """How many numbers of a step differ between lanes: inputs behind an actuator, ∂/∂θ too."""
+    """Count of the numbers of a step that differ between lanes: driven inputs and their ∂/∂θ."""
     return 0 if plant.actuator is None else len(plant.inputs) * (1 + len(plant.names))
 
 
@@ -138,10 +138,10 @@ def _driven(plant: Plant) -> int:
 
 
 def _pass(plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str) -> Pass:
-    """What the program is made of: shapes, so that its arrays may be traced ones."""
+    """The pass with shapes in place of arrays, which may be traced."""
     dtype = np.dtype(lanes.theta.dtype)
-    every, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
-    lane, step = _shapes(lanes.without_emphasis(), dtype, 1), _shapes(every, dtype, 1)
+    rows, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
+    lane, step = _shapes(lanes.without_emphasis(), dtype, 1), _shapes(rows, dtype, 1)
     return Pass(_shapes(plant, dtype), lane, _shapes(lowpass, dtype), step, store, dtype)
 
 
@@ -181,8 +181,8 @@ def _columns(tree: Any, leading: int, dtype: np.dtype) -> jax.Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _program(what: Pass) -> LaneProgram:
-    return lane_program(what)
+def _program(traced_pass: Pass) -> LaneProgram:
+    return lane_program(traced_pass)
 
 
 # -- the loops --------------------------------------------------------------------------------
@@ -190,35 +190,35 @@ def _program(what: Pass) -> LaneProgram:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Loop:
-    """What one kernel computes, and where it finds what it does not.
+    """What one kernel computes, and where its inputs are.
 
     Attributes:
         body: of the loop; its general path, for threads that branch apart gain nothing.
         written: numbers of the carries that it writes after the last step.
-        fixed, own: place of each node in the tables of what all lanes and steps share, and of what
-            each lane has for itself.
-        driven: place of each input behind an actuator, a lane's own in each step.
+        fixed: place of each node in the table of what all lanes and steps share.
+        lane_constants: place of each node in the table of what is constant for a lane.
+        driven: place of each input behind an actuator, which differs between lanes and steps.
     """
 
     body: Body
     written: tuple[int, ...]
     fixed: dict[Node, int]
-    own: dict[Node, int]
+    lane_constants: dict[Node, int]
     driven: dict[Node, int] = field(default_factory=dict)
 
     @property
     def carries(self) -> tuple[int, ...]:
-        """Numbers of those that it carries."""
+        """Numbers of the carries."""
         return (*self.body.vectors, *self.body.scalars)
 
     @property
     def updates(self) -> tuple[Node, ...]:
-        """Of these, for each."""
+        """Update of each carry."""
         return (*self.body.general.vectors, *self.body.general.scalars)
 
     @property
     def outputs(self) -> tuple[Node, ...]:
-        """What it writes in each step: rows, where it is of what the lanes share."""
+        """Rows that the shared loop writes in each step; none for the loop of the lanes."""
         return self.body.general.outputs if not self.body.vectors else ()
 
     @functools.cached_property
@@ -242,18 +242,20 @@ class _Loop:
 
 
 def _loops(program: LaneProgram, driven: int) -> tuple[_Loop | None, _Loop]:
-    """Of what lanes share, and of the lanes; inputs of their own leave them nothing to share.
+    """The loop that lanes share, and that of the lanes; only the latter if inputs are driven.
 
     Args:
         program: of both.
         driven: how many numbers of a step are inputs behind an actuator; they come first.
     """
-    sums = {program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()}
-    fixed, own = _numbered(program.fixed), _numbered(program.lane_constants)
+    sums = {
+        program.representatives[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()
+    }
+    fixed, lane_constants = _numbered(program.fixed), _numbered(program.lane_constants)
 
     def loop(body: Body, inputs: dict[Node, int]) -> _Loop:
         written = tuple(i for i in (*body.vectors, *body.scalars) if i in sums)
-        return _Loop(body, written, fixed, own if body.vectors else {}, inputs)
+        return _Loop(body, written, fixed, lane_constants if body.vectors else {}, inputs)
 
     if driven:
         body = program.whole_body
@@ -270,7 +272,7 @@ def _numbered(nodes: Sequence[Node]) -> dict[Node, int]:
 
 @jit
 def _launch(
-    what: Pass,
+    traced_pass: Pass,
     plant: Plant,
     lanes: Lanes,
     lowpass: DiscreteFilter,
@@ -280,9 +282,9 @@ def _launch(
     interpret: bool,
 ) -> Sums:
     """Both loops, that of the lanes over the first `used` tiles."""
-    program, dtype, count = _program(what), what.dtype, len(lanes)
-    every, driven = _rows(plant, lanes, lowpass, steps, what.store)
-    all_lanes = (plant, lowpass, steps.sample_period, every.y[0], every.y_next[0])
+    program, dtype, count = _program(traced_pass), traced_pass.dtype, len(lanes)
+    shared_rows, driven = _rows(plant, lanes, lowpass, steps, traced_pass.store)
+    all_lanes = (plant, lowpass, steps.sample_period, shared_rows.y[0], shared_rows.y_next[0])
     inputs = {
         "fixed": _columns(all_lanes, 0, dtype),
         "lane": _columns(lanes.without_emphasis(), 1, dtype).T,
@@ -293,8 +295,10 @@ def _launch(
         places = [
             (node, group, i) for group in inputs for node, i in inputs_of(nodes, group).items()
         ]
-        known = {node: inputs[group][i] for node, group, i in places}
-        values = [_wide(_real(one, dtype), *lanes) for one in _computed(nodes, known, dtype)]
+        input_values = {node: inputs[group][i] for node, group, i in places}
+        values = [
+            _wide(_real(value, dtype), *lanes) for value in _computed(nodes, input_values, dtype)
+        ]
         # A row of nothing, here and below: kernels take no empty arrays.
         return jnp.stack(values or [jnp.zeros(lanes, dtype)])
 
@@ -302,33 +306,39 @@ def _launch(
         return table([program.initial[i] for i in loop.carries], lanes)
 
     ends, fixed = jnp.asarray(steps.block_end), table(program.fixed)
-    blocks, rows = (jnp.cumsum(ends) - ends).astype(jnp.int32), _columns(every, 1, dtype)
+    blocks, rows = (jnp.cumsum(ends) - ends).astype(jnp.int32), _columns(shared_rows, 1, dtype)
     first, second = _loops(program, _driven(plant))
-    found = {}
+    carried = {}
     if first is not None:
-        common, none = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
-        kept, shown = _call(first, common, (start(first, 1), none, none, none[None]), 1, interpret)
-        found, rows = dict(zip(first.written, kept, strict=False)), shown[..., 0]
-    none, own = table((), count), table(program.lane_constants, count)
-    emphasis = none if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
-    behind = none[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
-    by_lane = (start(second, count), own, emphasis, behind)
-    kept, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
-    found |= dict(zip(second.written, kept, strict=False))
-    return _sums(program, found, jnp.isnan(own).any(0))
+        common, unused = (jnp.ones(1, jnp.int32), blocks, fixed, rows), table((), 1)
+        final_values, row_outputs = _call(
+            first, common, (start(first, 1), unused, unused, unused[None]), 1, interpret
+        )
+        carried, rows = dict(zip(first.written, final_values, strict=False)), row_outputs[..., 0]
+    unused, lane_constants = table((), count), table(program.lane_constants, count)
+    emphasis = unused if lanes.emphasis is None else jnp.asarray(lanes.emphasis, dtype).T
+    driven_inputs = (
+        unused[None] if driven is None else jnp.moveaxis(_columns(driven, 2, dtype), 0, -1)
+    )
+    by_lane = (start(second, count), lane_constants, emphasis, driven_inputs)
+    final_values, _ = _call(second, (used, blocks, fixed, rows), by_lane, tile, interpret)
+    carried |= dict(zip(second.written, final_values, strict=False))
+    return _sums(program, carried, jnp.isnan(lane_constants).any(0))
 
 
-def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
-    """Sums of all lanes from the carried numbers that were kept; what never changed is known."""
-    dtype = next(iter(found.values())).dtype
-    places = [program.same[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()]
-    known = {i: program.initial[i].value for i in places if i not in found}
-    values = found | {i: jnp.asarray(value, dtype) for i, value in known.items()}
+def _sums(program: LaneProgram, carried: dict[int, jax.Array], spoilt: jax.Array) -> Sums:
+    """Sums of all lanes from carried numbers; those not written keep their initial value."""
+    dtype = next(iter(carried.values())).dtype
+    places = [
+        program.representatives[i] for leaf in jax.tree.leaves(program.result) for i in leaf.ravel()
+    ]
+    initial_values = {i: program.initial[i].value for i in places if i not in carried}
+    values = carried | {i: jnp.asarray(value, dtype) for i, value in initial_values.items()}
     row = {i: place for place, i in enumerate(values)}
-    table = jnp.stack([jnp.where(spoilt, np.nan, one).astype(dtype) for one in values.values()])
+    table = jnp.stack([jnp.where(spoilt, np.nan, value).astype(dtype) for value in values.values()])
 
     def gathered(leaf: np.ndarray) -> jax.Array:
-        rows = np.reshape([row[program.same[i]] for i in leaf.ravel()], leaf.shape)
+        rows = np.reshape([row[program.representatives[i]] for i in leaf.ravel()], leaf.shape)
         return jnp.moveaxis(table[rows], -1, 0)
 
     return jax.tree.map(gathered, program.result)
@@ -337,15 +347,16 @@ def _sums(program: LaneProgram, found: dict[int, jax.Array], spoilt: jax.Array) 
 def _call(
     loop: _Loop, common: tuple, by_lane: tuple, tile: int, interpret: bool
 ) -> Sequence[jax.Array]:
-    """What a loop keeps, shape (kept, lanes), and what its steps show, (steps, shown, lanes)."""
+    """Final carries, shape (written, lanes), and rows of the steps, (steps, outputs, lanes)."""
     length, (_, count) = common[-1].shape[0], by_lane[0].shape
-    shown = (length, len(loop.outputs), count) if loop.outputs else (1, 1, count)
-    shapes = ((max(len(loop.written), 1), count), shown)
+    output_shape = (length, len(loop.outputs), count) if loop.outputs else (1, 1, count)
+    shapes = ((max(len(loop.written), 1), count), output_shape)
     call = pl.pallas_call(
         functools.partial(_kernel, loop, length, tile),
         out_shape=[jax.ShapeDtypeStruct(shape, by_lane[0].dtype) for shape in shapes],
         grid=(count // tile,),
-        in_specs=[pl.BlockSpec() for _ in common] + [_tiled(one.shape, tile) for one in by_lane],
+        in_specs=[pl.BlockSpec() for _ in common]
+        + [_tiled(table.shape, tile) for table in by_lane],
         out_specs=[_tiled(shape, tile) for shape in shapes],
         compiler_params=None if interpret else _compiler(tile),
         interpret=interpret,
@@ -373,36 +384,38 @@ def _kernel(
     fixed: Any,
     row: Any,
     start: Any,
-    own: Any,
+    lane_constants: Any,
     emphasis: Any,
     driven: Any,
-    kept: Any,
-    shown: Any,
+    final_values: Any,
+    row_outputs: Any,
 ) -> None:
     """One tile over the record; from `used` on these are references to memory."""
     dtype = np.dtype(start.dtype)
 
     def go() -> None:
         constants = {node: _read(node, fixed[c]) for node, c in loop.fixed.items()}
-        constants |= {node: _read(node, own[c, :]) for node, c in loop.own.items()}
+        constants |= {
+            node: _read(node, lane_constants[c, :]) for node, c in loop.lane_constants.items()
+        }
 
         def step(k: Any, numbers: tuple[Number, ...]) -> tuple[Number, ...]:
-            known = constants | {node: numbers[place] for node, place in loop.carried.items()}
-            known |= {node: _read(node, row[k, c]) for node, c in loop.row.items()}
-            known |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
+            node_values = constants | {node: numbers[place] for node, place in loop.carried.items()}
+            node_values |= {node: _read(node, row[k, c]) for node, c in loop.row.items()}
+            node_values |= {node: _read(node, driven[k, c, :]) for node, c in loop.driven.items()}
             for node in loop.emphasis:
-                known[node] = emphasis[blocks[k], :]
-            values = _computed([*loop.updates, *loop.outputs], known, dtype)
+                node_values[node] = emphasis[blocks[k], :]
+            values = _computed([*loop.updates, *loop.outputs], node_values, dtype)
             values = [_wide(_real(value, dtype), tile) for value in values]
             for c, value in enumerate(values[len(loop.updates) :]):
-                shown[k, c, :] = value
+                row_outputs[k, c, :] = value
             return tuple(values[: len(loop.updates)])
 
         begun = tuple(start[c, :] for c in range(len(loop.carries)))
         ended = lax.fori_loop(np.int32(0), np.int32(length), step, begun)
         last = dict(zip(loop.carries, ended, strict=True))
         for c, i in enumerate(loop.written):
-            kept[c, :] = last[i]
+            final_values[c, :] = last[i]
 
     # Tiles beyond those in use pad the grid to a power of two.
     pl.when(pl.program_id(0) < used[0])(go)
@@ -411,9 +424,9 @@ def _kernel(
 # -- numbers ----------------------------------------------------------------------------------
 
 
-def _computed(nodes: Sequence[Node], known: dict[Node, Number], dtype: np.dtype) -> list[Number]:
-    """Values of nodes, given those of others; what stands before these only is not computed."""
-    values, waiting = dict(known), list(nodes)[::-1]
+def _computed(nodes: Sequence[Node], initial: dict[Node, Number], dtype: np.dtype) -> list[Number]:
+    """Values of nodes from `initial` ones, whose own arguments are not computed."""
+    values, waiting = dict(initial), list(nodes)[::-1]
     while waiting:
         node = waiting[-1]
         missing = [arg for arg in node.args if arg not in values]
@@ -440,7 +453,7 @@ def _wide(number: Number, *shape: int) -> Number:
 
 
 def _read(node: Node, number: Number) -> Number:
-    """Flags lie in memory as numbers."""
+    """A number from memory, where flags are stored as numbers."""
     return number != 0 if node.is_bool else number
 
 
@@ -455,8 +468,8 @@ def _trunc(x: Number) -> Number:
 def _round_even(x: Number) -> Number:
     """Halves to the even neighbour."""
     low = lax.floor(x)
-    over, odd = x - low, low - 2 * lax.floor(low / 2)
-    return low + jnp.where(over == 0.5, odd, (over > 0.5).astype(x.dtype))
+    fraction, odd = x - low, low - 2 * lax.floor(low / 2)
+    return low + jnp.where(fraction == 0.5, odd, (fraction > 0.5).astype(x.dtype))
 
 
 # What JAX calls otherwise, or Triton does not know.

@@ -47,16 +47,17 @@ class Scan(AbstractEngine):
         tile = next(n for n in (1, 8, self.tile) if n >= self.tile or n * len(devices) >= count)
         used = -(-count // (tile * len(devices)))  # tiles of each device
         room = tile * len(devices) * 2 ** int(np.ceil(np.log2(used)))
-        whole = (lanes.padded(room), lowpass, steps)
-        tiles, lowpass, steps = in_precision(whole, lanes.theta.dtype)
+        unsplit = (lanes.padded(room), lowpass, steps)
+        tiles, lowpass, steps = in_precision(unsplit, lanes.theta.dtype)
         tiles = jax.tree.map(lambda leaf: leaf.reshape(-1, tile, *leaf.shape[1:]), tiles)
         # Tiles go to the devices in turn, so that those that are only padding come last on each.
         order = np.arange(room // tile).reshape(-1, len(devices)).T.ravel()
         tiles = jax.tree.map(lambda leaf: leaf[order], tiles)
         sums = _tiles(plant, tiles, lowpass, steps, store, jnp.asarray(used), tuple(devices))
-        back = np.argsort(order)
+        original_order = np.argsort(order)
         return jax.tree.map(
-            lambda leaf: np.asarray(leaf)[back].reshape(room, *leaf.shape[2:])[:count], sums
+            lambda leaf: np.asarray(leaf)[original_order].reshape(room, *leaf.shape[2:])[:count],
+            sums,
         )
 
 
@@ -78,26 +79,26 @@ def _tiles(
     ) -> Sums:
         plant = eqx.combine(plain, structure)
 
-        def lane(one: Lanes) -> Sums:
-            emphasis = None if one.emphasis is None else jnp.asarray(one.emphasis)
-            return one.kernel(plant, lowpass, store).run(steps, emphasis)[0]
+        def lane(single_lane: Lanes) -> Sums:
+            emphasis = None if single_lane.emphasis is None else jnp.asarray(single_lane.emphasis)
+            return single_lane.kernel(plant, lowpass, store).run(steps, emphasis)[0]
 
-        def tile(i: jax.Array, done: Sums) -> Sums:
-            here = jax.tree.map(lambda leaf: leaf[i], lanes)
-            new = jax.vmap(lane)(here)
-            return jax.tree.map(lambda old, one: old.at[i].set(one), done, new)
+        def tile(i: jax.Array, sums: Sums) -> Sums:
+            lanes_of_tile = jax.tree.map(lambda leaf: leaf[i], lanes)
+            new = jax.vmap(lane)(lanes_of_tile)
+            return jax.tree.map(lambda stored, update: stored.at[i].set(update), sums, new)
 
         shape = jax.eval_shape(jax.vmap(jax.vmap(lane)), lanes)
-        start = jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shape)
+        start = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
         return jax.lax.fori_loop(0, used, tile, start)
 
     if len(devices) > 1:
         mesh = Mesh(np.array(devices), ("devices",))
-        split, whole = PartitionSpec("devices"), PartitionSpec()
+        split, replicated = PartitionSpec("devices"), PartitionSpec()
         run = jax.shard_map(
             run,
             mesh=mesh,
-            in_specs=(whole, split, whole, whole, whole),
+            in_specs=(replicated, split, replicated, replicated, replicated),
             out_specs=split,
             check_vma=False,
         )

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop
-from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, together
+from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, run_in_threads
 from eoi_jax.estimation.engines.engine import Lanes
 from eoi_jax.estimation.engines.native import pass_of, rows_of
 from eoi_jax.estimation.kernel import Carry, Kernel, Step, Steps, Sums, Trace, run_pass
@@ -48,7 +48,7 @@ class OnePass:
         return self.run(theta, store)
 
 
-def alone(
+def single_pass(
     plant: Plant, observer: AbstractObserver, lowpass: DiscreteFilter, steps: Steps
 ) -> OnePass:
     """The pass of one observer over the same records, again and again.
@@ -100,7 +100,7 @@ def alone(
             for i in waiting:  # threads take from one iterator
                 jobs[i].go(rows[i], None if signals is None else signals[i])
 
-        together(work, min(cores(), len(jobs)))
+        run_in_threads(work, min(cores(), len(jobs)))
         sums = [job.sums() for job in jobs]
         trace = None if signals is None else _trace(signals, compiled.outputs, len(theta))
         return jax.tree.map(lambda *leaves: np.stack(leaves), *sums), trace
@@ -142,9 +142,9 @@ class _SinglePass(AbstractLoop):
 
     def _kernel(self, lane: Any, fixed: tuple) -> Kernel:
         plant, lowpass, observer, theta, *_ = fixed
-        theta, along = jnp.asarray(theta), jnp.asarray(lane)[:, None]
-        none, ones = jnp.zeros_like(theta), jnp.ones(len(plant.outputs), self.dtype)
-        return Kernel(plant, observer, lowpass, theta, none, ones, "signals", along)
+        theta, columns = jnp.asarray(theta), jnp.asarray(lane)[:, None]
+        no_increment, ones = jnp.zeros_like(theta), jnp.ones(len(plant.outputs), self.dtype)
+        return Kernel(plant, observer, lowpass, theta, no_increment, ones, "signals", columns)
 
     def result(self, carry: Carry) -> Any:
         """What is wanted after the last step."""

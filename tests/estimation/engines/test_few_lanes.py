@@ -114,7 +114,7 @@ def test_a_parameter_that_is_no_number_leaves_none(store):
     plant, observer = plants.mass_spring_damper(), SecondOrder(20.0, 100.0, 500.0)
     steps, one = steps_of(np.sin(TIME)[:, None]), LowPass(40.0).discretise(PERIOD)
     several, filters = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (steps, one))
-    run = single.alone(plant, observer, filters, several)
+    run = single.single_pass(plant, observer, filters, several)
     theta = np.asarray(plant.theta)
     good, _ = run(theta, store)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(good))

@@ -207,7 +207,7 @@ def test_what_the_record_decides_is_computed_once_for_all_lanes(swinging):
 
 def test_sums_that_are_equal_are_added_once(swinging):
     program = program_of(PENDULUM, RELAY, swinging)
-    same = np.array(program.same)[program.result.information[0]]
+    same = np.array(program.representatives)[program.result.information[0]]
     np.testing.assert_array_equal(same, same.T)
 
 
@@ -216,7 +216,7 @@ def test_what_stays_is_not_computed():
     plant = plants.three_mass_spring_damper()
     program = program_of(plant, RELAY, steps_of(plant, RELAY))
     information = program.result.information
-    kept = {program.same[i] for i in information.ravel()} & {
+    kept = {program.representatives[i] for i in information.ravel()} & {
         *program.lane_carries,
         *program.shared_carries,
     }

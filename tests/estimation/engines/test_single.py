@@ -10,7 +10,7 @@ from problems import LEVEL, SWAY, grid
 
 from eoi_jax import effects, plants
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.engines.single import alone
+from eoi_jax.estimation.engines.single import single_pass
 from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, SecondOrder, SuperTwisting
@@ -49,7 +49,7 @@ def batch(plant, observer, counts=(400, 250)) -> Any:
 def both(plant, observer, store, steps, filters) -> Any:
     """The pass by `alone`, and by the scan."""
     theta = 1.1 * plant.theta
-    got = alone(plant, observer, filters, steps)(theta, store)
+    got = single_pass(plant, observer, filters, steps)(theta, store)
     return got, run_pass(plant, observer, filters, steps, jnp.asarray(theta), store=store)
 
 
