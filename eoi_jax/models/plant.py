@@ -566,7 +566,7 @@ def _affine(
         return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
     dtype = jnp.result_type(float)
-    line = [jax.ShapeDtypeStruct(one, dtype) for one in ((len(names),), (), shape, (inputs,))]
+    line = [jax.ShapeDtypeStruct(axes, dtype) for axes in ((len(names),), (), shape, (inputs,))]
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
