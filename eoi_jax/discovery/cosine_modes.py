@@ -164,7 +164,9 @@ def telling_band(plant: Plant, records: Sequence[Record]) -> float:
     frequency below which nearly all of y^(r) lies.
     """
     several = [spectrum(one, j, r) for one in records for j, r in enumerate(plant.degrees)]
-    return max(min(one.below(_MOST_POWER, one.motion), 0.5 * _crossing(one)) for one in several)
+    return max(
+        min(one.frequency_below(_MOST_POWER, one.motion), 0.5 * _crossing(one)) for one in several
+    )
 
 
 def _crossing(one: Spectrum) -> float:
