@@ -44,7 +44,7 @@ class Spectrum:
     motion: Float[np.ndarray, " frequency"]
     noise: Float[np.ndarray, " frequency"]
 
-    def below(self, share: float, power: Float[np.ndarray, " frequency"]) -> float:
+    def frequency_below(self, share: float, power: Float[np.ndarray, " frequency"]) -> float:
         """Frequency below which this share of a power lies [rad/s]; 0 for zero power."""
         total = np.cumsum(power)
         if total[-1] <= 0:

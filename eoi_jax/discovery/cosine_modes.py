@@ -164,7 +164,7 @@ def informative_band(plant: Plant, records: Sequence[Record]) -> float:
     large as y^(r), or to twice the frequency below which nearly all the power of y^(r) lies.
     """
     spectra = [spectrum(record, j, r) for record in records for j, r in enumerate(plant.degrees)]
-    return max(min(s.below(_MOST_POWER, s.motion), 0.5 * _crossing(s)) for s in spectra)
+    return max(min(s.frequency_below(_MOST_POWER, s.motion), 0.5 * _crossing(s)) for s in spectra)
 
 
 def _crossing(density: Spectrum) -> float:

@@ -139,10 +139,10 @@ def _cutoff(
 ) -> tuple[float, str]:
     """Cut-off [rad/s] for records with these spectra of y^(r), and the reason."""
     half_power = max(
-        output_spectrum.below(0.5, output_spectrum.motion) for output_spectrum in spectra
+        output_spectrum.frequency_below(0.5, output_spectrum.motion) for output_spectrum in spectra
     )
     highest = max(
-        output_spectrum.below(0.99, output_spectrum.signal) for output_spectrum in spectra
+        output_spectrum.frequency_below(0.99, output_spectrum.signal) for output_spectrum in spectra
     )
     quiet = min(output_spectrum.quiet_cutoff(_NOISE_SHARE, order) for output_spectrum in spectra)
     choices = {

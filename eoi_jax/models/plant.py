@@ -25,8 +25,8 @@ from eoi_jax.compiler.pointwise import along
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
 # differs between the two only by a jump; its square is representable in single precision.
-REST = 1e-18
-_FAR_FACTOR = 1e3  # ratio of the larger velocity to `REST`
+REST_SPEED = 1e-18
+_FAR_FACTOR = 1e3  # ratio of the larger velocity to `REST_SPEED`
 
 
 class State(eqx.Module):
@@ -289,8 +289,8 @@ class Plant(eqx.Module):
 
         A dissipative jump has f⁺ < f⁻; the plant sticks while f⁺ ≤ 0 ≤ f⁻.
         """
-        above_rest = jnp.diagonal(self._with_velocities(t, x, u, theta, REST))
-        return above_rest, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST))
+        above_rest = jnp.diagonal(self._with_velocities(t, x, u, theta, REST_SPEED))
+        return above_rest, jnp.diagonal(self._with_velocities(t, x, u, theta, -REST_SPEED))
 
     def _with_velocities(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"], velocity: float
@@ -566,7 +566,7 @@ def _affine(
         return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
 
     dtype = jnp.result_type(float)
-    line = [jax.ShapeDtypeStruct(one, dtype) for one in ((len(names),), (), shape, (inputs,))]
+    line = [jax.ShapeDtypeStruct(axes, dtype) for axes in ((len(names),), (), shape, (inputs,))]
     return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
 
 
@@ -604,5 +604,5 @@ def _across_rest(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array, Ar
         below_rest = plant._with_velocities(t, x, u, theta, -distance)
         return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
 
-    (near_change, size), (far_change, _) = change(REST), change(_FAR_FACTOR * REST)
+    (near_change, size), (far_change, _) = change(REST_SPEED), change(_FAR_FACTOR * REST_SPEED)
     return near_change, far_change, size

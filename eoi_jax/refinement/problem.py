@@ -28,7 +28,7 @@ from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
-from eoi_jax.simulation.simulate import behind, drive
+from eoi_jax.simulation.simulate import actuated, drive
 
 _HEAD = 50  # samples of each run from which its initial state is guessed
 CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
@@ -316,7 +316,8 @@ def _heads(problem: Problem, count: int) -> Drive:
     if problem.places is not None:
         theta = jnp.asarray(problem.theta)
         parts = [
-            np.asarray(behind(plant, theta, record_drive)) for record_drive in problem.record_drives
+            np.asarray(actuated(plant, theta, record_drive))
+            for record_drive in problem.record_drives
         ]
         inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
     return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
@@ -414,7 +415,7 @@ def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
 
     def inputs_of_all(theta: Array) -> tuple[Array, Array]:
         parts = [
-            behind(problem.kernel.plant, theta, record_drive)
+            actuated(problem.kernel.plant, theta, record_drive)
             for record_drive in problem.record_drives
         ]
         inputs = jnp.concatenate(parts)

@@ -109,24 +109,24 @@ def outputs_of(
     time, inputs = np.ravel(drives.time), np.reshape(drives.inputs, (runs * steps, -1))
     first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
     fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
-    begun, shown = code.begin(np.zeros((1, 1)), fixed), []
+    begun, output_parts = code.begin(np.zeros((1, 1)), fixed), []
     for at in range(0, runs * steps, _CHUNK):
         index = np.arange(at, min(at + _CHUNK, runs * steps))
         begins = (index % steps == 0)[:, None]
-        own = begins * first[index // steps]
-        rows = np.concatenate([time[index, None], inputs[index], begins, own], axis=1)
+        starts_by_row = begins * first[index // steps]
+        rows = np.concatenate([time[index, None], inputs[index], begins, starts_by_row], axis=1)
         (part,) = begun.outputs(rows, len(rows))
-        shown.append(part[:, : len(plant.outputs)])
-    y = np.concatenate(shown).reshape(runs, steps, -1)
-    every = slice(drives.substeps - 1, None, drives.substeps)
-    return np.concatenate([starts.y[:, :1], y[:, every]], axis=1)
+        output_parts.append(part[:, : len(plant.outputs)])
+    y = np.concatenate(output_parts).reshape(runs, steps, -1)
+    last_substeps = slice(drives.substeps - 1, None, drives.substeps)
+    return np.concatenate([starts.y[:, :1], y[:, last_substeps]], axis=1)
 
 
 def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoop:
-    dtype, none = np.dtype(float), np.zeros(())
+    dtype, zero = np.dtype(float), np.zeros(())
     start = State(starts.y[0], starts.z[0])
-    row = _Row(none, np.zeros((3, len(plant.inputs))), none, start)
-    model, lane, step = shapes_of((_Model(plant, friction), none, row), dtype)
+    row = _Row(zero, np.zeros((3, len(plant.inputs))), zero, start)
+    model, lane, step = shapes_of((_Model(plant, friction), zero, row), dtype)
     columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
     return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, True)
 
@@ -136,11 +136,11 @@ def _scanned(
 ) -> Float[np.ndarray, "runs time ny"]:
     runs = len(drives.time)
     index = np.minimum(np.arange(-(-runs // _RUNS) * _RUNS) if runs > 1 else np.arange(1), runs - 1)
-    more = Drive(
+    padded_drives = Drive(
         np.asarray(drives.time)[index],
         np.asarray(drives.step)[index],
         np.asarray(drives.inputs)[index],
         drives.substeps,
     )
     begun = State(starts.y[index], starts.z[index])
-    return chained(plant, jnp.asarray(plant.theta), more, begun, friction)[:runs]
+    return chained(plant, jnp.asarray(plant.theta), padded_drives, begun, friction)[:runs]

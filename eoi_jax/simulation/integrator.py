@@ -37,7 +37,7 @@ from jaxtyping import Array, Float
 from eoi_jax._checks import check
 from eoi_jax._types import Flags, Input, Output, Scalar, Theta
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.plant import REST, Plant, State, velocity_of, with_velocity
+from eoi_jax.models.plant import REST_SPEED, Plant, State, velocity_of, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
@@ -289,7 +289,7 @@ class _Problem(eqx.Module):
         def rates(raised: int | None) -> State:
             moved = velocity
             for j in self.reaching:
-                side = REST if j == raised else -REST
+                side = REST_SPEED if j == raised else -REST_SPEED
                 moved = moved.at[j].set(jnp.where(free[j], side, velocity[j]))
             moved_state = State(self.moved(x.y, moved), x.z)
             return rate_of(self.plant, self.theta, t, moved_state, u)
@@ -313,7 +313,7 @@ class _Problem(eqx.Module):
     def _frozen(self, x: State, direction: Output) -> State:
         """`x` as f may see it: no velocity with dry friction on the wrong side of rest."""
         velocity = self.velocity(x.y)
-        limited = direction * jnp.maximum(direction * velocity, REST)
+        limited = direction * jnp.maximum(direction * velocity, REST_SPEED)
         return State(self.moved(x.y, jnp.where(self.sticks, limited, velocity)), x.z)
 
     def velocity(self, y: Any) -> Output:

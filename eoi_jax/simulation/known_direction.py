@@ -15,7 +15,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax._types import Input, Output, Scalar, Theta
-from eoi_jax.models.plant import REST, Actuator, Dynamics, Plant, State, velocity_of, with_velocity
+from eoi_jax.models.plant import (
+    REST_SPEED,
+    Actuator,
+    Dynamics,
+    Plant,
+    State,
+    velocity_of,
+    with_velocity,
+)
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,7 @@ class _Directed:
         ny, flags = len(self.friction), np.asarray(self.friction) > 0
         inputs, directions, grip = u[: -ny - 1], u[-ny - 1 : -1], u[-1]
         rate = velocity_of(x.y, self.degrees)
-        limited = jnp.where(flags, directions * jnp.maximum(directions * rate, REST), rate)
+        limited = jnp.where(flags, directions * jnp.maximum(directions * rate, REST_SPEED), rate)
 
         def f(rate: Any) -> Any:
             moved = State(with_velocity(x.y, rate, self.degrees), x.z)

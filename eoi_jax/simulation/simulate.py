@@ -87,14 +87,14 @@ def simulate(
         outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     else:
         driven_by = acted(plant, drive(time, u, used, substeps))
-        alone = Drive(
+        single_drive = Drive(
             driven_by.time[None],
             np.asarray(driven_by.step)[None],
             driven_by.inputs[None],
             driven_by.substeps,
         )
         begun = State(start.y[None], start.z[None])
-        outputs = outputs_of(plant, alone, begun, frictional(plant))[0]
+        outputs = outputs_of(plant, single_drive, begun, frictional(plant))[0]
     bad = ~np.all(np.isfinite(outputs), axis=1)
     failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
@@ -152,12 +152,12 @@ def acted(plant: Plant, driven_by: Drive) -> Drive:
     """
     if plant.actuator is None:
         return driven_by
-    inputs = behind(plant, jnp.asarray(plant.theta), driven_by)
+    inputs = actuated(plant, jnp.asarray(plant.theta), driven_by)
     return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
 
 
 @jit
-def behind(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
+def actuated(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
     """Inputs behind the actuators of a plant, for use inside other JAX code.
 
     Args:

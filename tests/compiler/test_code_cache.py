@@ -106,7 +106,7 @@ def test_a_new_folder_is_its_owners_alone(tmp_path):
 
 
 def test_the_folder_does_not_grow_without_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(code_cache, "_MOST", 6)
+    monkeypatch.setattr(code_cache, "_MAX_FILES", 6)
     for i in range(20):
         path = tmp_path / f"{i}.o"
         code_cache.keep(path, bytes([i]))

@@ -80,7 +80,7 @@ def test_a_line_that_no_input_drives_does_not_widen_the_band():
     hum = 5e-3 * size * np.sin(2.0 * np.pi * 50.0 * record.time + 0.4)[:, None]
     loud = Record(record.time, record.inputs, record.outputs + hum, hold="smooth")
     one = spectrum(loud, 0, 2)
-    assert one.below(0.5, one.signal) == pytest.approx(100.0 * np.pi, rel=0.05)
+    assert one.frequency_below(0.5, one.signal) == pytest.approx(100.0 * np.pi, rel=0.05)
     assert cutoff_of(loud) == pytest.approx(cutoff_of(record), rel=0.1)
     # Where there is no input, or the input has that line as well, it may be the motion itself.
     alone = Record(record.time, np.zeros((len(loud), 0)), loud.outputs)

@@ -37,12 +37,12 @@ class Equation:
     """One equation of a model.
 
     Attributes:
-        left: the derivative that it gives.
+        lhs: the derivative that it gives.
         declared: its right side; None for the state of an effect.
         added: what effects add to it.
     """
 
-    left: Symbol
+    lhs: Symbol
     declared: Expression | None
     added: list[Expression] = field(default_factory=list)
 
@@ -60,14 +60,14 @@ def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = Fa
         of the model's own and of effects, and effects of an input, are lines under it.
     """
     lines, changes = _lines(plant, added, numeric, TEXT, "→")
-    equations = [" ".join([f"{left} = {right}".rstrip(), *terms]) for left, right, terms in lines]
+    equations = [" ".join([f"{lhs} = {rhs}".rstrip(), *terms]) for lhs, rhs, terms in lines]
     return "\n".join([*equations, *(f"with {change}" for change in changes)])
 
 
 def equation_latex(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = False) -> str:
     r"""The same as the body of an ``aligned`` environment; arguments as in `equation_text`."""
     parts, changes = equation_lines(plant, added, numeric=numeric)
-    lines = [" ".join([f"{left} &= {right}".rstrip(), *terms]) for left, right, terms in parts]
+    lines = [" ".join([f"{lhs} &= {rhs}".rstrip(), *terms]) for lhs, rhs, terms in parts]
     lines += [rf"&\text{{with }} {change}" for change in changes]
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
@@ -94,12 +94,12 @@ def _lines(
     lines = []
     for equation in equations:
         terms = [valued(term, values) for term in equation.added]
-        right, write_first = "", written
+        rhs, write_first = "", written
         if equation.declared is not None and not (terms and equation.declared == Number(0.0)):
-            right, write_first = written(valued(equation.declared, values), notation), written_term
+            rhs, write_first = written(valued(equation.declared, values), notation), written_term
         term_texts = [write_first(term, notation) for term in terms[:1]]
         term_texts += [written_term(term, notation) for term in terms[1:]]
-        lines.append((written(equation.left, notation), right, term_texts))
+        lines.append((written(equation.lhs, notation), rhs, term_texts))
     return lines, [
         f"{written(drive, notation)} {arrow} {written(valued(changed, values), notation)}"
         for drive, changed in changes
@@ -126,8 +126,8 @@ def equations_of(
     f = _right_sides(plant, plant.dynamics, plant.derivative, "f", len(plant.outputs))
     g = _right_sides(plant, plant.internal, plant.internal_rate, "g", len(states))
     outer = zip(plant.outputs, plant.degrees, f, strict=True)
-    equations = [Equation(Symbol(name, degree), right) for name, degree, right in outer]
-    equations += [Equation(Symbol(name, 1), right) for name, right in zip(states, g, strict=True)]
+    equations = [Equation(Symbol(name, degree), rhs) for name, degree, rhs in outer]
+    equations += [Equation(Symbol(name, 1), rhs) for name, rhs in zip(states, g, strict=True)]
     changes: list[tuple[Symbol, Expression]] = []
     count = len(states)
     for item in added:

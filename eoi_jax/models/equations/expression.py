@@ -29,16 +29,16 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Operation:
-    """left sign right; a change of sign is 0 - right.
+    """lhs sign rhs; a change of sign is 0 - rhs.
 
     Attributes:
         sign: ``+ - * / ^``, or one that says true or false: ``< ≤ > ≥ = ≠ and or``.
-        left, right: operands.
+        lhs, rhs: operands.
     """
 
     sign: str
-    left: "Expression"
-    right: "Expression"
+    lhs: "Expression"
+    rhs: "Expression"
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def parts_of(expression: Expression) -> tuple[Expression, ...]:
         expression: any.
     """
     match expression:
-        case Operation(left=left, right=right):
-            return left, right
+        case Operation(lhs=lhs, rhs=rhs):
+            return lhs, rhs
         case Call(arguments=arguments):
             return arguments
     return ()
@@ -107,16 +107,16 @@ class Function:
     """A function that a formula may name.
 
     Attributes:
-        least, most: how many arguments it takes.
+        min_arguments, max_arguments: how many arguments it takes.
         value: of an array module (`numpy` or `jax.numpy`) and the arguments.
     """
 
-    least: int
-    most: int
+    min_arguments: int
+    max_arguments: int
     value: Callable[..., Any]
 
 
-def _of(name: str, count: int = 1) -> Function:
+def _scalar_function(name: str, count: int = 1) -> Function:
     return Function(count, count, lambda m, *args: getattr(m, name)(*args))
 
 
@@ -138,18 +138,24 @@ def _joined(name: str) -> Function:
 # `sqrt` is 0 where its argument is not positive, with derivative 0: an empty tank has no outflow,
 # and noise that takes its level below zero makes no NaN.
 FUNCTIONS: dict[str, Function] = {
-    **{name: _of(name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
-    **{name: _of(name) for name in ("exp", "expm1", "log", "log1p", "cbrt", "abs", "sign")},
-    **{name: _of(name) for name in ("floor", "ceil", "trunc")},
-    **{f"a{name}": _of(f"arc{name}") for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    **{name: _scalar_function(name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    **{
+        name: _scalar_function(name)
+        for name in ("exp", "expm1", "log", "log1p", "cbrt", "abs", "sign")
+    },
+    **{name: _scalar_function(name) for name in ("floor", "ceil", "trunc")},
+    **{
+        f"a{name}": _scalar_function(f"arc{name}")
+        for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")
+    },
     "sqrt": Function(1, 1, _root),
-    "round": _of("rint"),
-    "atan2": _of("arctan2", 2),
-    "rem": _of("fmod", 2),
+    "round": _scalar_function("rint"),
+    "atan2": _scalar_function("arctan2", 2),
+    "rem": _scalar_function("fmod", 2),
     "min": _joined("minimum"),
     "max": _joined("maximum"),
     "clip": Function(3, 3, lambda m, x, low, high: m.minimum(m.maximum(x, low), high)),
-    "where": _of("where", 3),
+    "where": _scalar_function("where", 3),
 }
 
 _OPERATIONS: dict[str, Callable[[Any, Any, Any], Any]] = {
@@ -182,12 +188,12 @@ def value_of(expression: Expression, values: Mapping[Symbol, Any], m: Any) -> An
             return value
         case Symbol():
             return values[expression]
-        case Operation(sign="-", left=Number(value=0.0), right=right):
-            return m.negative(value_of(right, values, m))
-        case Operation(sign="^", left=left, right=Number(value=power)) if power == int(power):
-            return value_of(left, values, m) ** int(power)
-        case Operation(sign=sign, left=left, right=right):
-            return _OPERATIONS[sign](m, value_of(left, values, m), value_of(right, values, m))
+        case Operation(sign="-", lhs=Number(value=0.0), rhs=rhs):
+            return m.negative(value_of(rhs, values, m))
+        case Operation(sign="^", lhs=lhs, rhs=Number(value=power)) if power == int(power):
+            return value_of(lhs, values, m) ** int(power)
+        case Operation(sign=sign, lhs=lhs, rhs=rhs):
+            return _OPERATIONS[sign](m, value_of(lhs, values, m), value_of(rhs, values, m))
         case Call(name="not", arguments=(inner,)):
             return m.logical_not(value_of(inner, values, m))
         case Call(name=name, arguments=arguments):

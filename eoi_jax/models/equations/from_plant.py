@@ -198,17 +198,17 @@ class _Forms:
 
     def _uses(self) -> dict[int, int]:
         uses: dict[int, int] = {}
-        open_nodes, seen = list(self.roots), set()
+        open_nodes, visited = list(self.roots), set()
         while open_nodes:
             node = open_nodes.pop()
             uses[node.order] = uses.get(node.order, 0) + 1
-            if node.order not in seen:
-                seen.add(node.order)
+            if node.order not in visited:
+                visited.add(node.order)
                 open_nodes.extend(self._form(node)[1])
         return uses
 
     def _form(self, node: Node) -> tuple[str, tuple[Node, ...]]:
-        """What an operation is to a reader, and its operands."""
+        """Kind of operation in a formula, and its operands."""
         if node.op == "mul":
             base, power = _power(node)
             if power > 1:
@@ -241,14 +241,18 @@ class _Forms:
                 return Operation("^", Number(2.0), parts[0])
             case "xor":
                 a, b = parts
-                return Operation("or", Operation("and", a, _not(b)), Operation("and", _not(a), b))
+                return Operation(
+                    "or", Operation("and", a, _negated(b)), Operation("and", _negated(a), b)
+                )
             case "select" if node.is_bool:
-                which, a, b = parts
-                return Operation("or", Operation("and", which, a), Operation("and", _not(which), b))
+                condition, a, b = parts
+                return Operation(
+                    "or", Operation("and", condition, a), Operation("and", _negated(condition), b)
+                )
             case "select":
                 return Call("where", tuple(parts))
             case "eq" | "ne" if args[1].is_bool and args[1].op == "constant":
-                return parts[0] if args[1].value == (kind == "eq") else _not(parts[0])
+                return parts[0] if args[1].value == (kind == "eq") else _negated(parts[0])
             case "lt" | "le":
                 return self._comparison(_SIGNS[kind], args, parts)
         if kind.startswith("power "):
@@ -260,12 +264,12 @@ class _Forms:
     def _comparison(
         self, sign: str, args: Sequence[Node], parts: Sequence[Expression]
     ) -> Expression:
-        """What varies is compared with what does not: v > 0 for 0 < v."""
-        left, right = parts
+        """A comparison with the varying operand first: v > 0 for 0 < v."""
+        lhs, rhs = parts
         first, second = (self.varies[arg.order] for arg in args)
         if second and not first:
-            return Operation(_MIRRORED[sign], right, left)
-        return Operation(sign, left, right)
+            return Operation(_MIRRORED[sign], rhs, lhs)
+        return Operation(sign, lhs, rhs)
 
 
 def _power(node: Node) -> tuple[Node, int]:
@@ -277,26 +281,31 @@ def _power(node: Node) -> tuple[Node, int]:
 
 
 def _guarded(node: Node) -> Node | None:
-    """Of which a root is taken where it is positive; None for another choice."""
+    """The argument of a square root that is 0 for negative values; None for another choice."""
     wet, first, second = node.args
-    if first.op == "sqrt" and _is(second, 0.0) and wet.op == "lt" and _is(wet.args[0], 0.0):
+    if (
+        first.op == "sqrt"
+        and _is_value(second, 0.0)
+        and wet.op == "lt"
+        and _is_value(wet.args[0], 0.0)
+    ):
         inner, x = first.args[0], wet.args[1]
         if inner is x or (inner.op == "select" and inner.args[:2] == (wet, x)):
             return x
     return None
 
 
-def _is(node: Node, value: float) -> bool:
+def _is_value(node: Node, value: float) -> bool:
     return node.op == "constant" and not node.is_bool and node.value == value
 
 
-def _arranged(sign: str, left: Expression, right: Expression) -> Expression:
-    """As one writes it: 2·k for k·2, -(2·k) for k·(-2). Values stay the same."""
-    if sign == "*" and isinstance(right, Number):
-        left, right = right, left
-    if sign == "*" and isinstance(left, Number) and left.value < 0:
-        return _negative(Operation("*", Number(-left.value), right))
-    return Operation(sign, left, right)
+def _arranged(sign: str, lhs: Expression, rhs: Expression) -> Expression:
+    """An operation in usual form: 2·k for k·2, -(2·k) for k·(-2), of the same value."""
+    if sign == "*" and isinstance(rhs, Number):
+        lhs, rhs = rhs, lhs
+    if sign == "*" and isinstance(lhs, Number) and lhs.value < 0:
+        return _negative(Operation("*", Number(-lhs.value), rhs))
+    return Operation(sign, lhs, rhs)
 
 
 def _negative(expression: Expression) -> Expression:
@@ -306,12 +315,12 @@ def _negative(expression: Expression) -> Expression:
 def _without_minus(expression: Expression) -> Expression:
     """max(b - a, 0) for max(-(a - b), 0)."""
     match expression:
-        case Operation("-", Number(0.0), Operation("-", left, right)) if left != Number(0.0):
-            return Operation("-", right, left)
+        case Operation("-", Number(0.0), Operation("-", lhs, rhs)) if lhs != Number(0.0):
+            return Operation("-", rhs, lhs)
     return expression
 
 
-def _not(flag: Expression) -> Expression:
+def _negated(flag: Expression) -> Expression:
     return Call("not", (flag,))
 
 

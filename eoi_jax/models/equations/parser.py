@@ -47,7 +47,7 @@ _TOKEN = re.compile(
 _WORDS = ("and", "or", "not", "if", "else")
 _POWERS = "Write powers with **."
 _PRODUCTS = "Write products with *."
-_ONE = "An equation holds one expression."
+_SINGLE_EXPRESSION = "An equation holds one expression."
 _ADVICE = {
     "^": _POWERS,
     "²": _POWERS,
@@ -64,8 +64,8 @@ _ADVICE = {
     "[": "Each signal has a name of its own; there are no indices.",
     "&": "Write `and`.",
     "!": "Write `not`.",
-    ";": _ONE,
-    ":": _ONE,
+    ";": _SINGLE_EXPRESSION,
+    ":": _SINGLE_EXPRESSION,
 }
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _COMPARED = {
@@ -157,9 +157,9 @@ class _Scanner:
         if kind == "number":
             end = column + len(part)
             after = self.line[end : end + 1]
-            apart = not after or after.isspace() or after in "+-*/),<>=!"
+            separated = not after or after.isspace() or after in "+-*/),<>=!"
             rule = "must have a sign between a number and what follows"
-            self.check(apart, end, rule, "Write products with *, as in 2*a.")
+            self.check(separated, end, rule, "Write products with *, as in 2*a.")
             self.check(float(part) <= LARGEST, column, f"must hold numbers up to {LARGEST:g}")
 
 
@@ -188,8 +188,8 @@ class _Reader:
         self.bytes = line.lstrip().encode()
 
     def wrong(self, node: ast.expr, rule: str, advice: str = "") -> ValueError:
-        before = self.bytes[: node.col_offset].decode(errors="ignore")
-        return misplaced(self.field, rule, self.line, self.indent + len(before), advice)
+        prefix = self.bytes[: node.col_offset].decode(errors="ignore")
+        return misplaced(self.field, rule, self.line, self.indent + len(prefix), advice)
 
     def check_depth(self, node: ast.expr, depth: int) -> None:
         if depth > DEEPEST:
@@ -220,7 +220,7 @@ class _Reader:
             case ast.Name(id=name):
                 return self.named(node, name)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return self.made(node, Operation("-", Number(0.0), self.number(operand, inner)))
+                return self.folded(node, Operation("-", Number(0.0), self.number(operand, inner)))
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.number(operand, inner)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
@@ -233,8 +233,8 @@ class _Reader:
                 return self.joined(node, sign, [self.flag(value, inner) for value in values], depth)
             case ast.Compare():
                 return self.comparison(node, inner)
-            case ast.IfExp(test=test, body=body, orelse=otherwise):
-                return self.call(node, "where", [test, body, otherwise], inner)
+            case ast.IfExp(test=test, body=body, orelse=alternative):
+                return self.call(node, "where", [test, body, alternative], inner)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self.call(node, name, arguments, inner)
             case ast.Tuple():
@@ -257,29 +257,27 @@ class _Reader:
         close = difflib.get_close_matches(name, names, n=1)
         hint = f"Did you mean {close[0]}? " if close else ""
         listed = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
-        shortened = name if len(name) <= _SHOWN else name[:_SHOWN] + "…"
+        shortened = name if len(name) <= _MAX_NAME_LENGTH else name[:_MAX_NAME_LENGTH] + "…"
         return self.wrong(
             node, f"must use {kind}, got {shortened}", f"{hint}Known: {listed or 'none'}."
         )
 
-    def operation(
-        self, node: ast.expr, sign: str, left: Expression, right: Expression
-    ) -> Expression:
-        if sign == "^" and isinstance(right, Number) and abs(right.value) > LARGEST_POWER:
+    def operation(self, node: ast.expr, sign: str, lhs: Expression, rhs: Expression) -> Expression:
+        if sign == "^" and isinstance(rhs, Number) and abs(rhs.value) > LARGEST_POWER:
             rule = f"must have powers between -{LARGEST_POWER} and {LARGEST_POWER}"
             raise self.wrong(node, rule)
-        return self.made(node, Operation(sign, left, right))
+        return self.folded(node, Operation(sign, lhs, rhs))
 
     def comparison(self, node: ast.Compare, depth: int) -> Expression:
         """a < b < c as a < b and b < c."""
         sides = [self.number(side, depth) for side in (node.left, *node.comparators)]
         links = []
-        for op, left, right in zip(node.ops, sides[:-1], sides[1:], strict=True):
+        for op, lhs, rhs in zip(node.ops, sides[:-1], sides[1:], strict=True):
             if type(op) not in _COMPARED:
                 raise self.wrong(node, "must compare by < <= > >= == !=")
-            if isinstance(left, Number) and isinstance(right, Number):
+            if isinstance(lhs, Number) and isinstance(rhs, Number):
                 raise self.wrong(node, "must not compare two constants")
-            links.append(Operation(_COMPARED[type(op)], left, right))
+            links.append(Operation(_COMPARED[type(op)], lhs, rhs))
         return self.joined(node, "and", links, depth)
 
     def joined(
@@ -298,25 +296,25 @@ class _Reader:
             if name in self.names:
                 raise self.wrong(node, f"must have a sign between {name} and a bracket", _PRODUCTS)
             raise self.unknown(node, "known functions", name, tuple(FUNCTIONS))
-        least, most = FUNCTIONS[name].least, FUNCTIONS[name].most
-        if not least <= len(arguments) <= most:
-            counts = str(least) if least == most else f"{least} to {most}"
+        minimum, maximum = FUNCTIONS[name].min_arguments, FUNCTIONS[name].max_arguments
+        if not minimum <= len(arguments) <= maximum:
+            counts = str(minimum) if minimum == maximum else f"{minimum} to {maximum}"
             raise self.wrong(node, f"must give {name} {counts} argument(s), got {len(arguments)}")
         first = self.flag if name == "where" else self.number
         values = (
             first(arguments[0], depth),
             *(self.number(argument, depth) for argument in arguments[1:]),
         )
-        return self.made(node, Call(name, values))
+        return self.folded(node, Call(name, values))
 
-    def made(self, node: ast.expr, made: Operation | Call) -> Expression:
+    def folded(self, node: ast.expr, folded: Operation | Call) -> Expression:
         """The node, or its value where all of it is constant."""
-        parts = (made.left, made.right) if isinstance(made, Operation) else made.arguments
+        parts = (folded.lhs, folded.rhs) if isinstance(folded, Operation) else folded.arguments
         if not all(isinstance(argument, Number) for argument in parts):
-            return made
+            return folded
         try:
             with np.errstate(all="ignore"):
-                value = float(value_of(made, {}, np))
+                value = float(value_of(folded, {}, np))
         except ArithmeticError:
             value = float("inf")
         if not abs(value) <= LARGEST:
@@ -324,4 +322,4 @@ class _Reader:
         return Number(value)
 
 
-_LISTED, _SHOWN = 30, 40  # names in a message, characters of one
+_LISTED, _MAX_NAME_LENGTH = 30, 40  # names in a message, characters of one

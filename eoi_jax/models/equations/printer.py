@@ -27,13 +27,13 @@ class Infix:
 
     Attributes:
         form: of the operands' texts.
-        left, right: how tightly an operand must bind to need no brackets.
+        lhs, rhs: how tightly the operand on that side must bind to need no brackets.
         binding: how tightly the result binds.
     """
 
     form: Callable[[str, str], str]
-    left: int
-    right: int
+    lhs: int
+    rhs: int
     binding: int
 
 
@@ -88,8 +88,8 @@ def valued(expression: Expression, values: Mapping[str, float]) -> Expression:
     match expression:
         case Symbol(name=name, parameter=True) if name in values:
             return Number(values[name])
-        case Operation(left=left, right=right):
-            return replace(expression, left=valued(left, values), right=valued(right, values))
+        case Operation(lhs=lhs, rhs=rhs):
+            return replace(expression, lhs=valued(lhs, values), rhs=valued(rhs, values))
         case Call(arguments=arguments):
             return replace(expression, arguments=tuple(valued(part, values) for part in arguments))
     return expression
@@ -113,41 +113,43 @@ def written_term(expression: Expression, notation: Notation) -> str:
         notation: `TEXT` or `LATEX`.
     """
     return " ".join(
-        f"{'-' if negative else '+'} {_within(term, notation, PRODUCT)}"
+        f"{'-' if negative else '+'} {_operand(term, notation, PRODUCT)}"
         for negative, term in _terms(expression, False)
     )
 
 
-def _write(expression: Expression, how: Notation) -> tuple[str, int]:
-    """What is written, and how tightly it binds."""
+def _write(expression: Expression, notation: Notation) -> tuple[str, int]:
+    """The text of a formula, and how tightly it binds."""
     match expression:
         case Number(value=value):
-            return _number(value, how)
+            return _number(value, notation)
         case Symbol():
-            return how.symbol(expression), ATOM
+            return notation.symbol(expression), ATOM
         case Operation(sign="+" | "-"):
-            return _sum(expression, how), SUM
+            return _sum(expression, notation), SUM
         case Operation(sign="*" | "/") if _terms(expression, False)[0][0]:
-            return _sum(expression, how), SUM  # of one term, with a minus
-        case Operation(sign="*") if how.for_reading:
-            return _infix(_with_powers(_in_a_row(expression)), how)
+            return _sum(expression, notation), SUM  # of one term, with a minus
+        case Operation(sign="*") if notation.for_reading:
+            return _infix(_with_powers(_in_a_row(expression)), notation)
         case Operation():
-            return _infix(expression, how)
+            return _infix(expression, notation)
         case Call(name="where"):
-            return _choice(expression, how), ATOM
+            return _choice(expression, notation), ATOM
         case Call(name=name, arguments=arguments):
-            return _call(name, [_write(part, how)[0] for part in arguments], how), ATOM
+            return _call(name, [_write(part, notation)[0] for part in arguments], notation), ATOM
     raise TypeError(expression)
 
 
-def _within(expression: Expression, how: Notation, binding: int) -> str:
-    """An operand, in brackets where it binds less tightly than what it stands in."""
-    operand, tightness = _write(expression, how)
-    return operand if tightness >= binding else how.brackets[0] + operand + how.brackets[1]
+def _operand(expression: Expression, notation: Notation, binding: int) -> str:
+    """An operand, in brackets if it binds less tightly than the operation around it."""
+    operand, tightness = _write(expression, notation)
+    return (
+        operand if tightness >= binding else notation.brackets[0] + operand + notation.brackets[1]
+    )
 
 
-def _number(value: float, how: Notation) -> tuple[str, int]:
-    digits = how.number(value)
+def _number(value: float, notation: Notation) -> tuple[str, int]:
+    digits = notation.number(value)
     if value < 0:
         return digits, SUM
     if "/" in digits:
@@ -155,74 +157,76 @@ def _number(value: float, how: Notation) -> tuple[str, int]:
     return digits, ATOM if re.fullmatch(r"[\w.+-]+|\\\w+", digits) else POWER
 
 
-def _infix(expression: Operation, how: Notation) -> tuple[str, int]:
-    rule = how.operations[expression.sign]
-    left = _within(expression.left, how, rule.left)
-    return rule.form(left, _within(expression.right, how, rule.right)), rule.binding
+def _infix(expression: Operation, notation: Notation) -> tuple[str, int]:
+    rule = notation.operations[expression.sign]
+    left_operand = _operand(expression.lhs, notation, rule.lhs)
+    return rule.form(left_operand, _operand(expression.rhs, notation, rule.rhs)), rule.binding
 
 
 def _in_a_row(product: Operation) -> Operation:
     """a·(b·c) as (a·b)·c, which needs no brackets."""
-    while isinstance(product.right, Operation) and product.right.sign == "*":
-        inner = product.right
-        product = Operation("*", Operation("*", product.left, inner.left), inner.right)
+    while isinstance(product.rhs, Operation) and product.rhs.sign == "*":
+        inner = product.rhs
+        product = Operation("*", Operation("*", product.lhs, inner.lhs), inner.rhs)
     return product
 
 
 def _with_powers(product: Operation) -> Operation:
     """k·x·x as k·x²."""
-    factor, power = product.right, 1
-    factors: Expression = product.left
-    while isinstance(factors, Operation) and factors.sign == "*" and factors.right == factor:
-        factors, power = factors.left, power + 1
+    factor, power = product.rhs, 1
+    factors: Expression = product.lhs
+    while isinstance(factors, Operation) and factors.sign == "*" and factors.rhs == factor:
+        factors, power = factors.lhs, power + 1
     if power == 1 or isinstance(factor, Number):
         return product
     return Operation("*", factors, Operation("^", factor, Number(float(power))))
 
 
-def _call(name: str, arguments: Sequence[str], how: Notation) -> str:
-    if name in how.functions:
-        return how.functions[name].format(*arguments)
-    return f"{how.head(name)}{how.brackets[0]}{', '.join(arguments)}{how.brackets[1]}"
+def _call(name: str, arguments: Sequence[str], notation: Notation) -> str:
+    if name in notation.functions:
+        return notation.functions[name].format(*arguments)
+    return (
+        f"{notation.head(name)}{notation.brackets[0]}{', '.join(arguments)}{notation.brackets[1]}"
+    )
 
 
-def _choice(expression: Call, how: Notation) -> str:
+def _choice(expression: Call, notation: Notation) -> str:
     condition, first, second = expression.arguments
-    if how.for_reading and (first, second) == (Number(1.0), Number(0.0)):
-        return f"[{written(condition, how)}]"
-    if how.cases is None:
-        return _call("where", [written(part, how) for part in expression.arguments], how)
-    ways: list[tuple[str, str]] = []
+    if notation.for_reading and (first, second) == (Number(1.0), Number(0.0)):
+        return f"[{written(condition, notation)}]"
+    if notation.cases is None:
+        return _call("where", [written(part, notation) for part in expression.arguments], notation)
+    cases: list[tuple[str, str]] = []
     last: Expression = expression
     while isinstance(last, Call) and last.name == "where":
         condition, first, last = last.arguments
-        ways.append((written(first, how), written(condition, how)))
-    return how.cases(ways, written(last, how))
+        cases.append((written(first, notation), written(condition, notation)))
+    return notation.cases(cases, written(last, notation))
 
 
-def _sum(expression: Expression, how: Notation) -> str:
+def _sum(expression: Expression, notation: Notation) -> str:
     total = ""
     for negative, term in _terms(expression, False):
         sign = "-" if negative else "+"
         if total:
-            total += f" {sign} {_within(term, how, PRODUCT)}"
+            total += f" {sign} {_operand(term, notation, PRODUCT)}"
         else:
-            total = ("-" if negative else "") + _within(term, how, PRODUCT)
+            total = ("-" if negative else "") + _operand(term, notation, PRODUCT)
     return total
 
 
 def _terms(expression: Expression, negative: bool) -> list[tuple[bool, Expression]]:
     """The terms of a sum, each with whether it is taken away; changes of sign are exact."""
     match expression:
-        case Operation(sign="+" | "-" as sign, left=left, right=right):
-            first = [] if left == Number(0.0) else _terms(left, negative)
-            return first + _terms(right, negative != (sign == "-"))
+        case Operation(sign="+" | "-" as sign, lhs=lhs, rhs=rhs):
+            first = [] if lhs == Number(0.0) else _terms(lhs, negative)
+            return first + _terms(rhs, negative != (sign == "-"))
         case Number(value=value) if value < 0:
             return [(not negative, Number(-value))]
-        case Operation(sign="*" | "/", left=left):
+        case Operation(sign="*" | "/", lhs=lhs):
             # -(-3·y), (-a)·y: the sign of the first factor is the sign of the term.
-            ((inner, first),) = terms if len(terms := _terms(left, False)) == 1 else [(False, left)]
-            return [(negative != inner, replace(expression, left=first))]
+            ((inner, first),) = terms if len(terms := _terms(lhs, False)) == 1 else [(False, lhs)]
+            return [(negative != inner, replace(expression, lhs=first))]
     return [(negative, expression)]
 
 
@@ -285,8 +289,8 @@ def _multiple_of_pi(value: float) -> tuple[int, int] | None:
     for denominator in _DENOMINATORS:
         count = value / math.pi * denominator
         numerator = round(count)
-        near = abs(count - numerator) <= _PI_TOLERANCE * abs(count)
-        if near and 1 <= numerator <= _LARGEST_MULTIPLE:
+        is_close = abs(count - numerator) <= _PI_TOLERANCE * abs(count)
+        if is_close and 1 <= numerator <= _LARGEST_MULTIPLE:
             return numerator, denominator
     return None
 
@@ -391,9 +395,9 @@ def _latex_number(value: float) -> str:
     return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
 
-def _latex_product(left: str, right: str) -> str:
+def _latex_product(lhs: str, rhs: str) -> str:
     # Two numbers side by side would read as one.
-    return rf"{left} \cdot {right}" if right[:1].isdigit() else rf"{left}\,{right}"
+    return rf"{lhs} \cdot {rhs}" if rhs[:1].isdigit() else rf"{lhs}\,{rhs}"
 
 
 def _latex_head(name: str) -> str:
@@ -402,9 +406,9 @@ def _latex_head(name: str) -> str:
     return name if len(name) == 1 else rf"\operatorname{{{name.replace('_', chr(92) + '_')}}}"
 
 
-def _latex_cases(ways: Sequence[tuple[str, str]], otherwise: str) -> str:
-    rows = [f"{value} & {condition}" for value, condition in ways]
-    rows = r" \\ ".join([*rows, rf"{otherwise} & \text{{otherwise}}"])
+def _latex_cases(cases: Sequence[tuple[str, str]], default: str) -> str:
+    rows = [f"{value} & {condition}" for value, condition in cases]
+    rows = r" \\ ".join([*rows, rf"{default} & \text{{otherwise}}"])
     return rf"\begin{{cases}} {rows} \end{{cases}}"
 
 

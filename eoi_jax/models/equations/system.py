@@ -57,13 +57,15 @@ class Equations:
     def chains(self) -> dict[str, tuple[str, ...]]:
         """By output: its states, from itself to the one before y^(r)."""
         rates = dict(self.derivatives)
-        taken = set(self.outputs)
+        placed_names = set(self.outputs)
         chains = {}
         for output in self.outputs:
             chain = [output]
-            while (following := rates[chain[-1]].strip()) in rates and following not in taken:
+            while (
+                following := rates[chain[-1]].strip()
+            ) in rates and following not in placed_names:
                 chain.append(following)
-                taken.add(following)
+                placed_names.add(following)
             chains[output] = tuple(chain)
         return chains
 
@@ -175,15 +177,15 @@ class Equations:
             "parameters": self.parameters,
             "definitions": tuple(name for name, _ in self.definitions),
         }
-        seen: dict[str, str] = {}
+        group_of_name: dict[str, str] = {}
         for group, names in groups.items():
             for name in names:
                 advice = "t, pi and the names of functions have a meaning already."
                 rule = "must have names that are identifiers"
                 check(good_name(name), f"model.{group}", rule, repr(name), advice)
-                rule = f"must not have a name of `{seen.get(name)}`"
-                check(name not in seen, f"model.{group}", rule, repr(name))
-                seen[name] = group
+                rule = f"must not have a name of `{group_of_name.get(name)}`"
+                check(name not in group_of_name, f"model.{group}", rule, repr(name))
+                group_of_name[name] = group
         texts = dict(self.derivatives)
         size = sum(len(text) for items in (self.derivatives, self.definitions, self.initial)
                    for _, text in items)  # fmt: skip
@@ -307,8 +309,8 @@ def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expressi
     match expression:
         case Symbol(name=name):
             return trees.get(name, expression)
-        case Operation(sign=sign, left=left, right=right):
-            return Operation(sign, _put_in(left, trees), _put_in(right, trees))
+        case Operation(sign=sign, lhs=lhs, rhs=rhs):
+            return Operation(sign, _put_in(lhs, trees), _put_in(rhs, trees))
         case Call(name=name, arguments=arguments):
             return Call(name, tuple(_put_in(argument, trees) for argument in arguments))
     return expression

@@ -32,12 +32,14 @@ _TEXT_WORDS = frozenset((*keyword.kwlist, *RESERVED))
 _CODE_WORDS = _TEXT_WORDS.union(_WORDS.split())
 
 
-def identifier(name: str, taken: Collection[str] = (), words: Collection[str] = _CODE_WORDS) -> str:
+def identifier(
+    name: str, reserved: Collection[str] = (), words: Collection[str] = _CODE_WORDS
+) -> str:
     """A name that every language takes: ASCII letters, digits, underscores; no word of theirs.
 
     Args:
         name: any text; Greek letters are spelled out.
-        taken: names that are gone; a number is added to differ from them.
+        reserved: names that are gone; a number is added to differ from them.
         words: of the language; an underscore is added to differ from them.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_spelled(letter) for letter in name))
@@ -45,7 +47,7 @@ def identifier(name: str, taken: Collection[str] = (), words: Collection[str] = 
     plain = plain if plain[0].isalpha() else f"n{plain}"
     plain = f"{plain}_" if plain in words else plain
     unique, count = plain, 2
-    while unique in taken:
+    while unique in reserved:
         unique, count = f"{plain}_{count}", count + 1
     return unique
 
@@ -97,11 +99,11 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
             that number: ``("[", "]", "0")``.
         version: of this package.
     """
-    before, after, first = index
+    prefix, after, first = index
 
     def element(vector: str, k: int, variable: Variable, note: str) -> str:
         name = f"{names[variable.symbol]}{_unit(variable.unit)}"
-        return f"  {vector}{before}{k}{after} {name}{': ' + note if note else ''}"
+        return f"  {vector}{prefix}{k}{after} {name}{': ' + note if note else ''}"
 
     # The first two lines are ours: an encoding named there would be believed.
     lines = [

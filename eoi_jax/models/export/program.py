@@ -103,8 +103,8 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         note = f"{source} behind its lag; starts at the first value of {source}"
         states.append(Variable(Symbol(name), name, plant.units.get(source, ""), note))
         rates.append(node)
-    taken = {*plant.names, *plant.inputs, *(variable.name for variable in states)}
-    free = (name for i in itertools.count(1) if (name := f"w{i}") not in taken)
+    reserved = {*plant.names, *plant.inputs, *(variable.name for variable in states)}
+    free = (name for i in itertools.count(1) if (name := f"w{i}") not in reserved)
     trees, definitions = shared_formulas(rates, free)
     names = [Symbol(name) for name in internal_names(plant)]
     values = plant.initial_internal.tolist()

@@ -65,11 +65,11 @@ def _written(plant: Plant, model: Program) -> ModelTable:
     used |= set().union(*(symbols_of(tree) for _, tree in model.definitions))
     safe = {variable.name: names[variable.symbol] for variable in (*model.states, *model.inputs)}
     safe |= {variable.name: names[variable.symbol] for variable, _ in model.parameters}
-    outside = {name for placed in actuators(plant) for name in placed.names}
+    actuator_parameters = {name for placed in actuators(plant) for name in placed.names}
     for variable, _ in model.parameters:
         rule = "must be used by the model to be exported as text"
         check(
-            variable.symbol in used or variable.name in outside,
+            variable.symbol in used or variable.name in actuator_parameters,
             f"parameters[{variable.name}]",
             rule,
             "no use",

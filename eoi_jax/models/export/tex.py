@@ -31,8 +31,8 @@ def latex_text(model: Program, version: str) -> str:
     for variable, tree in zip(model.states, model.rates, strict=True):
         base, order = Symbol(variable.symbol.name), variable.symbol.order + 1
         if tree != Symbol(base.name, order):  # else the next of its chain
-            left = LATEX.symbol(Symbol(names[base], order))
-            lines.append(f"{left} &= {written(tree, notation)}")
+            lhs = LATEX.symbol(Symbol(names[base], order))
+            lines.append(f"{lhs} &= {written(tree, notation)}")
     for source, delays in model.delays.items():
         delayed, times = symbol_latex(Symbol(source)), " + ".join(parameters[d] for d in delays)
         lines.append(rf"&\text{{with }} {delayed} \text{{ taken at }} t - ({times})")

@@ -63,7 +63,7 @@ def test_an_equation_is_worth_what_it_says(text, value):
 
 def test_every_function_can_be_called():
     for name, one in FUNCTIONS.items():
-        inside = ["x > 0", "x", "y"] if name == "where" else ["x"] * one.least
+        inside = ["x > 0", "x", "y"] if name == "where" else ["x"] * one.min_arguments
         with np.errstate(invalid="ignore"):
             value = worth(f"{name}({', '.join(inside)})")
         assert math.isfinite(value) or name == "acosh"  # of a number below one
