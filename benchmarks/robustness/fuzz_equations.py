@@ -68,7 +68,7 @@ def _formula(draw: random.Random, depth: int) -> str:
     one = _formula(draw, inner)
     if kind == 0:
         name = draw.choice(tuple(FUNCTIONS))
-        count = draw.randrange(FUNCTIONS[name].least, FUNCTIONS[name].least + 2)
+        count = draw.randrange(FUNCTIONS[name].min_arguments, FUNCTIONS[name].min_arguments + 2)
         rest = [_formula(draw, draw.randrange(2)) for _ in range(count - 1)]
         first = f"{one} < a" if name == "where" else one
         return f"{name}({', '.join([first, *rest])})"
