@@ -36,7 +36,7 @@ from eoi_jax.discovery.refit import (
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
-from eoi_jax.discovery.side_by_side import aside
+from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
@@ -171,7 +171,7 @@ def _run(task: Task, spare: Sequence[AbstractEffect], progress: Progress) -> Dis
     the spare effects are tried too. Not as one patch of several.
     """
     # The search does not wait for the free runs before it.
-    with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
+    with concurrently(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
         steps, rounds = _searched(task, progress)
         if not rounds[0].base.output_power > 0.0:
             none = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE

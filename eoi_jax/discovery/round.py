@@ -16,7 +16,7 @@ from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.discovery.search import Search
-from eoi_jax.discovery.side_by_side import each, waits
+from eoi_jax.discovery.side_by_side import map_in_threads, waits
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed, augmented, own_states, place
@@ -147,7 +147,7 @@ class Round:
             return known if known and same else self._make(one, shapes)
 
         # Each effect is a kernel of its own: their compilers run side by side.
-        grid = list(chain.from_iterable(each(task.threads, gridded, self.candidates)))
+        grid = list(chain.from_iterable(map_in_threads(task.threads, gridded, self.candidates)))
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
             self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
