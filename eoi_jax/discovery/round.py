@@ -56,7 +56,7 @@ class Task:
     effects: tuple[AbstractEffect, ...]
     declared: Identification
     alpha: float
-    most: int
+    max_effects: int
     window: float | None
 
     @cached_property
@@ -150,7 +150,7 @@ class Round:
         grid = list(chain.from_iterable(map_in_threads(task.threads, gridded, self.candidates)))
         names = len({one.effect.name for one in self.candidates})
         self.found = Search(
-            self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
+            self.base, grid, self._make, task.alpha, task.max_effects, max(names, 1), lacking
         )
         self.sets = self.found.run()
         self.chosen = self._first_accepted()
