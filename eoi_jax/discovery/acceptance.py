@@ -51,9 +51,9 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     """
     first, last = rounds[0], rounds[-1]
     residual_before = first.declared.residual
-    residual_after = last.declared.residual if not last.chosen.atoms else last.kept.residual
+    residual_after = last.declared.residual if not last.chosen.atoms else last.bounded_fit.residual
     if plain is not None:
-        power = last.found.power
+        power = last.candidate_search.power
         residual_after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
     return _power_explained(first, last, residual_before, residual_after)
 

@@ -13,7 +13,7 @@ from eoi_jax.models.plant import Plant
 def ranking(plant: Plant, rounds: Sequence[Round], added: Sequence[Placed]) -> tuple[Evidence, ...]:
     """The added effects first, then every other candidate on its own, by descending score."""
     first = rounds[0]
-    search, empty = first.found, first.found.fit([])
+    search, empty = first.candidate_search, first.candidate_search.fit([])
     power = float(np.sum(empty.residual**2))
     rows: dict[Placed, Evidence] = {}
     single_fits = {fit.atoms[0].placed: fit for fit in search.extended(empty)}

@@ -81,5 +81,5 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:
     """Whole and short free runs on the held-out records, or without any on those of the fit."""
-    records = task.held or task.records
+    records = task.held_out or task.records
     return whole_and_windows(plant, records, window_of(task, records))

@@ -16,7 +16,7 @@ _EXTRA_SHARE = (
 
 def unrivalled(first: Round) -> bool:
     """Whether the main effect explains, on its own, far more power than any unrelated effect."""
-    search, chosen = first.found, first.chosen
+    search, chosen = first.candidate_search, first.chosen
     if not chosen.atoms:
         return False
 
@@ -47,7 +47,7 @@ def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
     Also the name of an effect that contains a chosen one if its additional term may be large: its
     penalty exceeded its gain because the records hardly excite that term.
     """
-    search, chosen, chosen_names = first.found, first.chosen, set(added)
+    search, chosen, chosen_names = first.candidate_search, first.chosen, set(added)
     names: list[str] = []
     for fit in first.sets:
         fit_names = {atom.placed.effect.name for atom in fit.atoms}
@@ -73,7 +73,7 @@ def advice(first: Round, rival_names: Sequence[str]) -> str:
     """The experiment that distinguishes the candidates, by the signals that they depend on."""
     if not rival_names:
         return ""
-    library = {atom.placed.effect.name: atom.placed.effect for atom in first.found.grid}
+    library = {atom.placed.effect.name: atom.placed.effect for atom in first.candidate_search.grid}
     kinds = {atom.placed.effect.depends_on for atom in first.chosen.atoms}
     kinds |= {library[name].depends_on for name in rival_names if name in library}
     return " ".join(_EXPERIMENT[kind] for kind in sorted(kinds))
