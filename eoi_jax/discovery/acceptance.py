@@ -1,4 +1,4 @@
-"""What the residual before and after says of a set of effects, as a status with its sentence."""
+"""The status of a set of effects, from the residual before and after it is added."""
 
 from collections.abc import Sequence
 
@@ -10,19 +10,19 @@ from eoi_jax.discovery.regression import Base, fitted, within_bounds
 from eoi_jax.discovery.round import Round
 from eoi_jax.models.augmented import Placed
 
-_EXPLAINED = 0.9  # share of the residual's power from which on a set is an answer
-# Where no other effect comes near the first one (in power that it takes alone), half is enough if
-# free runs on held-out data confirm it.
-_MAINLY = 0.5
-_MEDIAN = 0.455  # of the square of a normal variable
-_MATERIAL = 0.01  # residual over y^(r), both rms, below which nothing is missing
-_NOTHING = "what is left is {}: nothing that the data can name"
-_UNKNOWN = (
+_EXPLAINED_SHARE = 0.9  # share of the residual's power from which on a set is an answer
+# Half is enough if no other effect explains nearly as much power alone as the main one, and free
+# runs on held-out data confirm the set.
+_MAIN_SHARE = 0.5
+_MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
+_MATERIAL_RATIO = 0.01  # residual over y^(r), both rms, below which nothing is missing
+_NOTHING_MISSING = "what is left is {}: nothing that the data can name"
+_NO_EFFECT = (
     "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "
     "shows where it lives; more records with other inputs may tell"
 )
-_FOUND = "the effects take {:.1%} of the residual's power; what is left is {}"
-_REST = (
+_EXPLAINED_TEXT = "the effects take {:.1%} of the residual's power; what is left is {}"
+_REST_UNEXPLAINED = (
     ", more than noise. No other effect comes near the first of them, and free runs on other data "
     "confirm it; the rest stays unexplained"
 )
@@ -39,90 +39,101 @@ _DENIED = (
 
 
 def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[float, float, bool]:
-    """Share of the residual's power above the noise that is gone; what is left over y^(r), rms.
+    """How much of the residual is explained.
 
-    And whether that is noise: white as predicted, or less than the noise is. Of what the rounds
-    found, or of a `plain` model that stands in its place, which was not searched; all of them with
-    their parameters within the bounds.
+    Evaluated for the result of the rounds, or for a simpler `plain` model that replaces it and from
+    which no search was made; with all parameters within their bounds.
+
+    Returns:
+        Share of the residual's power above the noise that is explained; rms of the remaining
+        residual over that of y^(r); whether the remaining residual is noise: white as predicted, or
+        below the noise.
     """
     first, last = rounds[0], rounds[-1]
-    before = first.declared.residual
-    after = last.declared.residual if not last.chosen.atoms else last.kept.residual
+    residual_before = first.declared.residual
+    residual_after = last.declared.residual if not last.chosen.atoms else last.bounded_fit.residual
     if plain is not None:
-        power = last.found.power
-        after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
-    return _taken(first, last, before, after)
+        power = last.candidate_search.power
+        residual_after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
+    return _power_explained(first, last, residual_before, residual_after)
 
 
 def unless_denied(status: Status, first: Round) -> Status:
-    """The status, or that a set would be the answer, were it not for the held-out records."""
+    """The status, or that only the held-out records refuse a set that would be the answer."""
     fit = first.denied
     if status.code != "unexplained" or fit is None or first.chosen.atoms:
         return status
-    share, _, _ = _taken(first, first, first.declared.residual, fit.residual)
-    names = " and ".join(names_of([one.placed for one in fit.atoms]))
-    told = Status("unexplained", _DENIED.format(names, share))
-    return told if share >= _MAINLY else status
+    share, _, _ = _power_explained(first, first, first.declared.residual, fit.residual)
+    names = " and ".join(names_of([atom.placed for atom in fit.atoms]))
+    denial = Status("unexplained", _DENIED.format(names, share))
+    return denial if share >= _MAIN_SHARE else status
 
 
-def _taken(
+def _power_explained(
     first: Round,
     last: Round,
-    before: Float[np.ndarray, " rows"],
-    after: Float[np.ndarray, " rows"],
+    residual_before: Float[np.ndarray, " rows"],
+    residual_after: Float[np.ndarray, " rows"],
 ) -> tuple[float, float, bool]:
     """`explained`, from the residuals of the first and of the last model."""
-    noise = _noise_scale(last.base, after) * first.base.noise_power
-    excess = first.base.signal_power(before) - noise
-    rest = max(first.base.signal_power(after) - noise, 0.0)
-    whole = first.base.output_power - noise
-    if not (excess > 0.0 and whole > 0.0 and np.isfinite(rest)):
-        return 0.0, 0.0 if np.isfinite(rest) else np.inf, last.exhausted
-    share = float(np.clip(1.0 - rest / excess, 0.0, 1.0))
-    return share, float(np.sqrt(rest / whole)), last.exhausted or rest <= noise
+    noise = _noise_scale(last.base, residual_after) * first.base.noise_power
+    excess = first.base.signal_power(residual_before) - noise
+    unexplained = max(first.base.signal_power(residual_after) - noise, 0.0)
+    total = first.base.output_power - noise
+    if not (excess > 0.0 and total > 0.0 and np.isfinite(unexplained)):
+        return 0.0, 0.0 if np.isfinite(unexplained) else np.inf, last.exhausted
+    share = float(np.clip(1.0 - unexplained / excess, 0.0, 1.0))
+    return share, float(np.sqrt(unexplained / total)), last.exhausted or unexplained <= noise
 
 
 def _noise_scale(base: Base, residual: Float[np.ndarray, " rows"]) -> float:
-    """How much of the predicted noise is there: a record's noise estimate is an upper bound."""
+    """Share of the predicted noise that is present: a record's estimate is an upper bound."""
     ratio = residual**2 / np.maximum(base.noise, 1e-300)
-    return float(min(1.0, np.median(ratio) / _MEDIAN))
+    return float(min(1.0, np.median(ratio) / _MEDIAN_OF_SQUARE))
 
 
 def judged(
-    placed: Sequence[Placed], share: float, left: float, noise_like: bool, alone: bool = False
+    placed: Sequence[Placed],
+    share: float,
+    relative_residual: float,
+    noise_like: bool,
+    unrivalled: bool = False,
 ) -> Status:
-    """Whether a set of effects is the answer, and in words why.
+    """Whether a set of effects is the answer, with the reason.
 
     Args:
-        placed: the set, or nothing.
-        share: of the residual's power that it takes.
-        left: what is left over y^(r), both rms.
-        noise_like: whether that is noise.
-        alone: whether half can be enough: no other effect comes near, and free runs on held-out
-            data will judge.
+        placed: the set; may be empty.
+        share: share of the residual's power that the set explains.
+        relative_residual: rms of the remaining residual over that of y^(r).
+        noise_like: whether the remaining residual is noise.
+        unrivalled: whether half can be enough: no other effect explains nearly as much, and free
+            runs on held-out data decide.
     """
-    good, rest = noise_like or left <= _MATERIAL, _rest(left)
+    is_negligible, description = (
+        noise_like or relative_residual <= _MATERIAL_RATIO,
+        _residual_text(relative_residual),
+    )
     if not placed:
-        if good:
-            return Status("nothing_missing", _NOTHING.format(rest))
-        return Status("unexplained", _UNKNOWN.format(rest))
-    if share >= _EXPLAINED or good:
-        return answered(share, left)
-    if alone and share >= _MAINLY:
-        return Status("explained", _FOUND.format(share, rest) + _REST)
-    return Status("unexplained", _PARTLY.format(" and ".join(names_of(placed)), share, rest))
+        if is_negligible:
+            return Status("nothing_missing", _NOTHING_MISSING.format(description))
+        return Status("unexplained", _NO_EFFECT.format(description))
+    if share >= _EXPLAINED_SHARE or is_negligible:
+        return answered(share, relative_residual)
+    if unrivalled and share >= _MAIN_SHARE:
+        return Status("explained", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
+    return Status("unexplained", _PARTLY.format(" and ".join(names_of(placed)), share, description))
 
 
-def answered(share: float, left: float) -> Status:
-    """Of a set that is the answer, whatever its share."""
-    return Status("explained", _FOUND.format(share, _rest(left)))
+def answered(share: float, relative_residual: float) -> Status:
+    """The status of a set that is the answer, whatever its share."""
+    return Status("explained", _EXPLAINED_TEXT.format(share, _residual_text(relative_residual)))
 
 
-def _rest(left: float) -> str:
-    share = f"{left:.2g} of the highest derivative (rms)"
-    return share if left > 0.0 else "nothing beyond the noise"
+def _residual_text(relative_residual: float) -> str:
+    share = f"{relative_residual:.2g} of the highest derivative (rms)"
+    return share if relative_residual > 0.0 else "nothing beyond the noise"
 
 
 def names_of(placed: Sequence[Placed]) -> tuple[str, ...]:
-    """Each name once, in the order in which the effects came."""
-    return tuple(dict.fromkeys(one.effect.name for one in placed))
+    """Names of the effects without duplicates, in their order."""
+    return tuple(dict.fromkeys(location.effect.name for location in placed))

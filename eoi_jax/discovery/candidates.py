@@ -1,9 +1,8 @@
 """Candidate effects as columns of a regression: each effect at each point of its shape grid.
 
 A term is linear in its gains: its columns are the term at unit gain, projected on the modes. An
-effect of an input or of an internal state replaces the declared part of the model: the columns of
-*all* parameters change, and what is fitted is the physical model itself, not a linearisation in the
-effect.
+effect of an input or of an internal state changes the declared part of the model: the columns of
+*all* parameters change, and the physical model itself is fitted, not a linearisation in the effect.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,7 +42,7 @@ class CandidateColumns:
         shape: its shape parameters.
         columns: one for each gain, shape (rows, gains).
         target: y^(r) - f with the changed input or internal state; None for a term.
-        slopes: ∂f/∂θ of the declared parameters then, shape (rows, np).
+        slopes: ∂f/∂θ of the declared parameters for that target, shape (rows, np).
     """
 
     placed: Placed
@@ -54,9 +53,9 @@ class CandidateColumns:
 
     @property
     def key(self) -> tuple[str, bool, int, int | None, int | None]:
-        """Kind and channel: two atoms of one key are never in one model."""
-        one = self.placed
-        return one.effect.kind, one.on_state, one.channel, one.against, one.through
+        """Kind and channel: a model never contains two atoms with the same key."""
+        placed = self.placed
+        return placed.effect.kind, placed.on_state, placed.channel, placed.against, placed.through
 
 
 def seen_at(
@@ -67,21 +66,26 @@ def seen_at(
     peaks: Float[np.ndarray, " peaks"],
     lags: Float[np.ndarray, " lags"],
 ) -> Seen:
-    """What the records show at the channel of an effect."""
-    u = placed.channel if placed.on_input else 0
+    """The signals and scales of the records at the channel of an effect."""
+    input_index = placed.channel if placed.on_input else 0
     row = min(placed.row, plant.relative_degree - 1)
-    ends = [placed.output, *([] if placed.against is None else [placed.against])]
-    levels = [placed.coordinate(one.y[:, 0]) for one in stretches]
+    outputs = [placed.output, *([] if placed.against is None else [placed.against])]
+    levels = [placed.coordinate(record.y[:, 0]) for record in stretches]
     if placed.on_state:
-        levels = [internal_along(plant, one)[:, placed.channel] for one in stretches]
+        levels = [internal_along(plant, record)[:, placed.channel] for record in stretches]
     return Seen(
         np.concatenate(levels),
-        np.concatenate([placed.coordinate(one.y[:, row]) for one in stretches]),
-        np.concatenate([one.u[:, u] if plant.inputs else 0.0 * one.time for one in stretches]),
+        np.concatenate([placed.coordinate(record.y[:, row]) for record in stretches]),
+        np.concatenate(
+            [
+                record.u[:, input_index] if plant.inputs else 0.0 * record.time
+                for record in stretches
+            ]
+        ),
         placed.row == 0,
-        max(float(np.linalg.norm(one.state_noise[ends])) for one in stretches),
-        max(one.duration for one in stretches),
-        max(one.original_period for one in stretches),
+        max(float(np.linalg.norm(record.state_noise[outputs])) for record in stretches),
+        max(record.duration for record in stretches),
+        max(record.original_period for record in stretches),
         band,
         peaks,
         lags,
@@ -93,7 +97,7 @@ def atoms(
     placed: Placed,
     shapes: Grid,
     stretches: Sequence[ModalRecord],
-    late: str | None = None,
+    delay: str | None = None,
 ) -> list[CandidateColumns]:
     """An effect at several values of its shape parameters.
 
@@ -102,70 +106,80 @@ def atoms(
         placed: the effect.
         shapes: (grid, shapes).
         stretches: of the records.
-        late: a parameter of the plant by which it delays the input that the effect delays too. The
-            slopes are taken where both together delay as much as this one did: a delay is far
-            from linear, and what it had taken of the effect it must be able to give back.
+        delay: name of a plant parameter that delays the same input as the effect. The slopes are
+            taken where the sum of both delays equals this parameter: a delay is strongly nonlinear,
+            and the part of the effect that the parameter has absorbed must be recoverable.
     """
     values = [tuple(float(value) for value in row) for row in shapes]
     if not values:
         return []
-    if late is not None:
-        made = [_later(plant, placed, value, stretches, late) for value in values]
+    if delay is not None:
+        candidates = [
+            _with_shorter_delay(plant, placed, value, stretches, delay) for value in values
+        ]
     elif placed.on_input:
-        inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
+        inputs = [_changed_inputs(placed, shapes, record) for record in stretches]
         target, slopes = model_rows(plant, stretches, inputs)
-        none = np.zeros((target.shape[1], 0))
-        made = [
-            CandidateColumns(placed, value, none, target[i], slopes[i])
+        no_gains = np.zeros((target.shape[1], 0))
+        candidates = [
+            CandidateColumns(placed, value, no_gains, target[i], slopes[i])
             for i, value in enumerate(values)
         ]
     elif placed.on_state:
-        made = _changed_states(plant, placed, values, stretches)
+        candidates = _changed_states(plant, placed, values, stretches)
     else:
         columns = _term_rows(plant, placed, shapes, stretches)
-        made = [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
-    # A state that is faster than the steps does not stay finite: that shape cannot be tried.
-    return [one for one in made if _finite(one)]
+        candidates = [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
+    # A state that is faster than the steps diverges: that shape is left out.
+    return [candidate for candidate in candidates if _finite(candidate)]
 
 
-def _later(
+def _with_shorter_delay(
     plant: Plant,
     placed: Placed,
     shape: tuple[float, ...],
     stretches: Sequence[ModalRecord],
-    late: str,
+    delay: str,
 ) -> CandidateColumns:
-    i, theta = plant.names.index(late), np.array(plant.theta)
+    i, theta = plant.names.index(delay), np.array(plant.theta)
     theta[i] = np.clip(theta[i] - shape[0], plant.lower[i], plant.upper[i])
     shapes = np.reshape(shape, (1, -1))
-    inputs = [_changed_inputs(placed, shapes, one) for one in stretches]
+    inputs = [_changed_inputs(placed, shapes, record) for record in stretches]
     target, slopes = model_rows(plant.with_parameters(theta), stretches, inputs)
-    # f(θ) = f(θ') + ∂f/∂θ (θ - θ'), for increments that count from θ as those of all atoms do.
+    # f(θ) = f(θ') + ∂f/∂θ (θ - θ'): increments are relative to θ, as those of all atoms.
     target = target[0] - slopes[0] @ (np.asarray(plant.theta) - theta)
     return CandidateColumns(placed, shape, np.zeros((len(target), 0)), target, slopes[0])
 
 
-def _finite(one: CandidateColumns) -> bool:
-    parts = [part for part in (one.columns, one.target, one.slopes) if part is not None]
-    # Not a number compares as False.
-    return all(bool(np.max(np.abs(part), initial=0.0) < _OVERFLOW) for part in parts)
+def _finite(candidate: CandidateColumns) -> bool:
+    arrays = [
+        array
+        for array in (candidate.columns, candidate.target, candidate.slopes)
+        if array is not None
+    ]
+    # A comparison with NaN is False.
+    return all(bool(np.max(np.abs(array), initial=0.0) < _OVERFLOW) for array in arrays)
 
 
 def _changed_states(
     plant: Plant, placed: Placed, shapes: list[tuple[float, ...]], stretches: Sequence[ModalRecord]
 ) -> list[CandidateColumns]:
-    """The model with the effect in it at gains of zero: its columns are all of them."""
+    """Columns of the augmented model at zero gains, one candidate for each shape."""
     gains, declared = len(placed.effect.gains), len(plant.names)
-    own, made = slice(declared, declared + gains), []
-    first = dict(zip(placed.names, (0.0,) * gains + shapes[0], strict=True))
-    whole = augmented(plant, [placed], first)
+    gain_columns, candidates = slice(declared, declared + gains), []
+    initial = dict(zip(placed.names, (0.0,) * gains + shapes[0], strict=True))
+    augmented_plant = augmented(plant, [placed], initial)
     for shape in shapes:
-        changed = whole.with_parameters(np.concatenate([whole.theta[: own.stop], shape]))
-        target, slopes = model_rows(changed, stretches)
-        made.append(
-            CandidateColumns(placed, shape, slopes[0][:, own], target[0], slopes[0][:, :declared])
+        changed = augmented_plant.with_parameters(
+            np.concatenate([augmented_plant.theta[: gain_columns.stop], shape])
         )
-    return made
+        target, slopes = model_rows(changed, stretches)
+        candidates.append(
+            CandidateColumns(
+                placed, shape, slopes[0][:, gain_columns], target[0], slopes[0][:, :declared]
+            )
+        )
+    return candidates
 
 
 def _term_rows(
@@ -174,43 +188,49 @@ def _term_rows(
     effect = placed.effect
     assert isinstance(effect, AbstractTerm)
     parts = []
-    for one in stretches:
-        signals, change = _signals(one, placed)
-        z = states_along(effect, shapes, signals, change, one.sample_period)
-        pushes = _pushes(plant, placed, one)
+    for record in stretches:
+        signals, change = _signals(record, placed)
+        z = states_along(effect, shapes, signals, change, record.sample_period)
+        pushes = _pushes(plant, placed, record)
         for k, degree in enumerate(plant.degrees):
             push = pushes[:, k]
             if np.any(push):
-                part = [
-                    _thinned_term(effect, (signals, push), *some, degree, one, k)
-                    for some in _in_parts(shapes, z)
+                terms = [
+                    _thinned_term(effect, (signals, push), *batch, degree, record, k)
+                    for batch in _batches(shapes, z)
                 ]
-                parts.append(one.rows(np.concatenate(part)))
+                parts.append(record.rows(np.concatenate(terms)))
             else:
-                parts.append(np.zeros((len(shapes), len(effect.gains), len(one.omega))))
+                parts.append(np.zeros((len(shapes), len(effect.gains), len(record.omega))))
     return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)
 
 
-def _in_parts(shapes: Grid, z: Float[np.ndarray, "grid S states"]) -> Iterator[tuple[Grid, Any]]:
-    """A few shapes at a time, and their states."""
+def _batches(shapes: Grid, z: Float[np.ndarray, "grid S states"]) -> Iterator[tuple[Grid, Any]]:
+    """Batches of shapes with their states."""
     for first in range(0, len(shapes), _SHAPES):
         part = slice(first, first + _SHAPES)
         yield shapes[part], z[part]
 
 
 def _thinned_term(
-    effect: AbstractTerm, rows: tuple, shapes: Grid, z: Any, degree: int, one: ModalRecord, k: int
+    effect: AbstractTerm,
+    rows: tuple,
+    shapes: Grid,
+    z: Any,
+    degree: int,
+    record: ModalRecord,
+    output: int,
 ) -> Float[np.ndarray, "grid gains nodes"]:
-    """The term at unit gains along a stretch, averaged, weighted and thinned as y^(r) is.
+    """The term at unit gains along a record, averaged, weighted and thinned like y^(r).
 
     Args:
         effect: the term.
-        rows: its signals, and what one unit of it adds to y^(r) of output `k`.
-        shapes: of the effect.
-        z: its states at each shape.
-        degree: of that output.
-        one: the stretch.
-        k: which output.
+        rows: its signals, and the change of y^(r) of the output for a unit of the term.
+        shapes: shape parameters of the effect.
+        z: states of the effect at each shape.
+        degree: relative degree of the output.
+        record: the record.
+        output: index of the output.
     """
     term = Along(_Term(effect), ("rows", "grid", "grid rows"), rows, shapes, z)
 
@@ -218,12 +238,12 @@ def _thinned_term(
         return np.moveaxis(term(part), 2, 1)
 
     batch = len(shapes), len(effect.gains)
-    return averaged_and_thinned(values, batch, degree, one.weight[k], one.kernel)
+    return averaged_and_thinned(values, batch, degree, record.weight[output], record.kernel)
 
 
 @dataclass(frozen=True)
 class _Term:
-    """What an effect adds to y^(r) at one instant, for one unit of each gain."""
+    """The contribution of an effect to y^(r) at an instant, for a unit of each gain."""
 
     effect: AbstractTerm
 
@@ -237,7 +257,7 @@ class _Term:
 
 @dataclass(frozen=True)
 class _Changed:
-    """The input that the model gets at one instant."""
+    """The input that the model receives at an instant."""
 
     effect: AbstractInputEffect
 
@@ -246,39 +266,41 @@ class _Changed:
         return self.effect.changed(At(t, y, v, u, z), shape)
 
 
-def _pushes(plant: Plant, placed: Placed, one: ModalRecord) -> Float[np.ndarray, "S ny"]:
-    """What one unit of an effect adds to y^(r) of each output."""
+def _pushes(plant: Plant, placed: Placed, record: ModalRecord) -> Float[np.ndarray, "S ny"]:
+    """The change of y^(r) of each output for a unit of an effect."""
     if placed.through is not None:
-        return input_slopes(plant, one.time, one.y, one.u, placed.through)
-    own = np.arange(len(plant.outputs)) == placed.channel
-    return np.broadcast_to(own.astype(float), (len(one.time), len(own)))
+        return input_slopes(plant, record.time, record.y, record.u, placed.through)
+    acts_on = np.arange(len(plant.outputs)) == placed.channel
+    return np.broadcast_to(acts_on.astype(float), (len(record.time), len(acts_on)))
 
 
 def _changed_inputs(
-    placed: Placed, shapes: Grid, one: ModalRecord
+    placed: Placed, shapes: Grid, record: ModalRecord
 ) -> Float[np.ndarray, "grid S nu"]:
-    """The inputs as the model gets them."""
-    effect, (signals, change) = placed.effect, _signals(one, placed)
-    inputs = np.repeat(one.u[None], len(shapes), axis=0)
+    """The inputs that the model receives, for each shape."""
+    effect, (signals, change) = placed.effect, _signals(record, placed)
+    inputs = np.repeat(record.u[None], len(shapes), axis=0)
     if isinstance(effect, AbstractActuator):
-        inputs[:, :, placed.channel] = effect.sampled(one.time, signals[3], shapes)
+        inputs[:, :, placed.channel] = effect.sampled(record.time, signals[3], shapes)
         return inputs
     assert isinstance(effect, AbstractInputEffect)
-    z = states_along(effect, shapes, signals, change, one.sample_period)
+    z = states_along(effect, shapes, signals, change, record.sample_period)
     axes = ("rows", "grid", "grid rows")
     inputs[:, :, placed.channel] = along(_Changed(effect), axes, signals, shapes, z)
     return inputs
 
 
-def _signals(one: ModalRecord, placed: Placed) -> tuple[Signals, Signals]:
-    """Time, output, velocity and an input, in the middle of each step; their change over it."""
+def _signals(record: ModalRecord, placed: Placed) -> tuple[Signals, Signals]:
+    """Time, output, velocity and an input in the middle of each step, and their change over it."""
     row, channel = placed.row, placed.channel if placed.on_input else 0
-    known = row < one.y.shape[1]
-    time, y, u = one.change
+    has_velocity = row < record.y.shape[1]
+    time, y, u = record.change
 
-    def chosen(t: Any, y: Any, u: Any) -> Signals:
-        v = placed.coordinate(y[:, row]) if known else 0.0 * t  # an output without one has none
-        own = u[:, channel] if u.shape[1] else 0.0 * t
-        return t, placed.coordinate(y[:, 0]), v, own
+    def selected(t: Any, y: Any, u: Any) -> Signals:
+        v = (
+            placed.coordinate(y[:, row]) if has_velocity else 0.0 * t
+        )  # of relative degree 1: no velocity
+        input_signal = u[:, channel] if u.shape[1] else 0.0 * t
+        return t, placed.coordinate(y[:, 0]), v, input_signal
 
-    return chosen(one.time, one.y, one.u), chosen(time, y, u)
+    return selected(record.time, record.y, record.u), selected(time, y, u)

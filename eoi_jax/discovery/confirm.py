@@ -1,4 +1,4 @@
-"""What free runs on held-out records say of an answer: it holds, or they even confirm it."""
+"""Whether free runs on held-out records accept an answer, or even confirm it."""
 
 from collections.abc import Sequence
 
@@ -8,48 +8,50 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
-_CONFIRMED = 2.0 / 3.0  # error after over before, of every free run, up to which it is confirmed
-_NOISE = 3.0  # error of short free runs over the noise of a sensor, from which on it is not noise
-_AS_GOOD = 1.01  # error of a simpler law over that of a wider one, up to which it is preferred
+_CONFIRMED = (
+    2.0 / 3.0
+)  # largest ratio of the errors after and before, in every free run, that confirms
+_NOISE = 3.0  # error of short free runs over the noise of a sensor, above which it is not noise
+_AS_GOOD = 1.01  # largest ratio of the errors of a simpler and a wider law at which it is preferred
 
 
 def holds(before: FreeRuns, after: FreeRuns) -> bool:
-    """Whether the free run is better, whole or in windows: one lightly damped drifts in phase."""
+    """Whether the free run improves, whole or in windows: lightly damped plants drift in phase."""
     short = after[0] if after[1] is None else after[1]
     if np.all(short.nrmse > 1.0):
         return False  # a constant would predict better
-    growth = [float(np.sum(one)) for one in _growth(before, after)]
+    growth = [float(np.sum(log_ratio)) for log_ratio in _growth(before, after)]
     return not growth or min(growth) < 0.0
 
 
 def confirmed(before: FreeRuns, after: FreeRuns) -> bool:
-    """Whether all free runs, whole and in windows, lose a good part of their error."""
+    """Whether the error of all free runs, whole and in windows, falls by at least a third."""
     return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
 
 
 def only_short(before: FreeRuns, after: FreeRuns) -> bool:
-    """Whether only short free runs tell anything: whole ones drift in phase, or diverge."""
+    """Whether only short free runs improve, because the whole ones drift in phase or diverge."""
     if before[1] is None or after[1] is None or not np.all(np.isfinite(after[1].rmse)):
         return False
     if not np.all(np.isfinite(after[0].rmse)):
         return True
-    whole, short = (float(np.sum(one)) for one in _growth(before, after))
-    return short < 0.0 <= whole
+    whole_growth, short_growth = (float(np.sum(log_ratio)) for log_ratio in _growth(before, after))
+    return short_growth < 0.0 <= whole_growth
 
 
 def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
-    """Whether neither whole nor short free runs of the simpler model miss by more.
+    """Whether the errors of a simpler model are no larger, in whole and in short free runs.
 
-    By the geometric mean over the outputs: a fit anew moves all of them a little.
+    The measure is the geometric mean over the outputs: a new fit changes all of them slightly.
     """
-    return all(bool(np.mean(one) <= np.log(_AS_GOOD)) for one in _growth(wide, plain))
+    return all(bool(np.mean(log_ratio) <= np.log(_AS_GOOD)) for log_ratio in _growth(wide, plain))
 
 
 def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[str]:
-    """A sentence for each output whose free runs in windows miss by far more than its noise.
+    """A sentence for each output whose error in windowed free runs far exceeds its noise.
 
-    Of a right model they miss by the noise, and by what an initial state adds that was estimated
-    from few samples. Whole runs may drift in phase, and say nothing here.
+    The error of a correct model is the noise plus the effect of an initial state that is estimated
+    from few samples. Whole runs may drift in phase and are not used here.
     """
     if short is None:
         return []
@@ -62,7 +64,7 @@ def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[st
 
 
 def _growth(before: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]:
-    """Logarithm of error after over before, whole and in windows; none where both diverge."""
+    """Logarithm of the error ratio after/before, whole and in windows; no entry if both diverge."""
     return [
         np.log(np.maximum(new.rmse, 1e-300)) - np.log(np.maximum(old.rmse, 1e-300))
         for old, new in _pairs(before, after)
@@ -71,7 +73,7 @@ def _growth(before: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]
 
 
 def _pairs(before: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validation]]:
-    """Free runs of one length, before and after, where there are both."""
+    """Free runs of the same length, before and after; lengths without both are left out."""
     return [(old, new) for old, new in zip(before, after, strict=True) if old and new]
 
 

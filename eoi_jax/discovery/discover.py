@@ -1,15 +1,15 @@
-r"""Close the loop: find the residual, trace it to an effect that the model lacks, add it.
+r"""Find the effects that a model lacks from its residual, and add them.
 
-1. `identify` the declared model; what is left of the injection is what it lacks.
+1. `identify` the declared model; the remaining injection is the residual.
 2. Every effect of the library, at every point of its shape grid, becomes columns of a regression
-   on the modes of y^(r) - f (`modes`, `candidates`).
+   on the modes of y^(r) - f (`cosine_modes`, `candidates`).
 3. `search` finds the set of effects that the residual justifies, all declared parameters free.
-4. An effect that makes the held-out error worse is refused, and a set that leaves a product of
-   signals behind: what is hidden is then no effect of the library (`rounds`).
-5. The set is added (`augment`), and everything is fitted again by the estimator; then the search
-   starts once more from there, until nothing is justified.
-6. Free runs on records that the fit did not see, before and after.
-7. Where it is asked for, output error, and what only the free runs show (`polish`).
+4. An effect that increases the held-out error is refused, and so is a set whose residual contains a
+   product of signals: the missing effect is then not in the library (`round`).
+5. The set is added (`augmented`) and all parameters are fitted again; the search is repeated from
+   that model until no further set is justified.
+6. Free runs on held-out records, before and after.
+7. On request, refinement by output error, with effects that only the free runs show (`refined`).
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ from eoi_jax.discovery.refit import (
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
-from eoi_jax.discovery.side_by_side import aside
+from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
@@ -51,13 +51,15 @@ from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import FreeRuns
 
-_PASSES = 30  # of the declared model at most: what it lacks is looked for where it has converged
+_PASSES = 30  # of the declared model at most: the search starts from its converged fit
 _ROUNDS = 3
 _STAGES = _ROUNDS + 3
-_WHOLLY, _RARE = 0.95, 2  # likewise where an effect is rare, and how many there may be then
-_END = 1e-3  # of a range of shapes: as near as this to its end
+_RARE_SHARE, _MAX_RARE = 0.95, 2  # least share explained, most effects, with a rare one
+_END_TOLERANCE = 1e-3  # of a range of shapes: distance that counts as its end
 
-Step = tuple[Plant, tuple[Placed, ...], tuple[Round, ...]]  # a model, what is in it, how it came
+Step = tuple[
+    Plant, tuple[Placed, ...], tuple[Round, ...]
+]  # a model, its effects, the rounds up to it
 Progress = Callable[[str, int, int], None]
 
 
@@ -107,168 +109,191 @@ def discover(
         Equations (1)-(14) of the paper for the residual; the search over effects, its score and its
         tests are our own and stand in `search.py`, `cosine_modes.py` and `noise_spectrum.py`.
     """
-    several = check_records(plant, records)
+    fit_records = check_records(plant, records)
     if isinstance(validation, float | int):
         check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
-        parts = [one.split(1.0 - validation) for one in several]
-        several, validation = tuple(one for one, _ in parts), [one for _, one in parts]
-    held = held_out_records(plant, several, validation)
-    tried = _effects([effects] if isinstance(effects, str) else effects)
-    spare = rare() if effects is None else ()
-    fitting = _fitting(plant, tried)
+        parts = [record.split(1.0 - validation) for record in fit_records]
+        fit_records, validation = (
+            tuple(record for record, _ in parts),
+            [record for _, record in parts],
+        )
+    held_out = held_out_records(plant, fit_records, validation)
+    tried_effects = _effects([effects] if isinstance(effects, str) else effects)
+    rare_effects = rare() if effects is None else ()
+    fitting = _names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
-    runs = check_runs(plant, several, held, window)
-    progress = callback or _untold
+    runs = check_runs(plant, fit_records, held_out, window)
+    progress = callback or _no_progress
     progress("fitting the declared model", 0, _STAGES)
-    prepared, several, brief = _telling(plant, several, lowpass)
-    start = min(float(one.time[0]) for one in several)
-    tried, spare = (tuple(one.since(start) for one in part) for part in (tried, spare))
+    prepared, fit_records, short_notes = _informative_records(plant, fit_records, lowpass)
+    start = min(float(record.time[0]) for record in fit_records)
+    tried_effects, rare_effects = (
+        tuple(effect.since(start) for effect in group) for group in (tried_effects, rare_effects)
+    )
     declared = estimate(plant, prepared, passes=_PASSES)
     if declared.status.code in ("no_data", "diverged"):
-        return _failed(declared, held, several)
-    task = Task(plant, prepared, several, held, tried, declared, alpha, most, window)
-    found = _run(task, spare, progress)
-    if refine and found.status.code in ("explained", "nothing_missing"):
+        return _failed(declared, held_out, fit_records)
+    task = Task(
+        plant, prepared, fit_records, held_out, tried_effects, declared, alpha, most, window
+    )
+    discovery = _run(task, rare_effects, progress)
+    if refine and discovery.status.code in ("explained", "nothing_missing"):
         progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
-        found = _polished(task, found, None if effects is None else tried)
-    found = _doubted(task, found, refine)
-    unfit = [] if effects is None else _unfit(tried, fitting, found)
-    return replace(found, notes=(*brief, *found.notes, *unfit, *runs))
+        discovery = _polished(task, discovery, None if effects is None else tried_effects)
+    discovery = _with_doubts(task, discovery, refine)
+    unplaced_notes = (
+        [] if effects is None else _notes_without_place(tried_effects, fitting, discovery)
+    )
+    return replace(discovery, notes=(*short_notes, *discovery.notes, *unplaced_notes, *runs))
 
 
-def _telling(
+def _informative_records(
     plant: Plant, records: tuple[Record, ...], lowpass: LowPass | None
 ) -> tuple[PreparedRecords, tuple[Record, ...], list[str]]:
-    """Records made ready, without those too short to tell anything beside the others."""
+    """Prepared records, without those too short to be informative beside the others."""
     prepared = prepare_records(plant, records, lowpass)
     cutoff = prepared.lowpass.cutoff
-    left = short_record_notes(records, cutoff, "left out")
-    if left:
-        each = zip(records, too_short(records, cutoff), strict=True)
-        records = tuple(one for one, short in each if not short)
+    notes = short_record_notes(records, cutoff, "left out")
+    if notes:
+        pairs = zip(records, too_short(records, cutoff), strict=True)
+        records = tuple(record for record, short in pairs if not short)
         prepared = prepare_records(plant, records, lowpass)
-    return prepared, records, left
+    return prepared, records, notes
 
 
-def _doubted(task: Task, found: Discovery, refined: bool) -> Discovery:
-    """With a note where nothing seems to be missing, and free runs say otherwise."""
-    if found.status.code != "nothing_missing":
-        return found
-    doubts = beyond_noise(found.windows_after, task.held or task.records)
-    further = "" if refined else _SEEN_THERE
-    return replace(found, notes=(*found.notes, *(one + further for one in doubts)))
+def _with_doubts(task: Task, discovery: Discovery, refined: bool) -> Discovery:
+    """Add a note if nothing seems to be missing, but the free runs contradict."""
+    if discovery.status.code != "nothing_missing":
+        return discovery
+    doubts = beyond_noise(discovery.windows_after, task.held_out or task.records)
+    suggestion = "" if refined else _REFINE_HINT
+    return replace(discovery, notes=(*discovery.notes, *(doubt + suggestion for doubt in doubts)))
 
 
-def _untold(stage: str, done: int, stages: int) -> None:
+def _no_progress(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-def _run(task: Task, spare: Sequence[AbstractEffect], progress: Progress) -> Discovery:
+def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress) -> Discovery:
     """Rounds of search and refit, then the free runs.
 
-    What is so rare that it would only cast doubt on an answer may be one where there is none: then
-    the spare effects are tried too. Not as one patch of several.
+    Rare effects would only make an answer ambiguous. They are tried if there is no answer without
+    them, and accepted only in a set of few effects that explains nearly all.
     """
     # The search does not wait for the free runs before it.
-    with aside(task.threads, lambda: free_runs(task, task.declared.plant)) as before:
+    with concurrently(task.threads, lambda: free_runs(task, task.declared.plant)) as runs_before:
         steps, rounds = _searched(task, progress)
         if not rounds[0].base.output_power > 0.0:
-            none = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
-            reason = none.format(task.declared.lowpass.cutoff)
-            lost = replace(task.declared, status=Status("no_data", reason))
-            return _failed(lost, task.held, task.records)
+            message = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
+            reason = message.format(task.declared.lowpass.cutoff)
+            no_data = replace(task.declared, status=Status("no_data", reason))
+            return _failed(no_data, task.held_out, task.records)
         progress("fitting again, free runs", 1 + _ROUNDS, _STAGES)
-        found = _answer(task, steps, rounds, before())
-    if found.status.code != "unexplained":
-        return found
-    if placements(task.plant, spare):
-        wider = replace(task, effects=(*task.effects, *spare))
-        more = _answer(wider, *_searched(wider, progress, rounds[0]), before())
-        named = any(one.effect in spare for one in more.added) and len(more.added) <= _RARE
-        if named and more.explained >= _WHOLLY:
-            return more
-    return replace(found, lead=_lead(task, steps, rounds, before()))
+        discovery = _answer(task, steps, rounds, runs_before())
+    if discovery.status.code != "unexplained":
+        return discovery
+    if placements(task.plant, rare_effects):
+        wider = replace(task, effects=(*task.effects, *rare_effects))
+        rare_discovery = _answer(wider, *_searched(wider, progress, rounds[0]), runs_before())
+        named = (
+            any(added.effect in rare_effects for added in rare_discovery.added)
+            and len(rare_discovery.added) <= _MAX_RARE
+        )
+        if named and rare_discovery.explained >= _RARE_SHARE:
+            return rare_discovery
+    return replace(discovery, lead=_lead(task, steps, rounds, runs_before()))
 
 
 def _searched(
     task: Task, progress: Progress, earlier: Round | None = None
 ) -> tuple[list[Step], list[Round]]:
-    """Rounds of search and refit until nothing is justified; the steps are those that added.
+    """Rounds of search and refit until no set is justified; a step is a round that added effects.
 
-    An earlier round of the declared model lends the first one what it has computed.
+    The first round reuses the columns of an earlier round of the declared model.
     """
     model, placed, rounds, steps = task.declared.plant, [], [], []
     for i in range(_ROUNDS):
         progress(f"searching, round {i + 1}", 1 + i, _STAGES)
-        one = Round(task, model, placed, rounds[-1] if rounds else earlier)
-        if not len(one.base.target):
-            return [], [one]
-        one.search(rounds[0].found.lacking if rounds else one.lacking)
-        rounds.append(one)
-        if not one.chosen.atoms:
+        current = Round(task, model, placed, rounds[-1] if rounds else earlier)
+        if not len(current.base.target):
+            return [], [current]
+        current.search(rounds[0].candidate_search.lacking if rounds else current.lacking)
+        rounds.append(current)
+        if not current.chosen.atoms:
             break
-        added = read_friction(model, one.kept)
+        added = read_friction(model, current.bounded_fit)
         placed += list(added)
-        model = one.augmented(added)
+        model = current.augmented(added)
         steps.append((model, tuple(placed), tuple(rounds)))
-        if one.exhausted:
+        if current.exhausted:
             break
     return steps, rounds
 
 
-def _polished(task: Task, found: Discovery, effects: Sequence[AbstractEffect] | None) -> Discovery:
-    """Refined, with what only free runs show."""
-    records = task.held or task.records
-    assert found.after is not None
-    before = found.after, found.windows_after
-    better = polished(found.plant, task.records, records, before, window_of(task, records), effects)
+def _polished(
+    task: Task, discovery: Discovery, effects: Sequence[AbstractEffect] | None
+) -> Discovery:
+    """The refined discovery, with the effects that only free runs show."""
+    records = task.held_out or task.records
+    assert discovery.after is not None
+    before = discovery.after, discovery.windows_after
+    better = polished(
+        discovery.plant, task.records, records, before, window_of(task, records), effects
+    )
     if isinstance(better, str):
-        return replace(found, notes=(*found.notes, better))
-    # What was said of the estimate before does not hold any more.
-    stale = (SEARCHED, _REFITTED, _HARDLY)
-    stale += tuple(on_bounds(task.plant, found.plant))
-    notes = [one for one in found.notes if not one.startswith(stale)]
+        return replace(discovery, notes=(*discovery.notes, better))
+    # Notes about the estimate before the refinement no longer apply.
+    stale = (SEARCHED, _REFIT_STATUS, _UNCERTAIN)
+    stale += tuple(on_bounds(task.plant, discovery.plant))
+    notes = [note for note in discovery.notes if not note.startswith(stale)]
     notes += on_bounds(task.plant, better.refinement.plant)
     short = better.refinement.window
     length = "" if short is None else f" over windows of {short:.3g} s"
     notes.append(f"refined{length}: {better.refinement.status}")
     if better.placed:
-        names = " and ".join(one.replace("_", " ") for one in names_of(better.placed))
+        names = " and ".join(name.replace("_", " ") for name in names_of(better.placed))
         notes.append(f"found in the free run alone: {names}")
     result = better.refinement
-    # One pass, for the injection that is left; parameters and errors are those of the refinement.
-    one = estimate(result.plant, task.prepared, passes=1)
+    # One pass gives the remaining injection; parameters and errors are those of the refinement.
+    injection_fit = estimate(result.plant, task.prepared, passes=1)
     fit = replace(
-        one, parameters=result.parameters, information=result.information, plant=result.plant,
+        injection_fit, parameters=result.parameters, information=result.information,
+        plant=result.plant,
         certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
         status=result.status,
     )  # fmt: skip
-    kept = [replace(one, parameters={name: result.parameters[name] for name in one.parameters},
-                    standard_errors={name: result.standard_errors[name] for name in one.parameters})
-            for one in found.added]  # fmt: skip
-    added = [*kept, *(_added(task.plant, fit, one) for one in better.placed)]
-    notes += _vague(added)
-    unseen = found.status.code == "nothing_missing" and better.placed
+    refined_effects = [
+        replace(
+            addition,
+            parameters={name: result.parameters[name] for name in addition.parameters},
+            standard_errors={name: result.standard_errors[name] for name in addition.parameters},
+        )
+        for addition in discovery.added
+    ]
+    added = [*refined_effects, *(_added(task.plant, fit, placed) for placed in better.placed)]
+    notes += _uncertain_effects(added)
+    unseen = discovery.status.code == "nothing_missing" and better.placed
     return replace(
-        found, status=Status("explained", _UNSEEN) if unseen else found.status,
-        effects=tuple(dict.fromkeys(one.effect.name for one in added)), added=tuple(added),
+        discovery, status=Status("explained", _ONLY_FREE_RUN) if unseen else discovery.status,
+        effects=tuple(dict.fromkeys(addition.effect.name for addition in added)),
+        added=tuple(added),
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
         notes=tuple(notes),
     )  # fmt: skip
 
 
 def _plainest(
-    task: Task, placed: tuple[Placed, ...], found: Identification, runs: FreeRuns, first: Round
+    task: Task, placed: tuple[Placed, ...], fit: Identification, runs: FreeRuns, first: Round
 ) -> tuple[tuple[Placed, ...], Identification, FreeRuns]:
-    """With a simpler law in place of one that contains it, where free runs are as good with it."""
-    for one, plain, fewer in simpler(task.plant, found, placed, task.effects):
+    """Replace effects by simpler laws that they contain, if the free runs are as good."""
+    for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
         refit = estimate(plain, task.prepared)
-        theirs = free_runs(task, refit.plant)
-        if refit.status.ok and as_good(theirs, runs):
-            first.refused[one] = "in free runs no better than a simpler law"
-            return _plainest(task, fewer, refit, theirs, first)
-    return placed, found, runs
+        simple_runs = free_runs(task, refit.plant)
+        if refit.status.ok and as_good(simple_runs, runs):
+            first.refused[wide] = "in free runs no better than a simpler law"
+            return _plainest(task, simpler_set, refit, simple_runs, first)
+    return placed, fit, runs
 
 
 def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
@@ -278,38 +303,40 @@ def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEf
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
-    names = sorted({one.name for one in library})
-    for one in effects:
-        if isinstance(one, str):
-            check_choice("effects", one, names)
-            chosen += [other for other in library if other.name == one]
+    names = sorted({effect.name for effect in library})
+    for effect in effects:
+        if isinstance(effect, str):
+            check_choice("effects", effect, names)
+            chosen += [candidate for candidate in library if candidate.name == effect]
         else:
-            check_kind("effects", one, AbstractEffect, "names or effects")
-            chosen.append(one)
+            check_kind("effects", effect, AbstractEffect, "names or effects")
+            chosen.append(effect)
     return tuple(chosen)
 
 
-def _fitting(plant: Plant, tried: Sequence[AbstractEffect]) -> set[str]:
-    """Names of the effects that have a place in a plant."""
-    names = dict.fromkeys(one.name for one in tried)
-    fitting = {one.effect.name for one in placements(plant, tried)}
+def _names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str]:
+    """Names of the effects that can act on a plant."""
+    names = dict.fromkeys(effect.name for effect in effects)
+    fitting = {placed.effect.name for placed in placements(plant, effects)}
     degrees = ", ".join(
-        f"{key} of relative degree {one}"
-        for key, one in zip(plant.outputs, plant.degrees, strict=True)
+        f"{output} of relative degree {degree}"
+        for output, degree in zip(plant.outputs, plant.degrees, strict=True)
     )
     check(len(fitting) > 0, "effects", f"must hold one that fits {plant.name}", ", ".join(names),
           f"It has {degrees}. Leave `effects` out to try all that fit.")  # fmt: skip
     return fitting
 
 
-def _unfit(tried: Sequence[AbstractEffect], fitting: set[str], found: Discovery) -> list[str]:
-    """A note for each effect that was asked for and had no place."""
-    looked = {one.effect for one in found.ranking} or fitting
+def _notes_without_place(
+    effects: Sequence[AbstractEffect], fitting: set[str], discovery: Discovery
+) -> list[str]:
+    """A note for each requested effect that was not tried."""
+    looked = {evidence.effect for evidence in discovery.ranking} or fitting
     notes = []
-    for name in dict.fromkeys(one.name for one in tried):
+    for name in dict.fromkeys(effect.name for effect in effects):
         if name not in looked:
-            why = _NOTHING_SHOWS if name in fitting else _NO_PLACE
-            notes.append(why.format(name, found.declared.nominal.name))
+            reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
+            notes.append(reason.format(name, discovery.declared.nominal.name))
     return notes
 
 
@@ -319,62 +346,66 @@ def _unfit(tried: Sequence[AbstractEffect], fitting: set[str], found: Discovery)
 def _answer(
     task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
 ) -> Discovery:
-    """From the rounds of the search to what the user reads; a last step may be refused."""
+    """The discovery from the rounds of the search; the last steps may be refused."""
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
-    share, left, quiet = explained(rounds)
-    alone = bool(task.held) and unrivalled(rounds[0])
-    status = unless_denied(judged(placed, share, left, quiet), rounds[0])
-    found, after = task.declared, before
-    for model, placed, done in reversed(steps):
-        share, left, quiet = explained(rounds if placed is steps[-1][1] else done)
-        verdict = judged(placed, share, left, quiet, alone)
+    share, relative_residual, quiet = explained(rounds)
+    unrivalled_effect = bool(task.held_out) and unrivalled(rounds[0])
+    status = unless_denied(judged(placed, share, relative_residual, quiet), rounds[0])
+    fit, after = task.declared, before
+    for model, placed, step_rounds in reversed(steps):
+        share, relative_residual, quiet = explained(
+            rounds if placed is steps[-1][1] else step_rounds
+        )
+        verdict = judged(placed, share, relative_residual, quiet, unrivalled_effect)
         if verdict.code != "explained":
             break
         refusal = not_simulated(model)
         if refusal:
             notes.append(_UNCHECKED.format(" and ".join(names_of(placed)), share, refusal))
             rounds[0].refused.update(dict.fromkeys(placed, "its free run cannot be simulated"))
-            status = Status("unexplained", _NO_RUN)
+            status = Status("unexplained", _NOT_SIMULATED)
             continue
         refit = refitted(task, model, notes)
         if not refit.status.ok:
-            notes.append(f"{_REFITTED} {refit.status}")
+            notes.append(f"{_REFIT_STATUS} {refit.status}")
         runs = free_runs(task, refit.plant)
-        if judged(placed, share, left, quiet) != verdict and not confirmed(before, runs):
+        if judged(placed, share, relative_residual, quiet) != verdict and not confirmed(
+            before, runs
+        ):
             break
         if holds(before, runs):
-            status, wide = verdict, placed
-            placed, found, after = _plainest(task, placed, refit, runs, rounds[0])
-            if placed != wide:
-                notes.append(_WIDER.format(" and ".join(names_of(wide)), share))
-                share, status = _by_plain(task, placed, found, rounds)
+            status, wide_set = verdict, placed
+            placed, fit, after = _plainest(task, placed, refit, runs, rounds[0])
+            if placed != wide_set:
+                notes.append(_WIDER_LAW.format(" and ".join(names_of(wide_set)), share))
+                share, status = _share_of_simpler(task, placed, fit, rounds)
             break
         notes.append(_REFUSED.format(" and ".join(names_of(placed))))
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
-        status = Status("unexplained", _WORSE)
-    kept = placed if found is not task.declared else ()
-    added = tuple(_added(task.plant, found, one) for one in kept)
-    others = ambiguous(rounds[0], names_of(kept)) if kept else ()
+        status = Status("unexplained", _FREE_RUN_WORSE)
+    accepted = placed if fit is not task.declared else ()
+    added = tuple(_added(task.plant, fit, location) for location in accepted)
+    rivals = ambiguous(rounds[0], names_of(accepted)) if accepted else ()
     return Discovery(
-        effects=names_of(kept),
+        effects=names_of(accepted),
         added=added,
-        ranking=ranking(task.plant, rounds, kept),
-        ambiguous_with=others,
-        advice=advice(rounds[0], others),
-        explained=share if kept else 0.0,
+        ranking=ranking(task.plant, rounds, accepted),
+        ambiguous_with=rivals,
+        advice=advice(rounds[0], rivals),
+        explained=share if accepted else 0.0,
         before=before[0],
         after=after[0],
         windows_before=before[1],
         windows_after=after[1],
         declared=task.declared,
-        found=found,
-        plant=found.plant,
+        found=fit,
+        plant=fit.plant,
         status=status,
-        notes=(*notes, *_at_ends(found, kept, rounds), *_vague(added)),
-        in_sample=not task.held,
-        held_out=task.held or task.records,
-        # What remains unexplained is looked at with the tests that need no hypothesis.
+        notes=(*notes, *_bound_and_grid_notes(fit, accepted, rounds), *_uncertain_effects(added)),
+        in_sample=not task.held_out,
+        held_out=task.held_out or task.records,
+        # An unexplained residual is examined with the tests that need no hypothesis.
         diagnosis=diagnose(task.declared, task.records) if status.code == "unexplained" else None,
     )
 
@@ -382,40 +413,45 @@ def _answer(
 def _lead(
     task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
 ) -> PartialExplanation | None:
-    """The last set that free runs get better with, though it takes too little to be an answer."""
-    for model, placed, done in reversed(steps):
+    """The last set that improves the free runs, though it explains too little to be an answer."""
+    for model, placed, step_rounds in reversed(steps):
         if not_simulated(model):
             continue
-        found = refitted(task, model, [])
-        runs = free_runs(task, found.plant)
-        if found.status.ok and holds(before, runs):
-            share, _, _ = explained(rounds if placed is steps[-1][1] else done)
-            added = tuple(_added(task.plant, found, one) for one in placed)
-            return PartialExplanation(added, share, found, *runs)
+        refit = refitted(task, model, [])
+        runs = free_runs(task, refit.plant)
+        if refit.status.ok and holds(before, runs):
+            share, _, _ = explained(rounds if placed is steps[-1][1] else step_rounds)
+            added = tuple(_added(task.plant, refit, location) for location in placed)
+            return PartialExplanation(added, share, refit, *runs)
     return None
 
 
-def _vague(added: Sequence[Added]) -> list[str]:
-    """Effects of which no parameter is known to half of its size."""
+def _uncertain_effects(added: Sequence[Added]) -> list[str]:
+    """Notes on effects of which every standard error exceeds half of its parameter."""
 
-    def vague(one: Added) -> bool:
-        pairs = ((abs(one.parameters[name]), error) for name, error in one.standard_errors.items())
+    def vague(addition: Added) -> bool:
+        pairs = (
+            (abs(addition.parameters[name]), error)
+            for name, error in addition.standard_errors.items()
+        )
         return all(error > 0.5 * value for value, error in pairs)
 
     return [
-        f"{_HARDLY} {one.effect.name.replace('_', ' ')}: every parameter of it has a standard "
-        "error above half of its value"
-        for one in added
-        if vague(one)
+        f"{_UNCERTAIN} {addition.effect.name.replace('_', ' ')}: every parameter of it has a "
+        "standard error above half of its value"
+        for addition in added
+        if vague(addition)
     ]
 
 
-def _by_plain(
-    task: Task, placed: tuple[Placed, ...], found: Identification, rounds: Sequence[Round]
+def _share_of_simpler(
+    task: Task, placed: tuple[Placed, ...], simple_fit: Identification, rounds: Sequence[Round]
 ) -> tuple[float, Status]:
-    """What a simpler set takes of the residual, in place of the one that was found."""
-    share, left, _ = explained(rounds, Round(task, found.plant, placed, rounds[-1]))
-    return share, answered(share, left)
+    """Share of the residual that a simpler set explains, and the status of that answer."""
+    share, relative_residual, _ = explained(
+        rounds, Round(task, simple_fit.plant, placed, rounds[-1])
+    )
+    return share, answered(share, relative_residual)
 
 
 _NO_SAMPLE = (
@@ -427,23 +463,25 @@ _NO_MODE = (
     "the records are too short for the cut-off {:.4g} rad/s: no frequency that they tell apart "
     "lies below it. Give a `lowpass` with a higher cut-off, or longer records"
 )
-_UNSEEN = "the injection shows nothing beyond the noise, but free runs do: it was found in these"
-_SEEN_THERE = ". `refine=True` looks for it in the free runs"
+_ONLY_FREE_RUN = (
+    "the injection shows nothing beyond the noise, but free runs do: it was found in these"
+)
+_REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"
-_REFITTED = "the refit of the augmented model ended as"
-_HARDLY = "the records hardly tell the size of"
-_WORSE = "the effects that fit the records make the free run on other data worse"
-_WIDER = "{} would take {:.1%} of the residual's power, and do no better in free runs"
-_AT_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
-_NO_RUN = "the effects that fit the records cannot be confirmed: no free run has them"
+_REFIT_STATUS = "the refit of the augmented model ended as"
+_UNCERTAIN = "the records hardly tell the size of"
+_FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"
+_WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in free runs"
+_AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
+_NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
 
 
 def _notes(task: Task) -> list[str]:
-    notes = resting_outputs(task.held, task.records)
-    if not task.held:
+    notes = resting_outputs(task.held_out, task.records)
+    if not task.held_out:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "
             "on other data. Give `validation`: records, or a share of these such as 0.3"
@@ -451,41 +489,45 @@ def _notes(task: Task) -> list[str]:
     return notes
 
 
-def _added(plant: Plant, found: Identification, one: Placed) -> Added:
-    channels = one.effect.channels(plant)
+def _added(plant: Plant, fit: Identification, placed: Placed) -> Added:
+    channels = placed.effect.channels(plant)
     return Added(
-        one.effect,
-        channels[one.channel],
-        {name: found.parameters[name] for name in one.names},
-        {name: found.standard_errors[name] for name in one.names},
-        one.effect.sentence,
-        *ends(plant, one),
+        placed.effect,
+        channels[placed.channel],
+        {name: fit.parameters[name] for name in placed.names},
+        {name: fit.standard_errors[name] for name in placed.names},
+        placed.effect.sentence,
+        *ends(plant, placed),
     )
 
 
-def _at_ends(found: Identification, kept: Sequence[Placed], rounds: Sequence[Round]) -> list[str]:
-    """A note for each declared parameter on a bound, and each shape that ended with its grid."""
-    spans = {placed: span for one in rounds for placed, span in one.found.spans.items()}
-    notes = on_bounds(rounds[0].task.plant, found.plant)
-    for one in kept:
-        if one not in spans:
+def _bound_and_grid_notes(
+    fit: Identification, placed_effects: Sequence[Placed], rounds: Sequence[Round]
+) -> list[str]:
+    """A note for each declared parameter on a bound, and each shape at an end of its grid."""
+    spans = {
+        placed: span for step in rounds for placed, span in step.candidate_search.spans.items()
+    }
+    notes = on_bounds(rounds[0].task.plant, fit.plant)
+    for placed in placed_effects:
+        if placed not in spans:
             continue
-        names = one.names[len(one.effect.gains) :]
-        for name, low, high in zip(names, spans[one].low, spans[one].high, strict=True):
-            value, close = found.parameters[name], _END * (high - low)
+        names = placed.names[len(placed.effect.gains) :]
+        for name, low, high in zip(names, spans[placed].low, spans[placed].high, strict=True):
+            value, close = fit.parameters[name], _END_TOLERANCE * (high - low)
             if value <= low + close:
-                notes.append(_AT_END.format(name, value, "smaller"))
+                notes.append(_AT_GRID_END.format(name, value, "smaller"))
             if value >= high - close:
-                notes.append(_AT_END.format(name, value, "larger"))
+                notes.append(_AT_GRID_END.format(name, value, "larger"))
     return notes
 
 
 def _failed(
-    declared: Identification, held: tuple[Record, ...], records: tuple[Record, ...]
+    declared: Identification, held_out: tuple[Record, ...], records: tuple[Record, ...]
 ) -> Discovery:
-    """The declared model could not be fitted: its status is the answer."""
+    """The discovery if the declared model could not be fitted: its status is the answer."""
     nothing = (None, None)
     return Discovery(
         (), (), (), (), "", 0.0, *nothing, *nothing, declared, declared, declared.plant,
-        declared.status, (), not held, held or records,
+        declared.status, (), not held_out, held_out or records,
     )  # fmt: skip

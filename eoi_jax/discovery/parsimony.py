@@ -1,8 +1,9 @@
-"""An effect that contains a simpler one must do better in free runs, not in the residual alone.
+"""Simpler models to compare in free runs with a model whose effects contain simpler effects.
 
-The residual of a few samples around rest is all that tells Stribeck friction from dry friction of
-one level: a spike narrower than the motion of one sample fits what the smoothing of the states
-does there. A free run has no smoothed states, and says whether the wider law is worth anything.
+An effect that contains a simpler one must improve the free runs, not only the residual. Only the
+residual of a few samples around rest distinguishes Stribeck friction from dry friction of one
+level: a spike narrower than the motion in one sample fits the error of the smoothed states there.
+A free run has no smoothed states, so it shows whether the wider law improves the model.
 Asymmetric friction, read as a level and an offset, contains the level alone.
 """
 
@@ -16,61 +17,68 @@ from eoi_jax.models.effects import ConstantOffset, CoulombFriction
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.plant import Plant
 
-# An offset beside dry friction is none within so many standard errors, or below this share of it.
-_SURE, _SHARE = 2.0, 1e-2
+# An offset beside dry friction is negligible within this number of standard errors, or below this
+# share of the friction level.
+_SIGNIFICANT, _SHARE = 2.0, 1e-2
 
 
 def simpler(
     declared: Plant,
-    found: Identification,
+    estimate: Identification,
     placed: Sequence[Placed],
     library: Sequence[AbstractEffect],
 ) -> Iterator[tuple[Placed, Plant, tuple[Placed, ...]]]:
-    """Each effect that contains a single other one; the model with that in its place.
+    """Each effect that contains exactly one simpler effect, with the simpler model.
 
     Args:
         declared: the plant without effects.
-        found: the estimate with them.
+        estimate: the fit of the plant with the effects.
         placed: the effects.
-        library: where the simpler ones are.
+        library: contains the simpler effects.
+
+    Yields:
+        The wide effect, the plant without it or with the simpler effect in its place, and the
+        effects of that plant.
     """
-    for i, one in enumerate(placed):
-        others = (*placed[:i], *placed[i + 1 :])
-        if _is_no_offset(found, one, others):
-            yield one, _rebuilt(declared, found.plant, others, {}), others
+    for i, wide in enumerate(placed):
+        remaining = (*placed[:i], *placed[i + 1 :])
+        if _is_negligible_offset(estimate, wide, remaining):
+            yield wide, _plant_with(declared, estimate.plant, remaining, {}), remaining
         for effect in library:
-            if isinstance(effect, AbstractTerm) and one.effect.contains == (effect.name,):
-                plain = place(declared, effect, one.channel, one.against, one.through)
-                if plain.site not in {other.site for other in others}:
-                    new = (*placed[:i], plain, *placed[i + 1 :])
-                    names = dict(zip(plain.names, one.names, strict=False))  # gains for gains
-                    yield one, _rebuilt(declared, found.plant, new, names), new
+            if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):
+                plain = place(declared, effect, wide.channel, wide.against, wide.through)
+                if plain.site not in {neighbor.site for neighbor in remaining}:
+                    candidate = (*placed[:i], plain, *placed[i + 1 :])
+                    names = dict(zip(plain.names, wide.names, strict=False))  # gains for gains
+                    yield wide, _plant_with(declared, estimate.plant, candidate, names), candidate
 
 
-def _is_no_offset(found: Identification, one: Placed, others: Sequence[Placed]) -> bool:
-    """Whether it is an offset beside dry friction that may as well be zero."""
-    if not isinstance(one.effect, ConstantOffset):
+def _is_negligible_offset(
+    estimate: Identification, offset: Placed, remaining: Sequence[Placed]
+) -> bool:
+    """Whether an effect is a constant offset beside dry friction that is close to zero."""
+    if not isinstance(offset.effect, ConstantOffset):
         return False
-    (name,) = one.names
-    value, error = abs(found.parameters[name]), found.standard_errors[name]
+    (name,) = offset.names
+    value, error = abs(estimate.parameters[name]), estimate.standard_errors[name]
     levels = [
-        found.parameters[other.names[0]]
-        for other in others
-        if isinstance(other.effect, CoulombFriction) and other.site[1:] == one.site[1:]
+        estimate.parameters[neighbor.names[0]]
+        for neighbor in remaining
+        if isinstance(neighbor.effect, CoulombFriction) and neighbor.site[1:] == offset.site[1:]
     ]
-    return any(value < max(_SURE * error, _SHARE * level) for level in levels)
+    return any(value < max(_SIGNIFICANT * error, _SHARE * level) for level in levels)
 
 
-def _rebuilt(
-    declared: Plant, whole: Plant, placed: Sequence[Placed], names: Mapping[str, str]
+def _plant_with(
+    declared: Plant, augmented_plant: Plant, placed: Sequence[Placed], names: Mapping[str, str]
 ) -> Plant:
-    """The plant with other effects, from the values that it has, some under other names."""
-    values = whole.parameters
+    """The plant with a new set of effects; `names` maps new parameter names to old ones."""
+    values = augmented_plant.parameters
     values |= {new: values[old] for new, old in names.items()}
-    pairs = zip(whole.lower, whole.upper, strict=True)
+    pairs = zip(augmented_plant.lower, augmented_plant.upper, strict=True)
     bounds = {
         name: (float(low), float(high))
-        for name, (low, high) in zip(whole.names, pairs, strict=True)
+        for name, (low, high) in zip(augmented_plant.names, pairs, strict=True)
     }
     plant = augmented(declared, placed, values, bounds)
     return plant.with_parameters(np.array([values[name] for name in plant.names]))

@@ -1,18 +1,18 @@
-r"""A discovered model refined by output error, with what only its free run shows.
+r"""Refine a discovered model by output error, and add effects that only its free run shows.
 
-The injection weighs what is missing by its force, the free run by its consequences: a small force
-that always pushes one way is next to nothing in the one, and most of the error in the other. So:
+The injection weights a missing effect by its force, the free run by its consequences: a small force
+of constant sign is negligible in the injection, but causes most of the free run's error. The steps:
 
 1. `refine` the model on the records of the fit.
-2. `remaining`: the most significant effect of those that the free run lacks, or two; add it, refine
-   again; as long as there is one and held-out free runs, whole and in windows, get better by it.
-3. `refine` what was kept over short runs: what a model still lacks adds up over a long one and
-   bends its parameters, and a long run that loses its phase tells nothing.
+2. `remaining`: find the most significant effect, or two, that the free run lacks; add and refine.
+   Repeat while there is one and the held-out free runs, whole and in windows, improve.
+3. `refine` the best model over short runs: the error of an incomplete model accumulates over a long
+   run and biases its parameters, and a long run that loses its phase is not informative.
 
-What is kept is the model with the lowest of these errors. The first refinement, which adds nothing,
-must only not be worse than what was discovered: at the noise both are equal, and it is the better
-estimate. What is added, and short runs in place of whole ones, must be worth more than a hundredth
-of these errors.
+The model with the lowest of these errors is kept. The first refinement, which adds nothing, only
+must not be worse than the discovered model: at the noise level both are equal, and the refinement
+is the better estimate. An addition, and a fit to short runs in place of whole ones, must reduce
+these errors by more than a hundredth.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns, whole_and_windows
 
-_MOST = 3  # times that something is added, at most
-_SAME = 0.01  # relative change of an error that is none
+_MAX_ADDITIONS = 3  # largest number of additions
+_NEGLIGIBLE = 0.01  # relative change of an error that counts as no change
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Polished:
     """The model that was kept.
 
     Attributes:
-        refinement: of it.
-        placed: what was added on the way, in this order.
-        runs: on the held-out records.
+        refinement: its refinement.
+        placed: the added effects, in the order of their addition.
+        runs: its free runs on the held-out records.
     """
 
     refinement: Refinement
@@ -51,70 +51,88 @@ class Polished:
 def polished(
     plant: Plant,
     records: Sequence[Record],
-    held: Sequence[Record],
+    validation: Sequence[Record],
     before: FreeRuns,
     window: float | None,
     effects: Sequence[AbstractEffect] | None = None,
 ) -> Polished | str:
-    """Refine a model, and add what its free run lacks.
+    """Refine a model, and add the effects that its free run lacks.
 
     Args:
-        plant: with the estimate of the passes.
-        records: to fit to.
-        held: to judge on.
-        before: free runs of `plant` on these.
-        window: of re-initialised free runs [s]; None where records are too short for them.
-        effects: to try; those of `remaining` by default.
+        plant: the plant with the estimate of the passes.
+        records: the records of the fit.
+        validation: the records on which models are compared.
+        before: free runs of `plant` on `validation`.
+        window: length of re-initialised free runs [s]; None if the records are too short for them.
+        effects: candidate effects; those of `remaining` by default.
 
     Returns:
-        The model that was kept, or why there is none.
+        The model that was kept, or the reason why there is none.
     """
-    whole = _over_whole_runs(plant, records, held, before, window, effects)
+    long_run_fit = _over_whole_runs(plant, records, validation, before, window, effects)
     if window is None:
-        return whole
-    start, runs, placed, most = plant, before, (), _SAME
-    if isinstance(whole, Polished):
-        start, runs, placed, most = whole.refinement.plant, whole.runs, whole.placed, -_SAME
-    one = refine(start, records, window=window)
-    short = Polished(one, placed, whole_and_windows(one.plant, held, window))
-    return short if one.status.ok and _better(runs, short.runs, most) else whole
+        return long_run_fit
+    start, runs, placed, allowed_change = plant, before, (), _NEGLIGIBLE
+    if isinstance(long_run_fit, Polished):
+        start, runs, placed, allowed_change = (
+            long_run_fit.refinement.plant,
+            long_run_fit.runs,
+            long_run_fit.placed,
+            -_NEGLIGIBLE,
+        )
+    refinement = refine(start, records, window=window)
+    short_run_fit = Polished(
+        refinement, placed, whole_and_windows(refinement.plant, validation, window)
+    )
+    return (
+        short_run_fit
+        if refinement.status.ok and _changes_less_than(runs, short_run_fit.runs, allowed_change)
+        else long_run_fit
+    )
 
 
 def _over_whole_runs(
     plant: Plant,
     records: Sequence[Record],
-    held: Sequence[Record],
+    validation: Sequence[Record],
     before: FreeRuns,
     window: float | None,
     effects: Sequence[AbstractEffect] | None,
 ) -> Polished | str:
-    kept: Polished | None = None
+    best: Polished | None = None
     placed: tuple[Placed, ...] = ()
-    for turn in range(1 + _MOST):
-        one = refine(plant, records)
-        if not one.status.ok:
-            return kept or f"not refined: {one.status}"
-        runs = whole_and_windows(one.plant, held, window)
-        if _better(before if kept is None else kept.runs, runs, -_SAME if placed else _SAME):
-            kept = Polished(one, placed, runs)
-        elif placed:  # held-out records refuse it
+    for iteration in range(1 + _MAX_ADDITIONS):
+        refinement = refine(plant, records)
+        if not refinement.status.ok:
+            return best or f"not refined: {refinement.status}"
+        runs = whole_and_windows(refinement.plant, validation, window)
+        if _changes_less_than(
+            before if best is None else best.runs, runs, -_NEGLIGIBLE if placed else _NEGLIGIBLE
+        ):
+            best = Polished(refinement, placed, runs)
+        elif placed:  # the addition does not improve the held-out free runs
             break
-        if turn == _MOST or plant.actuator is not None:  # `remaining` knows no actuators
+        if (
+            iteration == _MAX_ADDITIONS or plant.actuator is not None
+        ):  # `remaining` knows no actuators
             break
-        left = remaining(one, effects).best
-        if left is None:
+        missing = remaining(refinement, effects).best
+        if missing is None:
             break
-        plant, placed = augmented(one.plant, left.placed, left.values), (*placed, *left.placed)
-    return kept or "not refined: that makes free runs worse on the records that judge"
+        plant, placed = (
+            augmented(refinement.plant, missing.placed, missing.values),
+            (*placed, *missing.placed),
+        )
+    return best or "not refined: that makes free runs worse on the records that judge"
 
 
-def _better(before: FreeRuns, after: FreeRuns, most: float) -> bool:
-    """Whether the errors of all free runs, whole and in windows, change by less than `most`.
+def _changes_less_than(before: FreeRuns, after: FreeRuns, limit: float) -> bool:
+    """Whether the logarithms of all errors, whole and in windows, change by less than `limit`.
 
-    In their logarithms, of several outputs the mean.
+    Of several outputs the mean counts.
     """
     pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
     return all(
-        float(np.mean(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300)))) < most
+        float(np.mean(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300)))) < limit
         for old, new in pairs
     )

@@ -1,4 +1,4 @@
-"""What speaks against a name: rivals that explain as much, and the experiment that would tell."""
+"""Rival effects that explain as much as the chosen ones, and the experiment to tell them apart."""
 
 from collections.abc import Sequence
 
@@ -6,70 +6,76 @@ from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.round import TOLD_APART, Round
 from eoi_jax.models.effects.effect import AbstractEffect
 
-_RIVAL = 0.2  # share of what an effect takes alone, from which on another one is its rival
-_BEYOND = 0.5  # of an effect: what another one that contains it would add to it
+_RIVAL_SHARE = (
+    0.2  # share of the power that an effect explains alone: from it on, another effect is a rival
+)
+_EXTRA_SHARE = (
+    0.5  # share of an effect: a larger addition by an effect that contains it is ambiguous
+)
 
 
 def unrivalled(first: Round) -> bool:
-    """Whether the effect that matters most takes, alone, far more than any other one could."""
-    search, chosen = first.found, first.chosen
+    """Whether the main effect explains, on its own, far more power than any unrelated effect."""
+    search, chosen = first.candidate_search, first.chosen
     if not chosen.atoms:
         return False
 
-    def without(one: CandidateColumns) -> float:
-        return search.value(search.fit([other for other in chosen.atoms if other is not one]))
+    def value_without(atom: CandidateColumns) -> float:
+        return search.value(
+            search.fit([neighbor for neighbor in chosen.atoms if neighbor is not atom])
+        )
 
-    main = max(chosen.atoms, key=without).placed.effect
+    main = max(chosen.atoms, key=value_without).placed.effect
     empty, power = search.fit([]), search.base.signal_power
-    taken: dict[bool, float] = {True: 0.0, False: 0.0}
+    best_power: dict[bool, float] = {True: 0.0, False: 0.0}  # by whether it is the main effect
     for fit in [*search.extended(empty), *first.sets]:
         if len(fit.atoms) == 1 and fit.physical:
-            own = akin(fit.atoms[0].placed.effect, main)
-            share = power(empty.residual) - power(fit.residual)
-            taken[own] = max(taken[own], share)
-    return taken[False] < _RIVAL * taken[True]
+            is_main = akin(fit.atoms[0].placed.effect, main)
+            explained = power(empty.residual) - power(fit.residual)
+            best_power[is_main] = max(best_power[is_main], explained)
+    return best_power[False] < _RIVAL_SHARE * best_power[True]
 
 
-def akin(one: AbstractEffect, other: AbstractEffect) -> bool:
-    """Whether two effects are one law with more or fewer terms: Coulomb and Stribeck friction."""
-    return bool({one.name, *one.contains} & {other.name, *other.contains})
+def akin(first: AbstractEffect, second: AbstractEffect) -> bool:
+    """Whether one law contains the other or both share one, as Coulomb and Stribeck friction do."""
+    return bool({first.name, *first.contains} & {second.name, *second.contains})
 
 
-def ambiguous(first: Round, kept: Sequence[str]) -> tuple[str, ...]:
+def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
     """Names in sets no larger than the chosen one that the records support nearly as well.
 
-    And of an effect that contains a chosen one, where what it adds to that may well be large: it
-    cost more than it gained because the records hardly show it.
+    Also the name of an effect that contains a chosen one if its additional term may be large: its
+    penalty exceeded its gain because the records hardly excite that term.
     """
-    search, chosen, own = first.found, first.chosen, set(kept)
+    search, chosen, chosen_names = first.candidate_search, first.chosen, set(added)
     names: list[str] = []
     for fit in first.sets:
-        theirs = {one.placed.effect.name for one in fit.atoms}
-        contained = {name for one in fit.atoms for name in one.placed.effect.contains}
-        if not fit.physical or own <= theirs or len(fit.atoms) > len(chosen.atoms):
+        fit_names = {atom.placed.effect.name for atom in fit.atoms}
+        contained = {name for atom in fit.atoms for name in atom.placed.effect.contains}
+        if not fit.physical or chosen_names <= fit_names or len(fit.atoms) > len(chosen.atoms):
             continue
-        if own <= theirs | contained:
+        if chosen_names <= fit_names | contained:
             pairs = zip(fit.atoms, fit.gains, strict=True)
-            close = any(one.placed.effect.beyond(gains) > _BEYOND for one, gains in pairs)
+            close = any(atom.placed.effect.beyond(gains) > _EXTRA_SHARE for atom, gains in pairs)
         else:
             close = search.value(fit) - search.value(chosen) < TOLD_APART
         if close:
-            names += [name for name in sorted(theirs - own) if name not in names]
+            names += [name for name in sorted(fit_names - chosen_names) if name not in names]
     level_and_offset = ["coulomb_friction", "constant_offset"]
-    if "asymmetric_friction" in own:
-        names += [name for name in level_and_offset if name not in own]
-    elif own.issuperset(level_and_offset):
+    if "asymmetric_friction" in chosen_names:
+        names += [name for name in level_and_offset if name not in chosen_names]
+    elif chosen_names.issuperset(level_and_offset):
         names.append("asymmetric_friction")
-    return tuple(dict.fromkeys(name for name in names if name not in own))
+    return tuple(dict.fromkeys(name for name in names if name not in chosen_names))
 
 
-def advice(first: Round, others: Sequence[str]) -> str:
-    """Which experiment tells the candidates apart, by what they depend on."""
-    if not others:
+def advice(first: Round, rival_names: Sequence[str]) -> str:
+    """The experiment that distinguishes the candidates, by the signals that they depend on."""
+    if not rival_names:
         return ""
-    library = {one.placed.effect.name: one.placed.effect for one in first.found.grid}
-    kinds = {one.placed.effect.depends_on for one in first.chosen.atoms}
-    kinds |= {library[name].depends_on for name in others if name in library}
+    library = {atom.placed.effect.name: atom.placed.effect for atom in first.candidate_search.grid}
+    kinds = {atom.placed.effect.depends_on for atom in first.chosen.atoms}
+    kinds |= {library[name].depends_on for name in rival_names if name in library}
     return " ".join(_EXPERIMENT[kind] for kind in sorted(kinds))
 
 

@@ -1,4 +1,4 @@
-"""One round of discovery: the search from one model, and what the held-out records say of it."""
+"""A round of discovery: a search from a model, and the tests of its sets on held-out records."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
 from eoi_jax.discovery.search import Search
-from eoi_jax.discovery.side_by_side import each, waits
+from eoi_jax.discovery.side_by_side import map_in_threads, waits
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed, augmented, own_states, place
@@ -31,37 +31,39 @@ from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 
-_BAND = 2.0  # of the modes over the cut-off of F
-# Over that, where fast modes still tell something: far beyond F a rig has dynamics of its own.
-_WIDER = 2.0
-_PEAKS = 6  # frequencies at which a sinusoid is tried
-# Correlation of a motion with itself that counts as the same; harmonics of it that are looked for.
-_IN_STEP, _HARMONICS = 0.95, 4
-# Share of what a set leaves, and of what the model lacks, from which on a product refutes it.
-_MOST, _NOTABLE = 0.5, 0.005
-_NEXT = 3  # extensions of a set that are looked at
-_EQUAL = 1.5  # ratio of friction levels up to which they are read as one level and an offset
-TOLD_APART = 10.0  # twice the log-likelihood by which sets are progress apart
+_BAND_RATIO = 2.0  # of the modes over the cut-off of F
+# Largest increase of that band where fast modes are informative: far beyond F a rig has further
+# dynamics.
+_MAX_BAND_RATIO = 2.0
+_PEAK_COUNT = 6  # frequencies at which a sinusoid is tried
+# Autocorrelation from which on a motion is periodic; number of its harmonics that are tested.
+_PERIODIC_CORRELATION, _HARMONICS = 0.95, 4
+# Shares of a set's residual power, and of the power that the model lacks, above which a product of
+# signals refutes the set.
+_PRODUCT_SHARE, _NOTABLE = 0.5, 0.005
+_EXTENSIONS = 3  # extensions of a set that are evaluated
+_SIMILAR_LEVELS = 1.5  # largest ratio of friction levels that are read as a level and an offset
+TOLD_APART = 10.0  # difference of twice the log-likelihood above which sets are distinguished
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
 
 @dataclass(frozen=True)
 class Task:
-    """One discovery: what is fixed during it."""
+    """The constants of a discovery: the declared model, its records and the options."""
 
     plant: Plant
     prepared: PreparedRecords  # for the estimator
     records: tuple[Record, ...]
-    held: tuple[Record, ...]
+    held_out: tuple[Record, ...]
     effects: tuple[AbstractEffect, ...]
     declared: Identification
     alpha: float
-    most: int
+    max_effects: int
     window: float | None
 
     @cached_property
     def threads(self) -> int:
-        """How many may evaluate models beside this one; none where they would wait for ever."""
+        """Number of threads that evaluate models; 0 if they would deadlock (`side_by_side`)."""
         return 0 if waits(self.plant) else os.cpu_count() or 1
 
     @cached_property
@@ -69,55 +71,55 @@ class Task:
         """Highest frequency of the modes [rad/s]."""
         cutoff = self.declared.lowpass.cutoff
         telling = informative_band(self.plant, self.records)
-        return _BAND * float(np.clip(telling, cutoff, _WIDER * cutoff))
+        return _BAND_RATIO * float(np.clip(telling, cutoff, _MAX_BAND_RATIO * cutoff))
 
 
 class Round:
-    """One search from one model, after an `earlier` one."""
+    """A search from a model; an `earlier` round lends the columns that it has computed."""
 
     def __init__(
         self, task: Task, model: Plant, placed: Sequence[Placed], earlier: "Round | None" = None
     ):
         self.task, self.model, self.placed = task, model, tuple(placed)
-        self.stretches = [modal_record(model, one, task.band) for one in task.records]
-        self._known = earlier.terms if earlier and self._weighs_as(earlier) else {}
+        self.stretches = [modal_record(model, record, task.band) for record in task.records]
+        self._known_terms = earlier.terms if earlier and self._same_weights(earlier) else {}
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
-        self.denied: Fit | None = None  # the best set that the held-out records alone refuse
+        self.denied: Fit | None = None  # the best set that only the held-out records refuse
         self._made: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
-        self._beside = np.inf  # least that a set with a product leaves
+        self._least_with_product = np.inf  # least residual power of a set with a product
 
     @cached_property
-    def held(self) -> list[ModalRecord]:
-        """The held-out records."""
-        return [modal_record(self.model, one, self.task.band) for one in self.task.held]
+    def held_out_modes(self) -> list[ModalRecord]:
+        """The held-out records as modes."""
+        return [modal_record(self.model, record, self.task.band) for record in self.task.held_out]
 
-    def _weighs_as(self, other: "Round") -> bool:
-        """Whether the same samples count: the columns of a term are then the same."""
+    def _same_weights(self, previous: "Round") -> bool:
+        """Whether the weights of the samples are equal; the columns of a term then are too."""
         return all(
             np.array_equal(a, b)
-            for one, before in zip(self.stretches, other.stretches, strict=True)
-            for a, b in zip(one.weight, before.weight, strict=True)
+            for record, previous_record in zip(self.stretches, previous.stretches, strict=True)
+            for a, b in zip(record.weight, previous_record.weight, strict=True)
         )
 
     @property
     def terms(self) -> dict[Placed, list[CandidateColumns]]:
-        """The grid of each term that was searched."""
-        several: dict[Placed, list[CandidateColumns]] = {}
-        for one in self.found.grid:
-            if isinstance(one.placed.effect, AbstractTerm):
-                several.setdefault(one.placed, []).append(one)
-        return several
+        """The atoms of each searched term."""
+        grids: dict[Placed, list[CandidateColumns]] = {}
+        for atom in self.candidate_search.grid:
+            if isinstance(atom.placed.effect, AbstractTerm):
+                grids.setdefault(atom.placed, []).append(atom)
+        return grids
 
     @property
     def lacking(self) -> float:
-        """Power of what the model leaves beside constants: an offset may dwarf all that varies."""
-        present = {one.site for one in self.placed}
+        """Power of the model's residual without constants: an offset may dwarf the variations."""
+        present = {placed.site for placed in self.placed}
         constants = [
             atom
-            for one in placements(self.model, [ConstantOffset()])
-            if one.site not in present
-            for atom in self._make(one, np.zeros((1, 0)))
+            for placed in placements(self.model, [ConstantOffset()])
+            if placed.site not in present
+            for atom in self._make(placed, np.zeros((1, 0)))
         ]
         residual = fitted(self.base, constants, np.ones_like(self.base.target)).residual
         return self.base.signal_power(residual)
@@ -126,88 +128,93 @@ class Round:
         """Find the best set that the held-out records do not refuse.
 
         Args:
-            lacking: power that the declared model left, the measure of what matters.
+            lacking: residual power of the declared model, the reference of material effects.
         """
         task, model = self.task, self.model
-        present = {one.site for one in self.placed}
-        spilling = {one.effect.name for one in self.placed if one.on_state}
+        present = {placed.site for placed in self.placed}
+        spilling = {placed.effect.name for placed in self.placed if placed.on_state}
         peaks = self._peaks()
         cutoff = task.declared.lowpass.cutoff
-        looked = {
-            one: seen_at(model, one, self.stretches, cutoff, peaks, self._lags(one))
-            for one in placements(model, task.effects)
-            if one.site not in present and not (one.on_state and one.effect.name in spilling)
+        seen_signals = {
+            placed: seen_at(model, placed, self.stretches, cutoff, peaks, self._lags(placed))
+            for placed in placements(model, task.effects)
+            if placed.site not in present
+            and not (placed.on_state and placed.effect.name in spilling)
         }
-        self.candidates = [one for one, seen in looked.items() if one.effect.shows(seen)]
+        self.candidates = [
+            placed for placed, seen in seen_signals.items() if placed.effect.shows(seen)
+        ]
 
-        def gridded(one: Placed) -> list[CandidateColumns]:
-            shapes = one.effect.grid(looked[one])
-            known = self._known.get(one, [])
-            same = [atom.shape for atom in known] == [tuple(row) for row in shapes.tolist()]
-            return known if known and same else self._make(one, shapes)
+        def gridded(placed: Placed) -> list[CandidateColumns]:
+            shapes = placed.effect.grid(seen_signals[placed])
+            known_atoms = self._known_terms.get(placed, [])
+            unchanged = [atom.shape for atom in known_atoms] == [
+                tuple(row) for row in shapes.tolist()
+            ]
+            return known_atoms if known_atoms and unchanged else self._make(placed, shapes)
 
-        # Each effect is a kernel of its own: their compilers run side by side.
-        grid = list(chain.from_iterable(each(task.threads, gridded, self.candidates)))
-        names = len({one.effect.name for one in self.candidates})
-        self.found = Search(
-            self.base, grid, self._make, task.alpha, task.most, max(names, 1), lacking
+        # Each effect is a separate kernel: they are compiled in parallel.
+        grid = list(chain.from_iterable(map_in_threads(task.threads, gridded, self.candidates)))
+        names = len({placed.effect.name for placed in self.candidates})
+        self.candidate_search = Search(
+            self.base, grid, self._make, task.alpha, task.max_effects, max(names, 1), lacking
         )
-        self.sets = self.found.run()
+        self.sets = self.candidate_search.run()
         self.chosen = self._first_accepted()
-        self._made.clear()  # a round is kept to the end, what it tried is not
+        self._made.clear()  # the round stays in memory, its refined atoms need not
 
     @property
     def exhausted(self) -> bool:
-        """Whether the chosen set leaves no more than noise."""
+        """Whether the residual of the chosen set is noise."""
         power = expected_power(self.base.noise, self.base.local, self.base.output)
-        return float(np.mean(self.kept.residual**2 / power)) < _NOISE_LIKE
+        return float(np.mean(self.bounded_fit.residual**2 / power)) < _NOISE_LIKE
 
     @property
     def declared(self) -> Fit:
-        """The model without anything added, within its bounds."""
-        return within_bounds(self.base, self.found.fit([]), self.found.power)
+        """The fit of the model without added effects, within its bounds."""
+        return within_bounds(self.base, self.candidate_search.fit([]), self.candidate_search.power)
 
     @cached_property
-    def kept(self) -> Fit:
-        """The chosen set within the bounds of the model: what is added, and judged."""
-        return within_bounds(self.base, self.chosen, self.found.power)
+    def bounded_fit(self) -> Fit:
+        """The fit of the chosen set within the bounds of the model, which is added and tested."""
+        return within_bounds(self.base, self.chosen, self.candidate_search.power)
 
     def augmented(self, added: dict[Placed, tuple[float, ...]]) -> Plant:
         """The model with the chosen set, at its fitted values.
 
         Args:
-            added: the effects as they are read, with their parameters.
+            added: the effects with their parameters, as `read_friction` interprets them.
         """
-        return self._grown(self.kept, added)
+        return self._plant_with(self.bounded_fit, added)
 
-    def _grown(self, fit: Fit, added: dict[Placed, tuple[float, ...]]) -> Plant:
-        """The model with a set; fitted once more where internal states bend the columns."""
+    def _plant_with(self, fit: Fit, added: dict[Placed, tuple[float, ...]]) -> Plant:
+        """The model with a set; fitted again if internal states make the columns nonlinear."""
         theta = np.array(self.model.theta)
         theta[self.base.free] += fit.theta[: len(self.base.free)]
         theta = np.clip(theta, self.model.lower, self.model.upper)
         values = {
             name: value
-            for one, numbers in added.items()
-            for name, value in zip(one.names, numbers, strict=True)
+            for placed, numbers in added.items()
+            for name, value in zip(placed.names, numbers, strict=True)
         }
-        whole = augmented(self.model, list(added), values, self._bounds(list(added)))
-        wanted = np.concatenate([theta, np.asarray(whole.theta)[len(theta) :]])
+        plant = augmented(self.model, list(added), values, self._bounds(list(added)))
+        parameters = np.concatenate([theta, np.asarray(plant.theta)[len(theta) :]])
         if own_states(self.model) == 0:
-            return whole.with_parameters(wanted)
-        return settled(whole, self.stretches, self.found.power, wanted)
+            return plant.with_parameters(parameters)
+        return settled(plant, self.stretches, self.candidate_search.power, parameters)
 
     def _bounds(self, added: Sequence[Placed]) -> dict[str, tuple[float, float]]:
-        """Of the scales of what changes internal states: the ends of their grid.
+        """Bounds of the scales of effects on internal states: the ends of their grids.
 
-        What is faster than the modes is not in the data, and makes the model stiff.
+        Dynamics faster than the modes are not in the data and make the model stiff.
         """
         bounds = {}
-        for one in added:
-            gains = len(one.effect.gains)
-            for d, parameter in enumerate(one.effect.shapes if one.on_state else ()):
+        for placed in added:
+            gains = len(placed.effect.gains)
+            for d, parameter in enumerate(placed.effect.shapes if placed.on_state else ()):
                 if parameter.lower == 0.0:
-                    span = self.found.spans[one]
-                    bounds[one.names[gains + d]] = (float(span.low[d]), float(span.high[d]))
+                    span = self.candidate_search.spans[placed]
+                    bounds[placed.names[gains + d]] = (float(span.low[d]), float(span.high[d]))
         return bounds
 
     def _make(
@@ -215,40 +222,47 @@ class Round:
     ) -> list[CandidateColumns]:
         key = (placed, shapes.tobytes())
         if key not in self._made:  # sets that share an effect ask for the same shapes
-            late = self._late(placed)
-            self._made[key] = atoms(self.model, placed, shapes, self.stretches, late)
+            delay = self._delay_parameter(placed)
+            self._made[key] = atoms(self.model, placed, shapes, self.stretches, delay)
         return self._made[key]
 
     def _peaks(self) -> Float[np.ndarray, " peaks"]:
-        """Frequencies at which the residual of the declared model stands out."""
+        """Frequencies [rad/s] of the peaks in the residual of the declared model."""
         peaks, first = [], 0
-        for one in self.stretches:
+        for record in self.stretches:
             for _ in self.model.outputs:
-                own = slice(first, first + len(one.omega))
-                peaks += _standing_out(one.omega, *(part[own] for part in self._left))
-                first = own.stop
+                rows = slice(first, first + len(record.omega))
+                peaks += _residual_peaks(
+                    record.omega, *(part[rows] for part in self._residual_and_power)
+                )
+                first = rows.stop
         free = (peak for peak in strongest(peaks) if not in_step(self.stretches, peak))
-        return np.asarray(list(islice(free, _PEAKS)))
+        return np.asarray(list(islice(free, _PEAK_COUNT)))
 
     def _lags(self, placed: Placed) -> Float[np.ndarray, " lags"]:
-        """Lags at which the residual of the declared model follows an input."""
+        """Lags [s] at which the residual of the declared model follows an input."""
         if not isinstance(placed.effect, AbstractActuator):
             return np.zeros(0)
-        return lags(self.model, self.stretches, *self._left, placed.channel)
+        return lags(self.model, self.stretches, *self._residual_and_power, placed.channel)
 
     @cached_property
-    def _left(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-        """What the declared model leaves, and its power S."""
+    def _residual_and_power(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+        """The residual of the declared model, and its power S."""
         base = self.base
         residual = fitted(base, [], np.ones_like(base.target)).residual
         return residual, fitted_power(residual, base.noise, base.local, base.output)
 
-    def _late(self, placed: Placed) -> str | None:
-        """The time by which an effect that is in the model delays the same input."""
+    def _delay_parameter(self, placed: Placed) -> str | None:
+        """Name of the parameter by which an effect in the model delays the same input."""
         if not isinstance(placed.effect, AbstractActuator):
             return None
-        own = (one for one in self.placed if isinstance(one.effect, AbstractActuator))
-        return next((one.names[0] for one in own if one.channel == placed.channel), None)
+        actuators = (
+            actuator for actuator in self.placed if isinstance(actuator.effect, AbstractActuator)
+        )
+        return next(
+            (actuator.names[0] for actuator in actuators if actuator.channel == placed.channel),
+            None,
+        )
 
     def _first_accepted(self) -> Fit:
         for i, fit in enumerate(self.sets):
@@ -256,101 +270,114 @@ class Round:
                 return fit
             if self._accepted(fit):
                 return self._preferred(fit, self.sets[i + 1 :])
-        return self.found.fit([])
+        return self.candidate_search.fit([])
 
     def _accepted(self, fit: Fit) -> bool:
-        worth = fit.physical and self.found.material(fit)
-        return worth and self._complete(fit) and self._better(fit)
+        justified = fit.physical and self.candidate_search.material(fit)
+        return justified and self._passes_product_test(fit) and self._lowers_held_out_error(fit)
 
-    def _preferred(self, fit: Fit, others: Sequence[Fit]) -> Fit:
-        """Of sets that the records do not tell apart, another one if the held-out records do.
+    def _preferred(self, fit: Fit, remaining: Sequence[Fit]) -> Fit:
+        """The set that the held-out records prefer among those that the records do not distinguish.
 
-        A dead zone that is never entered is an offset, until it is entered in another record.
+        A dead zone that is never entered equals an offset, unless a held-out record enters it.
         """
-        search = self.found
-        near = [
-            one
-            for one in others
-            if 0 < len(one.atoms) <= len(fit.atoms)
-            and search.value(one) - search.value(fit) < TOLD_APART
+        search = self.candidate_search
+        alternatives = [
+            alternative
+            for alternative in remaining
+            if 0 < len(alternative.atoms) <= len(fit.atoms)
+            and search.value(alternative) - search.value(fit) < TOLD_APART
         ]
-        if not near or not self.task.held:
+        if not alternatives or not self.task.held_out:
             return fit
-        base = base_of(self.model, self.held)
-        own = self._held_residual(base, fit)
-        power = fitted_power(own, base.noise, base.local, base.output)
+        base = base_of(self.model, self.held_out_modes)
+        residual = self._held_out_residual(base, fit)
+        power = fitted_power(residual, base.noise, base.local, base.output)
 
-        def cost(one: Fit) -> float:
-            return float(np.sum(self._held_residual(base, one) ** 2 / power))
+        def cost(alternative: Fit) -> float:
+            return float(np.sum(self._held_out_residual(base, alternative) ** 2 / power))
 
-        best = min(near, key=cost)
-        if cost(best) > float(np.sum(own**2 / power)) - TOLD_APART or not self._accepted(best):
+        best = min(alternatives, key=cost)
+        if cost(best) > float(np.sum(residual**2 / power)) - TOLD_APART or not self._accepted(best):
             return fit
         for placed in fit.keys - best.keys:
-            self.refused[placed] = f"the held-out records prefer {_named(best.keys - fit.keys)}"
+            self.refused[placed] = (
+                f"the held-out records prefer {_effect_names(best.keys - fit.keys)}"
+            )
         return best
 
-    def _complete(self, fit: Fit) -> bool:
-        """Whether no term that the library lacks takes most of what a set and one more leave.
+    def _passes_product_test(self, fit: Fit) -> bool:
+        """Whether no product of signals explains most of the residual of a set and its extensions.
 
-        Regression specification error test (Ramsey 1969): an answer that is right leaves nothing in
-        products of signals. A gain that varies with position or time is nearly an offset or a
-        disturbance where signals vary little about their mean; the rest gives it away.
+        Regression specification error test (Ramsey 1969): the residual of a correct set does not
+        correlate with products of signals. A gain that varies with position or time resembles an
+        offset or a disturbance if signals vary little about their mean; the residual reveals it.
         """
-        power, found = self.base.signal_power, self.found
-        # What one more effect of the library takes is not held against the set.
-        left = min(power(one.residual) for one in [fit, *found.extended(fit)[:_NEXT]])
-        held = {product: one.placed for one in reversed(fit.atoms) for product in _products(one)}
-        for (product, shape), refused in held.items():
-            more = self._make(product, np.reshape(shape, (1, -1)))
-            # Also against what products left of a better set: its twin is no better.
-            rest = power(found.fit([*fit.atoms, *more]).residual)
-            self._beside = min(rest, self._beside)
-            if left - self._beside > max(_MOST * left, _NOTABLE * found.lacking):
-                self.refused[refused] = "a product of signals takes most of the rest"
+        power, search = self.base.signal_power, self.candidate_search
+        # A residual that a further effect of the library explains does not count against the set.
+        remainder = min(
+            power(extended.residual) for extended in [fit, *search.extended(fit)[:_EXTENSIONS]]
+        )
+        products = {
+            product: atom.placed for atom in reversed(fit.atoms) for product in _products(atom)
+        }
+        for (product, shape), placed in products.items():
+            product_atoms = self._make(product, np.reshape(shape, (1, -1)))
+            # Also compare with products beside better sets: an equivalent set fails like them.
+            with_product = power(search.fit([*fit.atoms, *product_atoms]).residual)
+            self._least_with_product = min(with_product, self._least_with_product)
+            if remainder - self._least_with_product > max(
+                _PRODUCT_SHARE * remainder, _NOTABLE * search.lacking
+            ):
+                self.refused[placed] = "a product of signals takes most of the rest"
                 return False
-            # One that does better than the whole set: the set imitates it.
-            if power(fit.residual) - power(found.fit(more).residual) > _NOTABLE * found.lacking:
-                self.refused[refused] = "a product of signals takes more, alone"
+            # A product that alone explains more than the set: the set imitates it.
+            if (
+                power(fit.residual) - power(search.fit(product_atoms).residual)
+                > _NOTABLE * search.lacking
+            ):
+                self.refused[placed] = "a product of signals takes more, alone"
                 return False
         return True
 
-    def _better(self, fit: Fit) -> bool:
+    def _lowers_held_out_error(self, fit: Fit) -> bool:
         """Each effect must lower the held-out error beside the others."""
-        if not self.task.held:
+        if not self.task.held_out:
             return True
-        base = base_of(self.model, self.held)
-        residual = self._held_residual(base, fit)
+        base = base_of(self.model, self.held_out_modes)
+        residual = self._held_out_residual(base, fit)
         power = fitted_power(residual, base.noise, base.local, base.output)
-        for one in fit.atoms:
-            rest = self.found.fit([other for other in fit.atoms if other is not one])
-            without = self._held_residual(base, rest)
-            if float(np.sum(without**2 / power)) <= float(np.sum(residual**2 / power)):
-                self.refused[one.placed] = "held-out error grows"
+        for atom in fit.atoms:
+            fit_without = self.candidate_search.fit(
+                [neighbor for neighbor in fit.atoms if neighbor is not atom]
+            )
+            residual_without = self._held_out_residual(base, fit_without)
+            if float(np.sum(residual_without**2 / power)) <= float(np.sum(residual**2 / power)):
+                self.refused[atom.placed] = "held-out error grows"
                 self.denied = fit if self.denied is None else self.denied
                 return False
         return True
 
-    def _held_residual(self, base: Base, fit: Fit) -> Float[np.ndarray, " rows"]:
-        """What the set leaves on the held-out records, at the parameters of the fit."""
+    def _held_out_residual(self, base: Base, fit: Fit) -> Float[np.ndarray, " rows"]:
+        """The residual of the set on the held-out records, at the parameters of the fit."""
         if own_states(self.model) > 0:
-            return model_rows(self._grown(fit, values_of(fit)), self.held)[0][0]
-        made = [
+            return model_rows(self._plant_with(fit, values_of(fit)), self.held_out_modes)[0][0]
+        candidates = [
             atoms(
                 self.model,
-                one.placed,
-                np.reshape(one.shape, (1, -1)),
-                self.held,
-                self._late(one.placed),
+                atom.placed,
+                np.reshape(atom.shape, (1, -1)),
+                self.held_out_modes,
+                self._delay_parameter(atom.placed),
             )[0]
-            for one in fit.atoms
+            for atom in fit.atoms
         ]
-        target, columns = system(base, made)
+        target, columns = system(base, candidates)
         return target - columns @ fit.theta
 
 
-def _standing_out(omega: np.ndarray, residual: np.ndarray, power: np.ndarray) -> list[Peak]:
-    """Frequencies [rad/s] of the maxima of one output of one record."""
+def _residual_peaks(omega: np.ndarray, residual: np.ndarray, power: np.ndarray) -> list[Peak]:
+    """Peaks over frequency [rad/s] of the residual of an output in a record."""
     ratio = residual**2 / power
     ratio = ratio[:-1] + ratio[1:]  # a frequency between two modes shows in both
     inner = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] >= ratio[2:])
@@ -360,53 +387,54 @@ def _standing_out(omega: np.ndarray, residual: np.ndarray, power: np.ndarray) ->
     ]
 
 
-def _named(several: Iterable[Placed]) -> str:
-    return " and ".join(sorted({one.effect.name for one in several}))
+def _effect_names(effects: Iterable[Placed]) -> str:
+    return " and ".join(sorted({placed.effect.name for placed in effects}))
 
 
-def _products(one: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
-    """What is held against an effect, with its shape parameters."""
+def _products(atom: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
+    """The products of signals that can refute an effect, with their shape parameters."""
     pairs = (("u", "y"), ("u", "v"), ("y", "v"))
-    held: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
-    if isinstance(one.placed.effect, SinusoidalDisturbance):
-        held += [(ModulatedSinusoid(by), one.shape) for by in ("y", "v", "u")]
-    where = one.placed.output, one.placed.through
-    return [(Placed(term, where[0], (), through=where[1]), shape) for term, shape in held]
+    terms: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
+    if isinstance(atom.placed.effect, SinusoidalDisturbance):
+        terms += [(ModulatedSinusoid(signal), atom.shape) for signal in ("y", "v", "u")]
+    location = atom.placed.output, atom.placed.through
+    return [(Placed(term, location[0], (), through=location[1]), shape) for term, shape in terms]
 
 
 def in_step(stretches: Sequence[ModalRecord], omega: float) -> bool:
-    """Whether the motion repeats, or mirrors, itself after some periods of a frequency [rad/s].
+    """Whether the motion repeats itself, with either sign, after some periods of a frequency.
 
-    Then it has harmonics there, and so has everything that depends on it: a disturbance of that
-    frequency cannot be progress from a friction or spring that the library does not have.
+    Then it has harmonics at that frequency (`omega` [rad/s]), and so has everything that depends on
+    it: a disturbance of that frequency cannot be distinguished from a friction or spring that the
+    library lacks.
     """
     if omega <= 0.0:
         return False
     for j in range(stretches[0].y.shape[2]):
         for periods in range(1, _HARMONICS + 1):
             products = np.zeros(3)
-            for one in stretches:
-                lag = round(2.0 * np.pi * periods / (omega * one.sample_period))
-                speed = np.diff(one.y[:, 0, j])
+            for record in stretches:
+                lag = round(2.0 * np.pi * periods / (omega * record.sample_period))
+                speed = np.diff(record.y[:, 0, j])
                 if lag <= len(speed) // 2:
                     a, b = speed[lag:], speed[: len(speed) - lag]
                     products += [np.sum(a * b), np.sum(a * a), np.sum(b * b)]
-            both, first, second = products
-            if abs(both) > _IN_STEP * np.sqrt(first * second):
+            product, first, second = products
+            if abs(product) > _PERIODIC_CORRELATION * np.sqrt(first * second):
                 return True
     return False
 
 
 def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
-    """The declared model along the records, as modes."""
+    """The residual and the slopes of the declared model along the records, as modes."""
     error, slopes = model_rows(model, stretches)
     free = np.flatnonzero(model.free)
     parts, noise, output = [], [], []
-    for one in stretches:
+    for record in stretches:
         for j in range(len(model.outputs)):
-            parts.append(local_power(one.rows(one.highest[j])))
-            noise.append(one.noise[:, j])
-            output.append(np.full(len(one.omega), j))
+            parts.append(local_power(record.rows(record.highest[j])))
+            noise.append(record.noise[:, j])
+            output.append(np.full(len(record.omega), j))
     return Base(
         error[0],
         slopes[0][:, free],
@@ -424,24 +452,26 @@ def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
 def values_of(fit: Fit) -> dict[Placed, tuple[float, ...]]:
     """Parameters of each effect of a set, gains first."""
     return {
-        one.placed: (*(float(gain) for gain in gains), *one.shape)
-        for one, gains in zip(fit.atoms, fit.gains, strict=True)
+        atom.placed: (*(float(gain) for gain in gains), *atom.shape)
+        for atom, gains in zip(fit.atoms, fit.gains, strict=True)
     }
 
 
 def read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:
-    """The set, with asymmetric dry friction read as it is commonly meant.
+    """The set, with asymmetric dry friction of similar levels read as a level and an offset.
 
-    Two levels c₊, c₋ and one level (c₊ + c₋)/2 beside an offset (c₋ - c₊)/2 are the same function.
-    Nearly equal levels are called Coulomb friction and an offset, very different ones asymmetric.
+    Two levels c₊, c₋ and a level (c₊ + c₋)/2 beside an offset (c₋ - c₊)/2 are the same function.
+    Similar levels are called Coulomb friction and an offset, very different ones asymmetric.
     """
     added = {}
     for placed, values in values_of(fit).items():
-        if isinstance(placed.effect, AsymmetricFriction) and max(values) < _EQUAL * min(values):
+        if isinstance(placed.effect, AsymmetricFriction) and max(values) < _SIMILAR_LEVELS * min(
+            values
+        ):
             forward, backward = values
-            where = placed.channel, placed.against, placed.through
-            level = place(plant, CoulombFriction(), *where)
-            offset = place(plant, ConstantOffset(), *where)
+            location = placed.channel, placed.against, placed.through
+            level = place(plant, CoulombFriction(), *location)
+            offset = place(plant, ConstantOffset(), *location)
             added[level] = (0.5 * (forward + backward),)
             added[offset] = (0.5 * (backward - forward),)
         else:

@@ -1,8 +1,8 @@
 """Evaluations of a plant in several threads, where XLA lets them.
 
-XLA hands a batched factorisation or Fourier transform to its threads and waits in one of them until
-they are done. As many such waits at once as there are threads, and none is left to do the work: two
-evaluations of a plant with `jnp.linalg.solve` in it hang on two cores for ever (jaxlib 0.10.2).
+XLA runs a batched factorisation or Fourier transform in its thread pool, and one thread of the pool
+waits for the result. If every thread waits, none can do the work: two simultaneous evaluations of a
+plant with `jnp.linalg.solve` deadlock on two cores (jaxlib 0.10.2).
 Such plants are evaluated one after the other.
 """
 
@@ -25,28 +25,30 @@ Result = TypeVar("Result")
 def waits(plant: Plant) -> bool:
     """Whether XLA waits for threads of its own where it evaluates a plant."""
 
-    def both(y: Any, u: Any) -> Any:
+    def rates(y: Any, u: Any) -> Any:
         theta = jnp.asarray(plant.theta)
         x, t = State(y, plant.internal_start(theta)), jnp.zeros(())
         return plant.derivative(t, x, u, theta), plant.internal_rate(t, x, u, theta)
 
     y, u = (plant.relative_degree, len(plant.outputs)), (len(plant.inputs),)
-    shapes = (jax.ShapeDtypeStruct((2, *one), jnp.result_type(float)) for one in (y, u))
-    text = jax.jit(jax.vmap(both)).lower(*shapes).as_text()
-    return any(one in text for one in _WAITS)
+    shapes = (jax.ShapeDtypeStruct((2, *shape), jnp.result_type(float)) for shape in (y, u))
+    text = jax.jit(jax.vmap(rates)).lower(*shapes).as_text()
+    return any(operation in text for operation in _WAITS)
 
 
-def each(threads: int, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """A function of several items, in so many threads; without any one after the other."""
+def map_in_threads(
+    threads: int, function: Callable[[Item], Result], items: Iterable[Item]
+) -> list[Result]:
+    """Apply a function to each item in `threads` threads; with 0 threads, sequentially."""
     if not threads:
-        return [function(one) for one in items]
+        return [function(item) for item in items]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(function, items))
 
 
 @contextmanager
-def aside(threads: int, call: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
-    """The result of a call that goes on beside the block; without threads it is made before."""
+def concurrently(threads: int, call: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
+    """Run a call in a thread while the block runs; with 0 threads, before the block."""
     if not threads:
         result = call()
         yield lambda: result

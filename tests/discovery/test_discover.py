@@ -657,7 +657,7 @@ def undecided(rise: float) -> tuple[str, ...]:
         )
         fits.append(Fit((atom,), np.asarray(gains), np.ones(rows), cost, True))
     first = object.__new__(Round)
-    first.found = Search(base, [], lambda placed, shapes: [], 0.01, 3, 20, 1.0)
+    first.candidate_search = Search(base, [], lambda placed, shapes: [], 0.01, 3, 20, 1.0)
     first.sets, first.chosen = fits, fits[0]
     return ambiguous(first, ("coulomb_friction",))
 

@@ -71,7 +71,7 @@ def test_short_runs_have_one_length_in_seconds_whatever_the_sample_periods(task)
     """50 Hz beside 1 kHz: a tenth of 20 s, and never fewer than 100 samples of the coarser one."""
     fast, slow = of_period(1e-3, 20.0), of_period(2e-2, 20.0)
     assert window_of(task, [fast, slow]) == window_of(task, [slow, fast]) == pytest.approx(2.0)
-    _, short = free_runs(replace(task, held=(fast, slow)), TRUE)
+    _, short = free_runs(replace(task, held_out=(fast, slow)), TRUE)
     assert short is not None
     assert np.all(short.rmse < 1e-6)
     brief = of_period(1e-3, 5.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.discovery.side_by_side import aside, each, waits
+from eoi_jax.discovery.side_by_side import concurrently, map_in_threads, waits
 
 
 def arm(t, x, u, p):
@@ -47,11 +47,11 @@ def test_results_come_in_order_and_errors_as_they_are(threads):
     def thread_of(number: int) -> tuple[int, int]:
         return number, threading.get_ident()
 
-    got = each(threads, thread_of, [3, 1, 2])
+    got = map_in_threads(threads, thread_of, [3, 1, 2])
     assert [number for number, _ in got] == [3, 1, 2]
-    with aside(threads, threading.get_ident) as there:
+    with concurrently(threads, threading.get_ident) as there:
         got.append((0, there()))
     own = threading.get_ident()
     assert all((ident == own) == (threads == 0) for _, ident in got)
     with pytest.raises(ZeroDivisionError):
-        each(threads, lambda one: 1 / one, [0])
+        map_in_threads(threads, lambda one: 1 / one, [0])
