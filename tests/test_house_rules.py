@@ -360,11 +360,9 @@ def identifiers(tree):
 
 
 def test_names_say_what_a_thing_is():
-    """Fewer than one use in two hundred is a function word; `discovery/` is still to be renamed."""
+    """Fewer than one use in two hundred is a function word."""
     uses, words = 0, Counter()
     for path in FILES:
-        if part_of(path) == "discovery":
-            continue
         for name, allowed in identifiers(ast.parse(path.read_text())):
             uses += 1
             word = name.strip("_").lower()
