@@ -349,15 +349,13 @@ def _answer(
     """The discovery from the rounds of the search; the last steps may be refused."""
     notes = _notes(task)
     placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
-    share, relative_residual, quiet = explained(rounds)
+    share, residual_ratio, quiet = explained(rounds)
     unrivalled_effect = bool(task.held_out) and unrivalled(rounds[0])
-    status = unless_denied(judged(placed, share, relative_residual, quiet), rounds[0])
+    status = unless_denied(judged(placed, share, residual_ratio, quiet), rounds[0])
     fit, after = task.declared, before
     for model, placed, step_rounds in reversed(steps):
-        share, relative_residual, quiet = explained(
-            rounds if placed is steps[-1][1] else step_rounds
-        )
-        verdict = judged(placed, share, relative_residual, quiet, unrivalled_effect)
+        share, residual_ratio, quiet = explained(rounds if placed is steps[-1][1] else step_rounds)
+        verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
         if verdict.code != "explained":
             break
         refusal = not_simulated(model)
@@ -370,9 +368,7 @@ def _answer(
         if not refit.status.ok:
             notes.append(f"{_REFIT_STATUS} {refit.status}")
         runs = free_runs(task, refit.plant)
-        if judged(placed, share, relative_residual, quiet) != verdict and not confirmed(
-            before, runs
-        ):
+        if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(before, runs):
             break
         if holds(before, runs):
             status, wide_set = verdict, placed
