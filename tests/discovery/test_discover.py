@@ -700,7 +700,7 @@ def test_an_effect_of_unknown_size_is_said(errors, told):
         effects.Overflow(), "level", dict(zip(names, (1.0, -2.0), strict=True)),
         dict(zip(names, errors, strict=True)), "an overflow",
     )  # fmt: skip
-    notes = import_module("eoi_jax.discovery.discover")._vague([one])
+    notes = import_module("eoi_jax.discovery.discover")._uncertain_effects([one])
     assert len(notes) == told
     assert all("overflow" in note and "half" in note for note in notes)
 
