@@ -204,7 +204,8 @@ def evaluate(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) ->
 # -- simplification ---------------------------------------------------------------------------
 
 
-def _is_value(node: Node, value: float) -> bool:
+def is_value(node: Node, value: float) -> bool:
+    """Whether a node is this constant."""
     return node.op == "constant" and not node.is_bool and node.value == value
 
 
@@ -215,17 +216,17 @@ def _simplify(graph: Graph, op: str, args: tuple[Node, ...]) -> Node | None:
 
 
 def _add(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is_value(a, 0.0) or _is_value(b, 0.0):
-        return b if _is_value(a, 0.0) else a
+    if is_value(a, 0.0) or is_value(b, 0.0):
+        return b if is_value(a, 0.0) else a
     if b.op == "neg":
         return graph.make("sub", a, b.args[0])
     return graph.make("sub", b, a.args[0]) if a.op == "neg" and not graph.as_written else None
 
 
 def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is_value(b, 0.0):
+    if is_value(b, 0.0):
         return a
-    if _is_value(a, 0.0):
+    if is_value(a, 0.0):
         return graph.make("neg", b)
     if b.op == "neg":
         return graph.make("add", a, b.args[0])
@@ -236,23 +237,23 @@ def _sub(graph: Graph, a: Node, b: Node) -> Node | None:
 
 def _mul(graph: Graph, a: Node, b: Node) -> Node | None:
     for x, y in ((a, b), (b, a)):
-        if _is_value(x, 0.0):
+        if is_value(x, 0.0):
             return x
-        if _is_value(x, 1.0):
+        if is_value(x, 1.0):
             return y
-        if _is_value(x, -1.0):
+        if is_value(x, -1.0):
             return graph.make("neg", y)
         if x.op == "neg":
             sides = (x.args[0], y) if x is a else (y, x.args[0])
             return graph.make("neg", graph.make("mul", *sides))
-        flag = x.op == "select" and _is_value(x.args[1], 1.0) and _is_value(x.args[2], 0.0)
+        flag = x.op == "select" and is_value(x.args[1], 1.0) and is_value(x.args[2], 0.0)
         if flag and not graph.as_written:
             return graph.make("select", x.args[0], y, x.args[2])
     return None
 
 
 def _div(graph: Graph, a: Node, b: Node) -> Node | None:
-    if _is_value(b, 1.0) or (_is_value(a, 0.0) and not _is_value(b, 0.0)):
+    if is_value(b, 1.0) or (is_value(a, 0.0) and not is_value(b, 0.0)):
         return a
     if a.op == "neg":
         return graph.make("neg", graph.make("div", a.args[0], b))

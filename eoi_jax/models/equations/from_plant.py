@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.graph import Graph, Node, Untranslatable, topological_order
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable, is_value, topological_order
 from eoi_jax.compiler.trace import translate
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
@@ -285,18 +285,14 @@ def _guarded(node: Node) -> Node | None:
     wet, first, second = node.args
     if (
         first.op == "sqrt"
-        and _is_value(second, 0.0)
+        and is_value(second, 0.0)
         and wet.op == "lt"
-        and _is_value(wet.args[0], 0.0)
+        and is_value(wet.args[0], 0.0)
     ):
         inner, x = first.args[0], wet.args[1]
         if inner is x or (inner.op == "select" and inner.args[:2] == (wet, x)):
             return x
     return None
-
-
-def _is_value(node: Node, value: float) -> bool:
-    return node.op == "constant" and not node.is_bool and node.value == value
 
 
 def _arranged(sign: str, lhs: Expression, rhs: Expression) -> Expression:
