@@ -116,7 +116,7 @@ def outputs_of(
         starts_by_row = begins * first[index // steps]
         rows = np.concatenate([time[index, None], inputs[index], begins, starts_by_row], axis=1)
         (part,) = begun.outputs(rows, len(rows))
-        output_parts.append(part[:, : len(plant.outputs)])
+        output_parts.append(part[:, : len(plant.outputs)].copy())  # not the whole vector
     y = np.concatenate(output_parts).reshape(runs, steps, -1)
     last_substeps = slice(drives.substeps - 1, None, drives.substeps)
     return np.concatenate([starts.y[:, :1], y[:, last_substeps]], axis=1)
