@@ -4,6 +4,7 @@ The commands are imported after the handlers of the signals that end a process a
 """
 
 import contextlib
+import gc
 import os
 import sys
 
@@ -15,6 +16,9 @@ _ERROR, _INTERRUPTED = 2, 130
 
 def main() -> None:
     """Run the command ``eoi``."""
+    # Modules, traces and figures are millions of objects that stay: Python's default of a
+    # collection every 700 of them takes a twentieth of a short command.
+    gc.set_threshold(50_000)
     try:
         try:
             with handle(interrupt):
