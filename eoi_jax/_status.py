@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 # Codes of a fit in which every free parameter has an estimate.
-ANSWERED = ("converged", "passes_exhausted", "stalled")
+ANSWERED = ("converged", "passes_exhausted", "stalled", "undersampled")
 
 
 @dataclass(frozen=True)
@@ -12,9 +12,10 @@ class Status:
 
     Attributes:
         code: for programs: ``"converged"``, ``"passes_exhausted"``,
-            ``"stalled"``, ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery
-            ``"explained"``, ``"nothing_missing"``, ``"unexplained"``; of a
-            method in a comparison ``"not_applicable"``, ``"failed"``.
+            ``"stalled"``, ``"undersampled"`` (the estimate has a mode faster than the sampling),
+            ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery ``"explained"``,
+            ``"nothing_missing"``, ``"unexplained"``; of a method in a comparison
+            ``"not_applicable"``, ``"failed"``.
         message: what happened, the likely cause, what to try.
     """
 

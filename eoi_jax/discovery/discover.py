@@ -137,10 +137,13 @@ def discover(
     task = Task(
         plant, prepared, fit_records, held_out, tried_effects, declared, alpha, most, window
     )
-    discovery = _run(task, rare_effects, progress)
-    if refine and discovery.status.code in ("explained", "nothing_missing"):
+    resolved = declared.status.code != "undersampled"
+    discovery = _run(task, rare_effects, progress) if resolved else _without_search(task, progress)
+    if discovery.status.code in ("explained", "nothing_missing") and (refine or not resolved):
         progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
         discovery = _polished(task, discovery, None if effects is None else tried_effects)
+    if not resolved:
+        discovery = _judged_by_free_runs(task, discovery)
     discovery = _with_doubts(task, discovery, refine)
     unplaced_notes = (
         [] if effects is None else _notes_without_place(tried_effects, fitting, discovery)
@@ -203,6 +206,22 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
         if named and rare_discovery.explained >= _RARE_SHARE:
             return rare_discovery
     return replace(discovery, lead=_lead(task, steps, rounds, runs_before()))
+
+
+def _without_search(task: Task, progress: Progress) -> Discovery:
+    """The declared model alone, whose injection is no evidence: the passes do not resolve it."""
+    discovery = _run(replace(task, effects=()), (), progress)
+    if discovery.status.code == "no_data":
+        return discovery
+    return replace(discovery, status=Status("nothing_missing", _UNRESOLVED), lead=None)
+
+
+def _judged_by_free_runs(task: Task, discovery: Discovery) -> Discovery:
+    """Whether free runs alone show something that no effect explains."""
+    doubts = beyond_noise(discovery.windows_after, task.held_out or task.records)
+    if discovery.status.code != "nothing_missing" or not doubts:
+        return discovery
+    return replace(discovery, status=Status("unexplained", f"{_UNRESOLVED}, and {doubts[0]}"))
 
 
 def _searched(
@@ -458,6 +477,10 @@ _NO_SAMPLE = (
 _NO_MODE = (
     "the records are too short for the cut-off {:.4g} rad/s: no frequency that they tell apart "
     "lies below it. Give a `lowpass` with a higher cut-off, or longer records"
+)
+_UNRESOLVED = (
+    "the plant has a mode faster than the sampling, of which the injection is no evidence; judged "
+    "by free runs of the refined model"
 )
 _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"

@@ -155,6 +155,11 @@ class Discovery(Result):
         return self.found.engine
 
     @property
+    def changed(self) -> bool:
+        """Whether the final model differs from the declared fit: by effects, or refined."""
+        return bool(self.added) or self.found.parameters != self.declared.parameters
+
+    @property
     def declared_part(self) -> Plant:
         """The declared model with its parameters as estimated together with the effects."""
         model = self.declared.nominal

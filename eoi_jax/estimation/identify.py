@@ -48,6 +48,7 @@ from eoi_jax.estimation.regression.least_squares import standard_errors, untrace
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.step_size import fastest_mode
 
 # Number of signal values up to which every pass stores its signals. They are needed of the first
 # and the best pass only, but a second kernel that stores nothing and a repeated pass take longer.
@@ -309,7 +310,7 @@ class _Driver:
             residual=self._per_sample(residual, trace.weight, records),
             sliding_fraction=sliding,
             unexplained=np.sqrt(power / np.where(observed_power > 0, observed_power, 1.0)),
-            status=status,
+            status=_resolved(status, plant, records),
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
@@ -419,6 +420,22 @@ class _Driver:
         return Status(code, messages[code])
 
 
+def _resolved(status: Status, plant: Plant, records: tuple[Record, ...]) -> Status:
+    """The status of an estimate, which the samples may not resolve.
+
+    Between two samples a pass knows outputs by interpolation only. Of a mode whose time constant is
+    shorter than that it sees the quasi-static response, whatever its parameters are.
+    """
+    if not status.ok:
+        return status
+    for record in records:
+        rate = fastest_mode(plant, record, quantile=0.5)  # the mode is there half of the time
+        if rate * record.sample_period > 1.0:
+            text = _UNDERSAMPLED.format(1.0 / rate, record.sample_period)
+            return Status("undersampled", text)
+    return status
+
+
 @one_thread()
 def _compute_certainty(
     plant: Plant,
@@ -465,6 +482,12 @@ _CONSTANT_OUTPUTS = (
 _NO_DATA = (
     "no sample is left to score: the record is shorter than the transient, masked, or the plant "
     "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
+)
+_UNDERSAMPLED = (
+    "the estimate has a mode with a time constant of {:.2g} s, shorter than the sample period of "
+    "{:.2g} s: the passes cannot resolve it, and parameters that set it are biased by more than "
+    "their standard errors. Use `refine`, which simulates between the samples, sample faster, or "
+    "replace the fast state by its steady state"
 )
 _STILL_FALLING = "the index is smallest in pass {} and was still to fall: allow more passes"
 _STALLED = (

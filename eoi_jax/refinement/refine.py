@@ -29,7 +29,6 @@ from eoi_jax.refinement.fit import (
     Fit,
     differentiable_at,
     fitted,
-    log_cost,
     lowest,
     rms,
     unweighed,
@@ -50,9 +49,8 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 
-_COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
-_SUFFERS = 1e-3  # relative rise of the cost
 _LONGER, _NEGLIGIBLE = 4, 0.1  # times the step; largest error of such steps, over the residual
 # Share of the cost that least squares promises where the solver stalls, from which on it is looked
 # for; points and rounds of that search.
@@ -86,8 +84,8 @@ def refine(
             few samples at least; the answer has the length that was used. The state is estimated
             anew at the start of each. None: whole records.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
-            four, more where the plant is too fast for them, and twice as many as long as their
-            error would show in the estimate and the fit does not suffer.
+            four, more where the fastest mode of the plant needs them (`simulation/step_size.py`),
+            and twice as many as long as their error would show in the estimate.
         max_steps: of the solver in each fit, each one simulation with its sensitivities.
         starts: further points to start from, run side by side: dicts of parameters, rows
             (starts, np), or how many are drawn around the plant's values: each times a factor of
@@ -165,9 +163,11 @@ def _begun(
 ) -> tuple[Problem, Unknowns, Float[np.ndarray, "runs time ny size"]]:
     """The free runs at the plant's own values, and their signals.
 
-    Where no number of steps is asked for, so few that these runs have derivatives.
+    Where no number of steps is asked for, as the fastest mode there needs them, and so many that
+    these runs have derivatives.
     """
-    first, count = None, _COARSE if substeps is None else substeps
+    first, count = None, substeps or choose_steps(nominal, records).count
+    most = min(count * 2**RULES.halvings, finest_steps(records))
     while True:
         problem = problem_of(nominal, records, spans, count)
         unknowns = Unknowns(
@@ -179,7 +179,7 @@ def _begun(
         first, count = first or candidate, 2 * count
         if differentiable_at(problem, unknowns, sensitivities):
             return candidate
-        if substeps is not None or count > _FINEST:
+        if substeps is not None or count > most:
             return first
 
 
@@ -294,23 +294,28 @@ def _finer(
     effort: Effort,
     huber: float | None,
 ) -> Fit:
-    r"""Half the step, as long as its error shows in the estimate.
+    r"""Shorter steps, as long as the error of the longer ones shows in the estimate.
 
     An error e of the simulation moves θ, in units of its standard error, by up to
     $\sqrt{N}\,\mathrm{rms}(e) / \mathrm{rms}(r)$: noise averages out over N samples, e does not.
-    Records that were simulated with coarse steps themselves fit worse with finer ones.
+    The shorter steps stay whether they fit better or not: what long ones fit better is their own
+    error. Steps are halved, or as short as the fastest mode at the estimate needs them.
     """
-    while fit.differentiable and fit.problem.substeps < _FINEST:
+    limit = finest_steps(records)
+    for _ in range(RULES.halvings):
         old, unknowns = fit.problem, fit.outcome.unknowns
-        problem = _stepped(old, records, spans, 2 * old.substeps)
+        estimate = old.kernel.plant.with_parameters(old.completed(unknowns.theta))
+        count = max(2 * old.substeps, choose_steps(estimate, records).count)
+        if not fit.differentiable or count > limit:
+            break
+        problem = _stepped(old, records, spans, count)
         sensitivities = signals(unknowns, problem)
         step_error = unweighed(problem, sensitivities) - fit.error
-        count, size = np.sqrt(np.sum(fit.use, axis=(0, 1))), rms(fit.error, fit.use)
-        if np.all(count * rms(step_error, fit.use) <= size):
+        samples, size = np.sqrt(np.sum(fit.use, axis=(0, 1))), rms(fit.error, fit.use)
+        if np.all(samples * rms(step_error, fit.use) <= size):
             break
         finer = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
-        suffers = log_cost(rms(finer.error, fit.use)) > log_cost(size) + _SUFFERS
-        if suffers or not finer.differentiable:
+        if not finer.differentiable:
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
     return fit

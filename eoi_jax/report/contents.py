@@ -82,14 +82,14 @@ def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
         Tiles, tables, figures, health checks and notes.
     """
     tables = []
-    if result.added:
+    if result.changed:
         rows = discovery.change_rows(result)
         tables.append(_table("Parameters before and after", rows, (1, 2, 3, 4, 5)))
     else:
         tables.append(_table("Parameters", parameter_rows(result.declared), (1, 2, 3, 4)))
     rows = discovery.error_rows(result)
-    title = "Errors before and after" if result.added else "Errors"
-    tables.append(_table(title, rows, (1, 2, 3) if result.added else (1,)))
+    title = "Errors before and after" if result.changed else "Errors"
+    tables.append(_table(title, rows, (1, 2, 3) if result.changed else (1,)))
     rows = discovery.candidate_rows(result)
     final_tables: tuple[Table, ...] = ()
     if rows:
@@ -219,7 +219,7 @@ def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
                 quantity(run.rmse[j], run.units[j]) if np.isfinite(run.rmse[j]) else "diverges"
                 for run in (declared, augmented)
             )
-            note = f"before {declared_error}" if result.added else ""
+            note = f"before {declared_error}" if result.changed else ""
             tiles.append(Tile(f"Free-run error of {name}, {data}", augmented_error, note))
     if result.explained > 0.0:
         share = f"{100 * result.explained:.3g} %"
@@ -254,7 +254,7 @@ def _discovery_figures(result: Discovery) -> list[ReportFigure]:
     )
     variable = "the variable of the effect" if result.added else "all variables"
     against = f"Residual against {variable}"
-    pair = [(declared, "before"), (final, "after")] if result.added else [(declared, "")]
+    pair = [(declared, "before"), (final, "after")] if result.changed else [(declared, "")]
     report_figures = [
         ReportFigure("effect", against, effect,
               partial(discovery_figures.effect_figure, result)),
@@ -263,10 +263,13 @@ def _discovery_figures(result: Discovery) -> list[ReportFigure]:
               partial(discovery_figures.residual_figure, result)),
     ]  # fmt: skip
     if result.before is not None:
-        models = "the declared and the augmented model" if result.added else "the declared model"
+        final_model = "augmented" if result.added else "refined"
+        models = (
+            f"the declared and the {final_model} model" if result.changed else "the declared model"
+        )
         report_figures.append(_free_run(partial(discovery_figures.free_run_figure, result), models))
     report_figures += [_injection(declared), _index(pair)]
-    report_figures += _estimates(uncertainty(final), declared.parameters if result.added else {})
+    report_figures += _estimates(uncertainty(final), declared.parameters if result.changed else {})
     report_figures.append(_data(declared.records))
     if result.held_out and not result.in_sample:
         report_figures.append(_data(result.held_out, "held_out_data", "held out"))

@@ -35,7 +35,7 @@ def discovery_text(discovery: Discovery) -> str:
         sentence,
         "" if str(discovery.status) in sentence else str(discovery.status),
         lead(discovery),
-        change_table(discovery) if discovery.added else parameter_table(discovery.declared),
+        change_table(discovery) if discovery.changed else parameter_table(discovery.declared),
         error_table(discovery),
         _explained(discovery),
         *_equations(discovery),
@@ -178,7 +178,7 @@ def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 def error_table(discovery: Discovery) -> str:
     """Free-run errors and the index, before and after."""
     rows = error_rows(discovery)
-    return columns(rows, "<>>><" if discovery.added else "<><")
+    return columns(rows, "<>>><" if discovery.changed else "<><")
 
 
 def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
@@ -201,7 +201,7 @@ def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     for j, output in enumerate(discovery.declared.plant.outputs):
         initial, final = (fit.index[fit.best_pass, j] for fit in results)
         rows.append(_row(f"index P of {output}", initial, final, ""))
-    if not discovery.added:  # both columns are those of the declared model
+    if not discovery.changed:  # both columns are those of the declared model
         rows = [(name, value, unit) for name, value, _, _, unit in rows]
         return [("", "declared", "unit"), *rows[1:]]
     return rows
@@ -303,7 +303,7 @@ def _free_run_errors(discovery: Discovery) -> str:
         )
         errors.append(
             f"{declared_error}{suffix} before, {augmented_error} after"
-            if discovery.added
+            if discovery.changed
             else f"{declared_error}{suffix}"
         )
     extent, remark = (" in windows", _DRIFT) if windowed else ("", "")

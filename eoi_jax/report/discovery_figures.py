@@ -120,8 +120,8 @@ def _title(discovery: Discovery) -> str:
 
 
 def _pair(discovery: Discovery, declared: Any, augmented: Any) -> list[tuple[Any, str, str]]:
-    """Curves with their colours and labels; a single one where nothing was added."""
-    if not discovery.added:
+    """Curves with their colours and labels; a single one where the model is the declared one."""
+    if not discovery.changed:
         return [(declared, series(BASE), "declared model")]
     return [(declared, series(BASE), "before"), (augmented, series(ACCENT), "after")]
 

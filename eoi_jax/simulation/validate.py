@@ -4,8 +4,9 @@ The initial state (outputs, their derivatives, internal states) is part of no mo
 estimated from the first samples of each run (`initial_state.py`), which are not scored.
 """
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,6 +23,7 @@ from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive
+from eoi_jax.simulation.step_size import RULES, StepChoice, choose_steps, finest_steps
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
@@ -63,7 +65,7 @@ def validate(
     *,
     initial_samples: int = 50,
     window: float | None = None,
-    substeps: int = 4,
+    substeps: int | None = None,
 ) -> Validation:
     """Simulate a plant along records and compare.
 
@@ -77,8 +79,9 @@ def validate(
             they are not scored.
         window: length of each run [s]; the state is then estimated anew at the start of every
             window. None: one run through the whole record, the harder test.
-        substeps: steps of the simulation per sample; four are exact enough even for a record
-            sampled ten times per period of its resonance.
+        substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
+            plant needs them, and twice as many as long as their error would show in the residual
+            (`step_size.py`).
 
     Returns:
         Errors over all scored samples of all records, and predictions over all samples.
@@ -90,25 +93,23 @@ def validate(
     records = check_records(plant, records)
     for record in records:
         _check_record(plant, record, initial_samples, window)
-    run = Run(plant, frictional(plant), initial_samples, substeps)
-    notes: list[str] = []
-    predicted, scored = [], []
-    for record in records:
-        prediction, score = _predict(run, record, window, notes)
-        predicted.append(prediction)
-        scored.append(score & record.valid)
-    y = np.concatenate([record.outputs[keep] for record, keep in zip(records, scored, strict=True)])
-    y_hat = np.concatenate([part[keep] for part, keep in zip(predicted, scored, strict=True)])
+    choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
+    run = Run(plant, frictional(plant), initial_samples, choice.count)
+    prediction = _Prediction.of(run, records, window)
+    if not choice.exact:
+        prediction = _halved(prediction, run, records, window)
+    notes = [choice.note, *itertools.chain.from_iterable(prediction.notes)]
+    y, y_hat = prediction.samples(records)
     rmse, nrmse, fit = _errors(y, y_hat)
     return Validation(
         rmse,
         nrmse,
         fit,
-        tuple(_record(record, part) for record, part in zip(records, predicted, strict=True)),
+        tuple(map(_record, records, prediction.outputs)),
         len(y),
         plant.outputs,
         tuple(plant.units.get(key, "") for key in plant.outputs),
-        tuple(notes),
+        tuple(filter(None, notes)),
         records,
     )
 
@@ -158,10 +159,59 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
 # -- runs ---------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Prediction:
+    """Free runs along all records, one or one a window.
+
+    Attributes:
+        outputs: of each record. scored: which samples count. notes: sentences on each record.
+    """
+
+    outputs: tuple[Samples, ...]
+    scored: tuple[Bool[np.ndarray, " time"], ...]
+    notes: tuple[list[str], ...]
+
+    @classmethod
+    def of(cls, run: Run, records: Sequence[Record], window: float | None) -> "_Prediction":
+        """The runs of these records."""
+        parts = [_predict(run, record, window) for record in records]
+        return cls(*zip(*parts, strict=True))
+
+    def samples(self, records: Sequence[Record]) -> tuple[Samples, Samples]:
+        """Measured and predicted outputs where both count, one record after the other."""
+        keep = [score & record.valid for score, record in zip(self.scored, records, strict=True)]
+        y = [record.outputs[use] for record, use in zip(records, keep, strict=True)]
+        y_hat = [part[use] for part, use in zip(self.outputs, keep, strict=True)]
+        return np.concatenate(y), np.concatenate(y_hat)
+
+    def agrees_with(self, finer: "_Prediction", records: Sequence[Record]) -> bool:
+        """Whether shorter steps change the outputs by less than what would show in the residual."""
+        (y, coarse), (_, fine) = self.samples(records), finer.samples(records)
+        with np.errstate(all="ignore"):
+            change = np.sqrt(np.mean((fine - coarse) ** 2, axis=0))
+            residual = np.sqrt(np.mean((y - fine) ** 2, axis=0))
+        return bool(np.all(change <= RULES.visible * residual))
+
+
+def _halved(
+    prediction: _Prediction, run: Run, records: Sequence[Record], window: float | None
+) -> _Prediction:
+    """The runs with the longest steps that half as long ones agree with."""
+    most = min(run.substeps * 2**RULES.halvings, finest_steps(records) // 2)
+    while run.substeps <= most:
+        run = replace(run, substeps=2 * run.substeps)
+        finer = _Prediction.of(run, records, window)
+        if prediction.agrees_with(finer, records):
+            break
+        prediction = finer
+    return prediction
+
+
 def _predict(
-    run: Run, record: Record, window: float | None, notes: list[str]
-) -> tuple[Samples, Bool[np.ndarray, " time"]]:
-    """Free runs along a record, one or one a window: prediction, and which samples count."""
+    run: Run, record: Record, window: float | None
+) -> tuple[Samples, Bool[np.ndarray, " time"], list[str]]:
+    """Free runs along a record: prediction, which samples count, and notes."""
+    notes = []
     runs = plan(record, run.initial_samples, window, run.plant.relative_degree)
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
@@ -186,7 +236,7 @@ def _predict(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
     notes += late_starts(record, runs, run.initial_samples, window is None)
-    return joined(prediction, predicted), runs.score
+    return joined(prediction, predicted), runs.score, notes
 
 
 def _free_runs(

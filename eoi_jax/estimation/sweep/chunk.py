@@ -30,7 +30,7 @@ CODES = (
     "invalid_gains",
     "lost",
 )
-OK = tuple(CODES.index(name) for name in ANSWERED)
+OK = tuple(number for number, name in enumerate(CODES) if name in ANSWERED)
 Arrays = dict[str, np.ndarray]
 
 

@@ -1,0 +1,150 @@
+r"""Steps per sample of a simulation, from the fastest mode of the model.
+
+A mode $e^{\lambda t}$ that is far faster than the sampling leaves no trace between two samples, but
+the classical Runge-Kutta rule is stable only for $|\lambda h| < 2.8$, and its relative error per
+step is $|\lambda h|^5 / 120$ (Hairer, Nørsett, Wanner, *Solving Ordinary Differential Equations I*,
+sections II.1 and IV.2). λ are eigenvalues of the Jacobian of the whole state, outputs with their
+derivatives and internal states, linearised along the measured signals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from eoi_jax.compiler.pointwise import along
+from eoi_jax.data.record import Record
+from eoi_jax.models.jacobians import driven
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import rate_of
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """How the steps of a simulation follow from the model.
+
+    Attributes:
+        coarsest: steps per sample at least, which double until they are short enough. Four are
+            exact enough for a record that is sampled ten times per period of its resonance.
+        mode: largest |λh| of the fastest mode; a step then errs by 3e-4 of it.
+        exact: |λh| from which on the error is looked for, by halving the steps; below, a step errs
+            by less than 1e-7 of the mode.
+        visible: rms change by halving, over the rms of the residual, that asks for shorter steps.
+        halvings: how often steps are halved at most. A chaotic run never settles.
+        finest: steps per sample at most: a mode with a time constant of 1/500 of the sample period
+            is followed. Faster ones are better replaced by their steady state.
+        total: steps at most in all records together, because of their memory.
+        instants: number of samples of a record at which the Jacobian is taken.
+        quantile: of |λ| over these samples that counts: a slope that is infinite at one point (the
+            root of an empty tank) is no mode.
+    """
+
+    coarsest: int = 4
+    mode: float = 0.5
+    exact: float = 0.1
+    visible: float = 0.02
+    halvings: int = 3
+    finest: int = 1024
+    total: int = 20_000_000
+    instants: int = 500
+    quantile: float = 0.99
+
+
+RULES = StepRules()
+
+
+def fastest_mode(
+    plant: Plant, record: Record, quantile: float | None = None, rules: StepRules = RULES
+) -> float:
+    """Largest |λ| of the linearised plant along a record [1/s]; 0 where there is none.
+
+    Derivatives of outputs are differences of the samples, internal states are where the plant
+    starts them.
+
+    Args:
+        plant: with its parameter values.
+        record: of its inputs and outputs.
+        quantile: of |λ| over the samples; None: that of the rules.
+        rules: how many samples are looked at, and which quantile counts.
+    """
+    rows = [record.outputs]
+    for _ in range(1, plant.relative_degree):
+        rows.append(np.gradient(rows[-1], record.sample_period, axis=0))
+    inputs = driven(plant, record.time, record.inputs)
+    usable = np.flatnonzero(record.valid)
+    usable = usable if len(usable) else np.arange(len(record))
+    index = usable[np.unique(np.linspace(0, len(usable) - 1, rules.instants).astype(int))]
+    y = np.stack(rows, axis=1)[index]
+    signals = (record.time[index], y, np.asarray(inputs)[index])
+    slopes = along(_state_slope, ("fixed", "rows"), plant, signals)
+    slopes = slopes[np.all(np.isfinite(slopes), axis=(1, 2))]
+    if not slopes.size:
+        return 0.0
+    sizes = np.max(np.abs(np.linalg.eigvals(slopes)), axis=1)
+    return float(np.quantile(sizes, rules.quantile if quantile is None else quantile))
+
+
+@dataclass(frozen=True)
+class StepChoice:
+    """Steps per sample, and what they follow from.
+
+    Attributes:
+        count: steps per sample.
+        rate: |λ| of the fastest mode times the sample period, of the record where it is largest.
+        note: a sentence where the mode is too fast for as many steps as there may be, else "".
+    """
+
+    count: int
+    rate: float
+    note: str = ""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the steps are so short that no error of theirs needs to be looked for."""
+        return self.rate <= RULES.exact * self.count
+
+
+def choose_steps(plant: Plant, records: Sequence[Record], rules: StepRules = RULES) -> StepChoice:
+    """Steps per sample by which the fastest mode of a plant is followed along all records.
+
+    Args:
+        plant: with its parameter values.
+        records: of its inputs and outputs.
+        rules: the bounds.
+    """
+    rates = [fastest_mode(plant, record, rules=rules) * record.sample_period for record in records]
+    number = int(np.argmax(rates))
+    count, limit = rules.coarsest, finest_steps(records, rules)
+    while count * rules.mode < rates[number] and 2 * count <= limit:
+        count *= 2
+    if count * rules.mode >= rates[number]:
+        return StepChoice(count, rates[number])
+    period = records[number].sample_period
+    return StepChoice(count, rates[number], (
+        f"The model has a mode with a time constant of {period / rates[number]:.2g} s, which needs "
+        f"more than {count} steps of the simulation in a sample period of {period:.2g} s. Replace "
+        "the fast state by its steady state, or bound the parameters that make it fast."
+    ))  # fmt: skip
+
+
+def finest_steps(records: Sequence[Record], rules: StepRules = RULES) -> int:
+    """Steps per sample that these records may have at most."""
+    return min(rules.finest, max(rules.total // sum(map(len, records)), rules.coarsest))
+
+
+def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Float[Array, "states states"]:
+    """Jacobian of dx/dt with x, all outputs with their derivatives first."""
+    t, y, u = row
+    theta = jnp.asarray(plant.theta)
+    z = plant.internal_start(theta)
+
+    def rate(x: Array) -> Array:
+        state = State(jnp.reshape(x[: y.size], y.shape), x[y.size :])
+        slope = rate_of(plant, theta, t, state, u)
+        return jnp.concatenate([jnp.ravel(slope.y), slope.z])
+
+    return jax.jacfwd(rate)(jnp.concatenate([jnp.ravel(y), z]))
