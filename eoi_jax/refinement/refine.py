@@ -166,7 +166,8 @@ def _begun(
     Where no number of steps is asked for, as the fastest mode there needs them, and so many that
     these runs have derivatives.
     """
-    first, count = None, substeps or choose_steps(nominal, records).count
+    first = None
+    count = choose_steps(nominal, records).count if substeps is None else substeps
     most = min(count * 2**RULES.halvings, finest_steps(records))
     while True:
         problem = problem_of(nominal, records, spans, count)
