@@ -10,7 +10,7 @@ Here is how fits follow each other. Runs and sensitivities are in `problem.py`, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,17 +51,28 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 
-_COARSE, _FINEST = 4, 32  # steps of the simulation per sample, where none are asked for
-_SUFFERS = 1e-3  # relative rise of the cost
-_LONGER, _NEGLIGIBLE = 4, 0.1  # times the step; largest error of such steps, over the residual
-# Share of the cost that least squares promises where the solver stalls, from which on it is looked
-# for; points and rounds of that search.
-_PROMISED, _POINTS, _SEARCH_ROUNDS = 0.01, 64, 4
-_SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
-# Mean square of the errors in the first of these shares, over that of the whole runs, below which
-# errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry friction
-# (emps), 0.01 and far less in wrong minima of pendulums and of an oscillator.
-_GROWING = 0.3
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """How fits follow each other."""
+
+    initial_substeps: int = 4  # steps of the simulation per sample, where none are asked for
+    max_substeps: int = 32
+    max_rise: float = 1e-3  # relative, of the cost at half the step; at more that step is too fine
+    rough_step: int = 4  # of the simulations that sort out starting points, times that of the fit
+    max_rough_error: float = 0.1  # of such steps, over the residual
+    # Share of the cost; where the solver stalls and least squares predicts more, a search follows.
+    max_reduction: float = 0.01
+    search_points: int = 64
+    search_rounds: int = 4
+    beginnings: tuple[float, ...] = (0.125, 0.25, 0.5)  # shares of runs in which errors grow
+    # Mean square of the errors in the first of these shares, over that of the whole runs, below
+    # which errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry
+    # friction (emps), 0.01 and far less in wrong minima of pendulums and of an oscillator.
+    max_beginning_error: float = 0.3
+
+
+_SETTINGS = RefinementSettings()
 
 
 @one_thread()
@@ -167,7 +178,7 @@ def _begun(
 
     Where no number of steps is asked for, so few that these runs have derivatives.
     """
-    first, count = None, _COARSE if substeps is None else substeps
+    first, count = None, _SETTINGS.initial_substeps if substeps is None else substeps
     while True:
         problem = problem_of(nominal, records, spans, count)
         unknowns = Unknowns(
@@ -179,7 +190,7 @@ def _begun(
         first, count = first or candidate, 2 * count
         if differentiable_at(problem, unknowns, sensitivities):
             return candidate
-        if substeps is not None or count > _FINEST:
+        if substeps is not None or count > _SETTINGS.max_substeps:
             return first
 
 
@@ -196,12 +207,11 @@ def _rougher(
     """
     if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
         return problem
-    substeps = max(problem.substeps // _LONGER, 1)
+    substeps = max(problem.substeps // _SETTINGS.rough_step, 1)
     rough = _stepped(problem, records, spans, substeps)
     sensitivities = signals(unknowns, rough)
-    negligible = rms(
-        unweighed(rough, sensitivities) - initial_error, problem.use
-    ) <= _NEGLIGIBLE * rms(initial_error, problem.use)
+    step_error = rms(unweighed(rough, sensitivities) - initial_error, problem.use)
+    negligible = step_error <= _SETTINGS.max_rough_error * rms(initial_error, problem.use)
     return (
         rough
         if np.all(negligible) and differentiable_at(rough, unknowns, sensitivities)
@@ -236,10 +246,10 @@ def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) ->
         The better one; with the steps of all.
     """
     predicted_reduction, steps = float(fit.outcome.predicted_reduction), fit.steps
-    threshold = _PROMISED if bool(fit.outcome.exhausted) else CONVERGED
+    threshold = _SETTINGS.max_reduction if bool(fit.outcome.exhausted) else CONVERGED
     if predicted_reduction < threshold or not fit.differentiable or not _growing(fit):
         return fit
-    for share in (*_SHARES, 1.0):
+    for share in (*_SETTINGS.beginnings, 1.0):
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
         sensitivities = signals(unknowns, problem)
         if not differentiable_at(problem, unknowns, sensitivities):
@@ -254,11 +264,12 @@ def _growing(fit: Fit) -> bool:
     """Whether errors are small at the beginning of the runs and grow in them."""
     error, use = fit.sensitivities[..., -1], fit.use
     lengths = (np.asarray(fit.problem.counts) - 1) / fit.problem.substeps
-    first = (np.arange(use.shape[1]) <= _SHARES[0] * lengths[:, None])[..., None] & use
+    ends = _SETTINGS.beginnings[0] * lengths
+    first = (np.arange(use.shape[1]) <= ends[:, None])[..., None] & use
     beginning, overall = (
         np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
     )
-    return bool(beginning < _GROWING * overall)
+    return bool(beginning < _SETTINGS.max_beginning_error * overall)
 
 
 def _search_around(
@@ -271,15 +282,16 @@ def _search_around(
     """From points around a fit that stalled at a kink, far above what least squares promises."""
     outcome, problem = fit.outcome, fit.problem
     if (
-        float(outcome.predicted_reduction) < _PROMISED
+        float(outcome.predicted_reduction) < _SETTINGS.max_reduction
         or bool(outcome.exhausted)
         or not fit.differentiable
     ):
         return []
     theta = problem.completed(outcome.unknowns.theta)
-    points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
+    centre = problem.kernel.plant.with_parameters(theta)
+    points = points_of(centre, _SETTINGS.search_points)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
-    starts = best(problem, rough, outcome.unknowns, points, _SEARCH_ROUNDS)
+    starts = best(problem, rough, outcome.unknowns, points, _SETTINGS.search_rounds)
     fits = [
         fitted(problem, start, signals(start, problem), fit.initial_error, effort, huber)
         for start in starts
@@ -300,7 +312,7 @@ def _finer(
     $\sqrt{N}\,\mathrm{rms}(e) / \mathrm{rms}(r)$: noise averages out over N samples, e does not.
     Records that were simulated with coarse steps themselves fit worse with finer ones.
     """
-    while fit.differentiable and fit.problem.substeps < _FINEST:
+    while fit.differentiable and fit.problem.substeps < _SETTINGS.max_substeps:
         old, unknowns = fit.problem, fit.outcome.unknowns
         problem = _stepped(old, records, spans, 2 * old.substeps)
         sensitivities = signals(unknowns, problem)
@@ -309,7 +321,7 @@ def _finer(
         if np.all(count * rms(step_error, fit.use) <= size):
             break
         finer = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
-        suffers = log_cost(rms(finer.error, fit.use)) > log_cost(size) + _SUFFERS
+        suffers = log_cost(rms(finer.error, fit.use)) > log_cost(size) + _SETTINGS.max_rise
         if suffers or not finer.differentiable:
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
