@@ -27,8 +27,6 @@ from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
 
-_FEWEST = 20  # smallest number of samples of a re-initialised run
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -211,7 +209,7 @@ def common_index(plant: Plant, records: Record | Sequence[Record]) -> CommonInde
 
 
 class _Scorer:
-    """Scores every method on the same records."""
+    """Scores every method on the same records, in windows of `min_samples` or more."""
 
     def __init__(
         self,
@@ -219,12 +217,13 @@ class _Scorer:
         scored: Sequence[Record],
         truth: dict[str, float] | None,
         index: CommonIndex,
+        min_samples: int = 20,
     ):
         self.plant, self.scored, self.truth, self.index = plant, scored, truth, index
-        self.window = window_length(scored, _FEWEST)
+        self.window = window_length(scored, min_samples)
         self.notes: tuple[str, ...] = ()
         if self.window is None:
-            self._note(f"held-out records are too short for windows of {_FEWEST} samples")
+            self._note(f"held-out records are too short for windows of {min_samples} samples")
 
     def entry(self, method: AbstractComparator, records: tuple[Record, ...]) -> Entry:
         """Run a method, again for its time once compiled, and score its answer."""

@@ -15,6 +15,7 @@ removes the noise that it passes.
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,15 +32,24 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.jacobians import derivatives
 from eoi_jax.models.plant import Plant
 
-_NOISE_SHARE = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
-_NOISY_RATE = 0.01  # rms noise of the velocity over the velocity, above which records are smoothed
-_SMOOTH_BAND = 5.0  # cut-off of the smoothing over that of F
-_MAX_STEP = 0.012  # cut-off times step
-_MAX_SUBSTEPS = 20
-_MAX_SAMPLES = 2_000_000  # of a record with sub-steps, because of its memory
-# A record below both is not used: its length in time constants of F, and over the longest record.
-_MIN_TIME_CONSTANTS, _MIN_LENGTH_SHARE = 20.0, 0.1
-_RELAY = 2.0  # relay over the largest injection foreseen
+
+@dataclass(frozen=True)
+class DefaultRules:
+    """Numbers by which the defaults are chosen."""
+
+    max_noise: float = 1e-3  # rms of the noise in F[y^(r)] over that of the signal
+    max_velocity_noise: float = 0.01  # rms over that of the velocity; smoothed if it is larger
+    smoothing_ratio: float = 5.0  # cut-off of the smoothing over that of F
+    max_step: float = 0.012  # cut-off [rad/s] times step [s]
+    max_substeps: int = 20  # per sample
+    max_samples: int = 2_000_000  # of a record with sub-steps, because of its memory
+    # A record below both is not used.
+    min_time_constants: float = 20.0  # of F, in the length of a record
+    min_length_ratio: float = 0.1  # of its length to that of the longest record
+    relay_ratio: float = 2.0  # of the relay to the largest injection foreseen
+
+
+_RULES = DefaultRules()
 
 
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
@@ -71,10 +81,11 @@ def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
         cutoff: of F [rad/s]; 0 for any F.
     """
     lengths = [record.sample_period * len(record) for record in records]
-    shortest = _MIN_LENGTH_SHARE * max(lengths)
+    shortest = _RULES.min_length_ratio * max(lengths)
     torn = [_torn(record) for record in records]
     return tuple(
-        (is_torn and not all(torn)) or (length < shortest and length * cutoff < _MIN_TIME_CONSTANTS)
+        (is_torn and not all(torn))
+        or (length < shortest and length * cutoff < _RULES.min_time_constants)
         for is_torn, length in zip(torn, lengths, strict=True)
     )
 
@@ -123,7 +134,7 @@ def short_record_notes(records: Sequence[Record], cutoff: float, consequence: st
         duration = record.sample_period * len(record)
         return (
             f"{duration:.3g} s are too short beside the other records, less than "
-            f"{_MIN_TIME_CONSTANTS:g} time constants of the filter"
+            f"{_RULES.min_time_constants:g} time constants of the filter"
         )
 
     is_short = too_short(records, cutoff)
@@ -144,9 +155,10 @@ def _cutoff(
     highest = max(
         output_spectrum.frequency_below(0.99, output_spectrum.signal) for output_spectrum in spectra
     )
-    quiet = min(output_spectrum.quiet_cutoff(_NOISE_SHARE, order) for output_spectrum in spectra)
+    share = _RULES.max_noise
+    quiet = min(output_spectrum.quiet_cutoff(share, order) for output_spectrum in spectra)
     choices = {
-        f"the highest with noise below {_NOISE_SHARE:g} of the filtered highest derivative": quiet,
+        f"the highest with noise below {share:g} of the filtered highest derivative": quiet,
         "below it lie 99 % of the power of the highest derivative": highest,
     }
     reason = min(choices, key=lambda key: choices[key])
@@ -180,9 +192,9 @@ def default_observer(
         substeps: per sample.
     """
     injection = _largest_injection(plant, records, inputs)
-    gains, reasons = [], []
+    gains, reasons, relay_ratio = [], [], _RULES.relay_ratio
     for j, degree in enumerate(plant.degrees):
-        relay = _RELAY * float(injection[j])
+        relay = relay_ratio * float(injection[j])
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
         ratio = (substeps * period) ** degree * relay / noise if noise > 0 else np.inf
@@ -190,7 +202,7 @@ def default_observer(
         gain = "delta" if degree == 1 else "relay"
         value = 2.0 * relay / period if degree == 1 else relay
         reasons.append(
-            f"{plant.outputs[j]}: {gain} {value:.3g}, {_RELAY:g} times the largest injection "
+            f"{plant.outputs[j]}: {gain} {value:.3g}, {relay_ratio:g} times the largest injection "
             f"foreseen at the nominal parameters ({injection[j]:.3g}); its reach over one sample "
             f"is {ratio:.3g} times the measurement noise"
         )
@@ -206,7 +218,7 @@ def default_smoothing(
     The model reads the velocity before the filter F: sign(ẏ) or ẏ|ẏ| of a noisy velocity has a
     bias that no filter behind it can remove.
     """
-    smoothing = _SMOOTH_BAND * cutoff
+    smoothing = _RULES.smoothing_ratio * cutoff
     is_short = too_short(records, cutoff)
     used_records = [
         record for record, excluded in zip(records, is_short, strict=True) if not excluded
@@ -216,7 +228,8 @@ def default_smoothing(
     for record in used_records:
         rates = np.diff(record.outputs, axis=0) / record.sample_period
         rms = np.sqrt(np.mean(rates**2, axis=0))
-        noisy |= bool(np.any((rate_noise(record, False) > _NOISY_RATE * rms) & has_velocity))
+        limit = _RULES.max_velocity_noise * rms
+        noisy |= bool(np.any((rate_noise(record, False) > limit) & has_velocity))
     if not noisy or smoothing > 0.9 * min(np.pi / record.sample_period for record in records):
         return False, []
     raw_noise, smoothed_noise = (
@@ -275,8 +288,8 @@ def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, lis
     """
     period = max(record.sample_period for record in records)
     longest = max(len(record) for record in records)
-    wanted = int(np.ceil(cutoff * period / _MAX_STEP))
-    substeps = max(min(wanted, _MAX_SUBSTEPS, _MAX_SAMPLES // longest), 1)
+    wanted = int(np.ceil(cutoff * period / _RULES.max_step))
+    substeps = max(min(wanted, _RULES.max_substeps, _RULES.max_samples // longest), 1)
     if substeps == 1:
         return 1, []
     error = (cutoff * period / substeps) ** 2 / 6.0

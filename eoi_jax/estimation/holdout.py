@@ -12,11 +12,6 @@ from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 
 INITIAL = 50  # samples to which the initial state of a free run is fitted; they are not scored
-_SAME_TIME = 1e-3  # distance of equal time stamps, in sample periods
-
-# An output rests if its standard deviation is below this multiple of its noise and below this share
-# of the standard deviation in the fit: the noise estimate of a coarse record contains motion.
-_NOISE_RATIO, _MIN_MOTION = 1.5, 0.5
 
 
 def held_out_records(
@@ -55,20 +50,20 @@ def held_out_records(
     return checked
 
 
-def _count_common_samples(candidate: Record, record: Record) -> int:
+def _count_common_samples(candidate: Record, record: Record, tolerance: float = 1e-3) -> int:
     """Number of scored samples that another record contains: same time, inputs and outputs.
 
     Zero unless the records agree at all common times and the outputs move there: the beginnings of
-    two runs from rest are equal without being the same data.
+    two runs from rest are equal without being the same data. Time stamps are equal that are within
+    `tolerance` of each other [sample periods].
     """
     period = candidate.sample_period
     shift = (candidate.time[0] - record.time[0]) / period
     offset = round(shift)
     first, last = max(0, -offset), min(len(candidate), len(record) - offset)
     drift = abs(record.sample_period - period) * max(last - first, 0)
-    if max(abs(shift - offset) * period, drift) > _SAME_TIME * period or last <= max(
-        first, INITIAL
-    ):
+    apart = max(abs(shift - offset) * period, drift) > tolerance * period
+    if apart or last <= max(first, INITIAL):
         return 0
     in_candidate, in_record = slice(first, last), slice(first + offset, last + offset)
     valid = candidate.valid[in_candidate] & record.valid[in_record]
@@ -156,7 +151,12 @@ def check_runs(
     ]
 
 
-def resting_outputs(validation: Sequence[Record], records: Sequence[Record]) -> list[str]:
+def resting_outputs(
+    validation: Sequence[Record],
+    records: Sequence[Record],
+    noise_ratio: float = 1.5,
+    motion_ratio: float = 0.5,
+) -> list[str]:
     """One sentence for each output of a hold-out record that does not move beyond its noise.
 
     Models with and without an effect of motion are equally good there.
@@ -164,6 +164,9 @@ def resting_outputs(validation: Sequence[Record], records: Sequence[Record]) -> 
     Args:
         validation: hold-out records.
         records: of the fit.
+        noise_ratio: standard deviation of a resting output over its noise, at most.
+        motion_ratio: the same over its standard deviation in the fit, at most: the noise estimate
+            of a coarse record contains motion.
     """
     fit_spread = np.max(
         [np.std(record.outputs[record.valid], axis=0) for record in records], axis=0
@@ -171,9 +174,8 @@ def resting_outputs(validation: Sequence[Record], records: Sequence[Record]) -> 
     sentences = []
     for record in validation:
         spread = np.std(record.outputs[record.valid], axis=0)
-        resting = (
-            spread < np.minimum(_NOISE_RATIO * record.noise, _MIN_MOTION * fit_spread)
-        ) | constant(record)
+        highest = np.minimum(noise_ratio * record.noise, motion_ratio * fit_spread)
+        resting = (spread < highest) | constant(record)
         sentences += [
             _RESTING.format(name, record.name)
             for name, is_resting in zip(record.output_names, resting, strict=True)

@@ -50,13 +50,16 @@ from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.step_size import fastest_mode
 
-# Number of signal values up to which every pass stores its signals. They are needed of the first
-# and the best pass only, but a second kernel that stores nothing and a repeated pass take longer.
-_MAX_STORED = 10_000_000
-# Number of signal values up to which a result keeps them, to compute its covariance when asked.
-_MAX_DEFERRED = 4_000_000
-# Share of the filter's memory that must count for the injection of a sample to be given.
-_MIN_WEIGHT = 0.5
+
+@dataclass(frozen=True)
+class SignalSettings:
+    """Up to which number of values signals are stored, and for which samples they are given."""
+
+    # By every pass. They are needed of the first and the best pass only, but a second kernel that
+    # stores nothing and a repeated pass take longer.
+    max_stored: int = 10_000_000
+    max_deferred: int = 4_000_000  # by a result, to compute its covariance when asked
+    min_weight: float = 0.5  # share of the filter's memory that must count, at a sample
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,7 @@ def estimate(
     transient: float | None = None,
     callback: Callable[[int, int, np.ndarray], None] | None = None,
     bias_correction: BiasCorrection | None = None,
+    settings: SignalSettings = SignalSettings(),
 ) -> Identification:
     """`identify` on prepared records, which several models of the same outputs may share.
 
@@ -222,6 +226,7 @@ def estimate(
         callback: called after each iteration.
         bias_correction: function of the plant with the estimate, its iteration and the observer;
             returns a corrected estimate, or None, and the reasons.
+        settings: of the signals that are stored.
     """
     lowpass, resampled, explicit = prepared.lowpass, prepared.fine, prepared.explicit
     reasons = prepared.reasons
@@ -249,7 +254,7 @@ def estimate(
     notes += _precision_note()
     run = single_pass(plant, observer, filters, steps)
     driver = _Driver(
-        plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction
+        plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings
     )
     return driver.run(prepared.records, lowpass, reasons, tuple(notes))
 
@@ -266,6 +271,7 @@ class _Driver:
     passes: int
     callback: Callable[[int, int, np.ndarray], None] | None
     bias_correction: BiasCorrection | None
+    settings: SignalSettings
 
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
@@ -276,7 +282,7 @@ class _Driver:
         corrected = None
         if self.bias_correction is not None and status.ok:
             # Free the memory: the correction takes far longer than repeating the pass.
-            trace = None if self._signal_size > _MAX_DEFERRED else trace
+            trace = None if self._signal_size > self.settings.max_deferred else trace
             corrected, correction_reasons = self.bias_correction(
                 self.plant.with_parameters(theta), best, self.observer
             )
@@ -341,7 +347,7 @@ class _Driver:
             partial(_compute_certainty, plant, covariance_of, bound, status, information)
         )
         # A deferred certainty holds the signals in memory.
-        return certainty.value if self._signal_size > _MAX_DEFERRED else certainty
+        return certainty.value if self._signal_size > self.settings.max_deferred else certainty
 
     @property
     def _signal_size(self) -> int:
@@ -354,7 +360,7 @@ class _Driver:
         """All iterations, the injection of the first, and the best one's signals if stored."""
         first_injection: list[np.ndarray] = []
         latest = best_trace = None
-        recompute = self._signal_size > _MAX_STORED
+        recompute = self._signal_size > self.settings.max_stored
 
         def run(running: Any, theta: np.ndarray, number: int) -> Sums:
             nonlocal latest
@@ -387,7 +393,9 @@ class _Driver:
             # A step belongs to the sample that ends it, the last of its sub-steps.
             stops = slice(self.substeps - 1, (len(record) - 1) * self.substeps, self.substeps)
             share = np.asarray(weight)[i, stops]
-            scored = (np.asarray(self.steps.score)[i, stops] > 0) & (share > _MIN_WEIGHT)
+            scored = (np.asarray(self.steps.score)[i, stops] > 0) & (
+                share > self.settings.min_weight
+            )
             average = np.asarray(values)[i, stops] / np.where(scored, share, 1.0)
             arrays.append(
                 np.concatenate(

@@ -30,8 +30,6 @@ from eoi_jax.simulation.integrator import rate_of
 from eoi_jax.simulation.known_direction import turn
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
-_MAX_STEPS_AT_ONCE = 100_000  # of all runs together
-
 
 class PairSums(eqx.Module):
     """Sums of a pass over pairs, over scored steps and for each output.
@@ -120,6 +118,7 @@ def run_pairs(
     weights: Output,
     leak: Scalar,
     previous_direction: Float[np.ndarray, "runs S ny"] | None = None,
+    max_steps: int = 100_000,
 ) -> tuple[PairSums, Rows]:
     """One pass over pairs of records.
 
@@ -132,6 +131,7 @@ def run_pairs(
         weights: of each output in the scores, shape (ny,).
         leak: damping of L⁻¹ in addition to that of the model [1/s].
         previous_direction: of a directed plant, the direction of each output in the step before.
+        max_steps: of all runs together, at a time: XLA needs several times the memory of a record.
 
     Returns:
         Sums, and the rows of each step; NumPy arrays with runs on the leading axis.
@@ -145,9 +145,8 @@ def run_pairs(
     y, y_next = (np.stack([np.asarray(array) for array in arrays], axis=2) for arrays in outputs)
     pair_rows = _PairRows(jax.tree.map(np.asarray, steps), slope, y, y_next, previous_direction)
     carry = _initial_carry(pair, y[:, 0], y_next[:, 0], pair_rows.steps.sample_period)
-    # XLA needs several times the memory of a record: run it in parts of equal length.
     runs, count = y.shape[:2]
-    length, row_parts = -(-count // -(-count * runs // _MAX_STEPS_AT_ONCE)), []
+    length, row_parts = -(-count // -(-count * runs // max_steps)), []  # parts of equal length
     for first in range(0, count, length):
         carry, rows = _run_part(pair, carry, pair_rows.part(first, length))
         row_parts.append(

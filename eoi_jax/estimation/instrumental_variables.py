@@ -40,24 +40,31 @@ from eoi_jax.simulation.integrator import REACHES, frictional
 from eoi_jax.simulation.known_direction import directed
 from eoi_jax.simulation.validate import validate
 
-_MAX_ITERATIONS = 8
-_CONVERGED = 0.05  # Δθ over its standard error below which the iteration ends
-_MAX_ERROR = 0.5  # error of a free run over the spread of y above which it departs from the record
-_WINDOWS = (1, 4, 16, 64)  # numbers of windows that are tried, until the runs follow the record
-# Samples to which a run's initial state is fitted: the first of these numbers that spans the memory
-# of F; and their largest share of a window.
-_START_SAMPLES, _START_SHARE = (50, 100, 200, 400, 800), 0.25
-_MEMORIES = 10.0  # smallest number of time constants of the prefilter in a record
-# Time constants of F over which weights rise: a sharp edge cuts second differences of the noise
-# apart, and excites L⁻¹, whose memory may be long.
-_TAPER = 10.0
-_SLOPE_SAMPLES = 200  # samples at which slopes of the model are taken
-_SLIDING = 0.9  # smallest share of scored steps in sliding mode: a saturated relay is not u_eq
-_GRID = 4096  # frequencies of the noise
-_MIN_NOISE = 1e-5  # noise over the rms of an output, below which its estimate may be signal
-# Share of the residual's power that measurement noise predicts: below this range the model lacks
-# something, above it the noise estimate contains signal.
-_NOISE_SHARES = (0.1, 4.0)
+
+@dataclass(frozen=True)
+class InstrumentalSettings:
+    """Numbers of the iteration with instrumental variables, and of the decision to use them."""
+
+    tolerance: float = 0.05  # Δθ over its standard error, below which the iteration ends
+    max_error: float = 0.5  # of a free run that follows the record, over the spread of y
+    windows: tuple[int, ...] = (1, 4, 16, 64)  # of a record; tried until the runs follow it
+    # Samples to which a run's initial state is fitted: the first number that spans the memory of F.
+    start_samples: tuple[int, ...] = (50, 100, 200, 400, 800)
+    max_start_share: float = 0.25  # of a window, that these samples take
+    min_memories: float = 10.0  # time constants of the prefilter in a record
+    # Over which weights rise [time constants of F]: a sharp edge cuts second differences of the
+    # noise apart, and excites L⁻¹, whose memory may be long.
+    taper: float = 10.0
+    min_noise: float = 1e-5  # over the rms of an output; a smaller estimate may be signal
+    min_sliding: float = 0.9  # share of scored steps in sliding mode: a saturated relay is not u_eq
+    # Share of the residual's power that measurement noise predicts: below this range the model
+    # lacks something, above it the noise estimate contains signal.
+    noise_shares: tuple[float, float] = (0.1, 4.0)
+    slope_samples: int = 200  # at which slopes of the model are taken
+    noise_frequencies: int = 4096  # at which its spectrum is taken, from zero to Nyquist
+
+
+_SETTINGS = InstrumentalSettings()
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,11 @@ class InstrumentalEstimate:
 
 
 def instrumental_estimate(
-    plant: Plant, records: Sequence[Record], prepared: PreparedRecords, observer: AbstractObserver
+    plant: Plant,
+    records: Sequence[Record],
+    prepared: PreparedRecords,
+    observer: AbstractObserver,
+    max_iterations: int = 8,
 ) -> InstrumentalEstimate | str:
     """Iterate with instrumental variables, from the plain estimate.
 
@@ -91,6 +102,7 @@ def instrumental_estimate(
         records: as measured.
         prepared: the same records, prepared for the plain passes.
         observer: of the plain passes.
+        max_iterations: of which the first has weights that are a guess.
 
     Returns:
         The estimate, or the reason why there is none.
@@ -98,7 +110,7 @@ def instrumental_estimate(
     theta, runs = np.array(plant.theta, dtype=float), None
     weights = 1.0 / np.maximum(_spread(records), np.finfo(float).tiny) ** 2
     leak, pairs = 0.0, None
-    for iteration in range(1, _MAX_ITERATIONS + 1):
+    for iteration in range(1, max_iterations + 1):
         model = plant.with_parameters(theta)
         runs = _simulate_runs(model, records, prepared, runs)
         if isinstance(runs, str):
@@ -115,15 +127,15 @@ def instrumental_estimate(
         theta = np.clip(theta + increment, plant.lower, plant.upper)
         power = sums.square / np.maximum(sums.count, 1.0)
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
-        if iteration == 1:  # its weights were a guess
+        if iteration == 1:
             continue
         covariance, freedom = _covariance(rows, pairs.steps, prepared.substeps, runs.owner, inverse)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        if np.all(np.abs(increment) <= _CONVERGED * errors + 1e-9 * np.abs(theta)):
+        if np.all(np.abs(increment) <= _SETTINGS.tolerance * errors + 1e-9 * np.abs(theta)):
             on_bound = (theta == plant.lower) | (theta == plant.upper)
             bound = on_bound & ~np.any(inverse, axis=1) & (np.asarray(plant.free) > 0)
             return InstrumentalEstimate(theta, covariance, freedom, iteration, runs.windows, bound)
-    return f"they did not converge within {_MAX_ITERATIONS} passes"
+    return f"they did not converge within {max_iterations} passes"
 
 
 def correct_bias(
@@ -152,9 +164,9 @@ def correct_bias(
     if not requested:
         level = float(np.max([_noise_level(record) for record in records]))
         sliding = np.min(mean(iteration.sums.sliding[0], iteration.sums.count[0]))
-        if level < _MIN_NOISE or sliding < _SLIDING:
+        if level < _SETTINGS.min_noise or sliding < _SETTINGS.min_sliding:
             return None, ()
-        lowest, highest = _NOISE_SHARES
+        lowest, highest = _SETTINGS.noise_shares
         if not lowest <= noise_in_residual(plant, iteration, records, prepared) <= highest:
             return None, ()
         reason = (
@@ -219,7 +231,7 @@ def _simulate_runs(
     previous: _SimulatedRuns | None,
 ) -> _SimulatedRuns | str:
     """Free runs that follow the records, in as many windows as before, at first in the fewest."""
-    for count in _WINDOWS if previous is None else (previous.windows,):
+    for count in _SETTINGS.windows if previous is None else (previous.windows,):
         simulated, pieces, owner, follows = [], [], [], True
         for i, record in enumerate(records):
             length = -(-len(record) // count)
@@ -230,12 +242,11 @@ def _simulate_runs(
             try:
                 if REACHES in frictional(plant):
                     return _FRICTION_ACTS_ON_OTHERS
-                run = validate(
-                    plant, record, window=window, initial_samples=head or _START_SAMPLES[0]
-                )
+                head = head or _SETTINGS.start_samples[0]
+                run = validate(plant, record, window=window, initial_samples=head)
             except ValueError as error:  # dry friction that cannot be simulated, a short record
                 return f"its free run cannot be made: {error}"
-            follows &= bool(np.max(run.nrmse) < _MAX_ERROR)
+            follows &= bool(np.max(run.nrmse) < _SETTINGS.max_error)
             for first in range(0, len(record), length):
                 samples = slice(first, first + length)
                 pieces.append((record, samples))
@@ -252,7 +263,8 @@ def _simulate_runs(
 def _start_length(record: Record, length: int, prepared: PreparedRecords) -> int | None:
     """Number of samples to which a run's initial state is fitted; None if a window has too few."""
     required = prepared.lowpass.memory / record.sample_period
-    allowed = [count for count in _START_SAMPLES if count <= _START_SHARE * length]
+    longest = _SETTINGS.max_start_share * length
+    allowed = [count for count in _SETTINGS.start_samples if count <= longest]
     return min(
         (count for count in allowed if count >= required), default=max(allowed, default=None)
     )
@@ -319,7 +331,7 @@ def _measured_steps(
     taps = len(np.atleast_2d(np.asarray(observer.kernel))[0])
     shortest = min(len(record) * record.sample_period for record in runs.measured)
     noise = [np.zeros(len(model.outputs))] * len(runs.measured)
-    taper = min(_TAPER / prepared.lowpass.cutoff, shortest / _MEMORIES)
+    taper = min(_SETTINGS.taper / prepared.lowpass.cutoff, shortest / _SETTINGS.min_memories)
     memory, explicit = prepared.lowpass.memory, prepared.explicit
     return prepare_steps(model, runs.measured, inputs, taps, 0.0, memory, noise, explicit, taper)
 
@@ -394,7 +406,7 @@ def _required_leak(plant: Plant, sums: PairSums, runs: _SimulatedRuns) -> float:
     slopes = sums.slopes[np.ix_(is_used, is_used)] / max(float(sums.steps), 1.0)
     duration = min(len(record) * record.sample_period for record in runs.measured)
     slowest = float(np.max(np.linalg.eigvals(slopes).real))
-    return max(slowest + _MEMORIES / duration, 0.0)
+    return max(slowest + _SETTINGS.min_memories / duration, 0.0)
 
 
 def _solve(
@@ -433,7 +445,7 @@ def noise_in_residual(
     for record, used_record, u in zip(records, prepared.records, prepared.inputs, strict=True):
         powers = _noise_powers(record, prepared, plant.relative_degree)
         u = u[:: prepared.substeps]
-        chosen = slice(None, None, max(len(u) // _SLOPE_SAMPLES, 1))
+        chosen = slice(None, None, max(len(u) // _SETTINGS.slope_samples, 1))
         rows = [used_record.outputs]
         for _ in range(1, plant.relative_degree):
             rows.append(np.gradient(rows[-1], used_record.sample_period, axis=0))
@@ -452,7 +464,7 @@ def _noise_powers(
     record: Record, prepared: PreparedRecords, degree: int
 ) -> Float[np.ndarray, "rows ny"]:
     """Power of F[n], F[n'], …, F[n^(degree)] of each output's white noise n."""
-    omega = np.linspace(0.0, np.pi / record.sample_period, _GRID)
+    omega = np.linspace(0.0, np.pi / record.sample_period, _SETTINGS.noise_frequencies)
     gain = 1.0 / (1.0 + (omega / prepared.lowpass.cutoff) ** (2 * prepared.lowpass.order))
     means = np.mean(gain * omega ** (2 * np.arange(degree + 1)[:, None]), axis=1)
     return means[:, None] * record.noise**2

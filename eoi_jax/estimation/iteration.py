@@ -29,22 +29,27 @@ from eoi_jax.estimation.regression.index import index as index_of
 from eoi_jax.estimation.regression.least_squares import Solution, least_squares
 from eoi_jax.models.plant import Plant
 
-# Decrease of Σ log P that counts as progress; _PATIENCE iterations in a row without it end the run.
-MIN_PROGRESS = 1e-2
-_PATIENCE = 2
-# Effect of an increment over the observed derivative, below which it is rounding.
-_ROUNDING = 1e-10
-# A model that is not affine in θ: first Levenberg damping (of columns scaled to one) after an
-# iteration that overshot, the damping below which the full step is tried again (after one overshoot
-# it usually overshoots again), and how many such iterations in a row end the run.
-_DAMPING = 0.1
-_MIN_DAMPING = 3e-3
-_RETRIES = 5
-_BOUND_ROUNDING = 64.0  # distance from a bound, in rounding errors, at which a parameter is on it
-
 Thetas = Float[np.ndarray, "lanes np"]
 Watch = Callable[[int, np.ndarray, np.ndarray], None]
 Run = Callable[[Int[np.ndarray, " running"], Float[np.ndarray, "running np"], int], Sums]
+
+
+@dataclass(frozen=True)
+class IterationSettings:
+    """When the iteration ends, and how a model that is not affine in θ is damped (Levenberg)."""
+
+    min_progress: float = 1e-2  # decrease of Σ log P; share of P that Δθ is predicted to explain
+    patience: int = 2  # iterations in a row without progress that end the run
+    damped_patience: int = 5  # the same while steps are damped
+    initial_damping: float = 0.1  # of columns scaled to one, after an iteration that overshot
+    min_damping: float = 3e-3  # below it the full step is tried: it often overshoots again
+    damping_factor: float = 10.0  # by which damping grows when a step overshoots, and falls else
+    rounding: float = 1e-10  # effect of an increment that is none, over the observed derivative
+    index_floor: float = 1e-24  # P over the mean square of y^(r), below which it is rounding
+    bound_rounding: float = 64.0  # distance to a bound of a parameter on it, in rounding errors
+
+
+_SETTINGS = IterationSettings()
 
 
 class Iteration(eqx.Module):
@@ -95,7 +100,7 @@ class Iteration(eqx.Module):
         with np.errstate(invalid="ignore"):  # an infinite regressor times a zero increment
             moved = np.abs(self.increment) * self.solution.scale
         size = np.sqrt(np.einsum("lj,lj->l", self.weights, self.sums.observed_square))
-        return np.all(moved <= _ROUNDING * size[:, None], axis=1)
+        return np.all(moved <= _SETTINGS.rounding * size[:, None], axis=1)
 
     @property
     def is_rank_deficient(self) -> Bool[np.ndarray, " lanes"]:
@@ -135,8 +140,8 @@ class IterationHistory:
             (~np.isfinite(self.best.cost), "diverged"),
             (self.best.is_rank_deficient, "unidentifiable"),
             (self.passes == 1, "passes_exhausted"),
-            ((predicted > MIN_PROGRESS) & used_all, "passes_exhausted"),
-            (predicted <= MIN_PROGRESS, "converged"),
+            ((predicted > _SETTINGS.min_progress) & used_all, "passes_exhausted"),
+            (predicted <= _SETTINGS.min_progress, "converged"),
         )
         return np.select(
             [condition for condition, _ in outcomes], [name for _, name in outcomes], "stalled"
@@ -161,7 +166,7 @@ def iterate(
     theta, active, damping = start, np.ones(len(start), bool), np.zeros(len(start))
     stale, count, best_pass = (np.zeros(len(start), int) for _ in range(3))
     sums = reference = best = has_data = None
-    history = []
+    factor, history = _SETTINGS.damping_factor, []
     for number in range(passes):
         running = lanes[active]
         new_sums = run(running, theta[running], number)
@@ -169,13 +174,15 @@ def iterate(
         current = _solve(plant, theta, sums, np.zeros(len(start)))
         if reference is None or best is None:
             reference, best, has_data = current, current, np.any(new_sums.count != 0, axis=1)
-        better = active & ((number == 0) | (current.cost < reference.cost - MIN_PROGRESS))
+        is_lower = current.cost < reference.cost - _SETTINGS.min_progress
+        better = active & ((number == 0) | is_lower)
         overshot = active & ~better & (current.cost > reference.cost) & (not affine)
         stale = np.where(better, 0, stale + active)
-        reduced = np.where(damping > _MIN_DAMPING, damping / 10.0, 0.0)
+        reduced = np.where(damping > _SETTINGS.min_damping, damping / factor, 0.0)
         damping = np.where(better, reduced, damping)
         # Gauss–Newton overshot: take a shorter step from the best iteration.
-        damping = np.where(overshot, np.maximum(10.0 * damping, _DAMPING), damping)
+        raised = np.maximum(factor * damping, _SETTINGS.initial_damping)
+        damping = np.where(overshot, raised, damping)
         is_damped = (better | overshot) & (damping > 0)
         if np.any(is_damped):
             origin = _selected(overshot, reference, current)
@@ -192,7 +199,7 @@ def iterate(
         values = current.theta, current.index, current.increment
         history.append([np.where(active[:, None], array, np.nan) for array in values])
         finite = np.all(np.isfinite(current.increment), axis=1)
-        limit = np.where(damping == 0.0, _PATIENCE, _RETRIES)
+        limit = np.where(damping == 0.0, _SETTINGS.patience, _SETTINGS.damped_patience)
         active = active & ~current.is_stationary & (stale < limit) & finite
         if not np.any(active):
             break
@@ -331,7 +338,7 @@ def _solve(
     power = np.asarray(index_of(sums.square, sums.weight))
     size = mean(sums.observed_square, sums.weight)
     # An index below rounding errors has no meaning; the floor also keeps the weights finite.
-    floor = np.maximum(1e-24 * size, np.finfo(float).tiny)
+    floor = np.maximum(_SETTINGS.index_floor * size, np.finfo(float).tiny)
     weights = np.where(np.isfinite(power), 1.0 / np.maximum(power, floor), 0.0)
     weights = weights / np.maximum(np.max(weights, axis=1, keepdims=True), np.finfo(float).tiny)
     information = np.einsum("lj,ljab->lab", weights, sums.information)
@@ -377,7 +384,8 @@ def _snapped_to_bounds(plant: Plant, theta: Thetas) -> Thetas:
     """θ with parameters that are on a bound but for rounding put exactly on it."""
     for bound in (plant.lower, plant.upper):
         finite = np.where(np.isfinite(bound), bound, np.nan)
-        at_bound = np.abs(theta - finite) <= _BOUND_ROUNDING * np.finfo(float).eps * np.abs(finite)
+        rounding = _SETTINGS.bound_rounding * np.finfo(float).eps * np.abs(finite)
+        at_bound = np.abs(theta - finite) <= rounding
         theta = np.where(at_bound, finite, theta)
     return theta
 

@@ -32,7 +32,6 @@ from eoi_jax.models.plant import Plant
 
 # Weights rise over this many time constants of F beside steps that do not count.
 TAPER = 2.0
-_BLOCKS, _FEWEST = 50, 10  # blocks of scores: most and fewest, if the filter's memory allows them
 
 
 def starting_points(plant: Plant, starts: Any) -> Float[np.ndarray, "starts np"]:
@@ -235,9 +234,8 @@ def prepare_steps(
     """
     length = max(len(record) for record in records) - 1
     jumps = plant.jumps  # probed once, however many records there are
-    # Many blocks for a steady covariance, each longer than the memory of the filter.
     total = duration or sum(len(record) * record.sample_period for record in records)
-    block = max(min(3.0 * memory, total / _FEWEST), total / _BLOCKS, memory)
+    block = _block_duration(total, memory)
     batch: list[np.ndarray] = []
     for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
         h = record.sample_period
@@ -264,6 +262,17 @@ def prepare_steps(
             target[i, len(values) :] = values[-1]
     periods = np.asarray([record.sample_period for record in records])
     return Steps(*batch, periods)  # type: ignore[call-arg]
+
+
+def _block_duration(
+    total: float, memory: float, memories: float = 3.0, min_blocks: int = 10, max_blocks: int = 50
+) -> float:
+    """Length of a block of scores [s]: many for a steady covariance, none shorter than the memory.
+
+    It is so many `memories` of the filter, if `total`, all records, has a number of blocks between
+    these limits.
+    """
+    return max(min(memories * memory, total / min_blocks), total / max_blocks, memory)
 
 
 def _blocks(

@@ -18,9 +18,6 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 
-_ROUNDS = 4  # fits, each weighing the outputs by the residuals of the one before
-_SETTLED = 0.02  # relative change of these weights that is none
-
 
 @dataclass(frozen=True)
 class Effort:
@@ -89,14 +86,17 @@ def fitted(
     initial_error: Float[np.ndarray, "runs time ny"],
     effort: Effort,
     huber: float | None,
+    reweightings: int = 4,
+    tolerance: float = 0.02,
 ) -> Fit:
     """Fits until the outputs are weighed by their residuals (one output: a single fit).
 
     Each lowers the cost under weights that were the best ones before: for squares, alternating
-    minimisation of the likelihood over the unknowns and σ, which never goes up.
+    minimisation of the likelihood over the unknowns and σ, which never goes up. There are at most
+    so many further fits as `reweightings`, until weights change by less than `tolerance` of them.
     """
     steps = 0
-    for count in range(1, 2 + _ROUNDS):
+    for count in range(1, 2 + reweightings):
         outcome, sensitivities = solve(
             problem, unknowns, sensitivities, effort.max_steps, effort.watch
         )
@@ -109,7 +109,7 @@ def fitted(
         ratio = np.where(sigma > 0, sigma, 1.0) * np.asarray(problem.scale)
         # Squares know no scale: only the ratios of the outputs count.
         extremes = (np.max(ratio), np.min(ratio) if huber is None else 1.0)
-        if max(extremes) < (1.0 + _SETTLED) * min(extremes):
+        if max(extremes) < (1.0 + tolerance) * min(extremes):
             break
         reweighed = weighed(problem, sigma, np.inf if huber is None else huber)
         problem, sensitivities = (

@@ -7,7 +7,7 @@ eliminated run by run, for QR of the rows of each run leaves a small triangle (Ã
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -32,16 +32,26 @@ from eoi_jax.refinement.problem import (
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import Host, added_up
 
-_DAMPING = 1e-2  # of the first step, relative to the squared length of each column
-_FLOOR = 1e-18  # mean square of weighed errors below which cost is rounding, divided by CONVERGED
-_SHORTEST_STEP = 1e-4  # of the trust region, relative to the first
-_LEAST_DAMPING = 1e-12  # of a full step: enough for what leaves no trace
-# Kinks of dry friction: steps keep being taken that lower the cost by next to nothing, and by
-# little of what they promise. So many in a row end the search.
-_SMALL_FALL, _SMALL_SHARE, _MOST_SMALL_FALLS = 3e-4, 0.1, 3
-
-
 Watch = Callable[[Any, Any], None]
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardtSettings:
+    """Numbers of the solver; damping is relative to the squared length of each column."""
+
+    initial_damping: float = 1e-2  # of the first step
+    min_damping: float = 1e-12  # of a full step: enough for what leaves no trace
+    widening: float = 0.75  # share of the predicted reduction from which on the region is widened
+    min_step: float = 1e-4  # size of the trust region at which it gives up, relative to the first
+    cost_floor: float = 1e-18  # mean square of weighed errors that is rounding, over `CONVERGED`
+    # Kinks of dry friction: steps keep being taken that lower the cost by next to nothing, and by
+    # little of what they promise. A step is poor if it lowers the cost by less than both shares.
+    poor_reduction: float = 3e-4  # of the cost
+    poor_ratio: float = 0.1  # of the predicted reduction
+    max_poor_steps: int = 3  # in a row; they end the search
+
+
+_SETTINGS = LevenbergMarquardtSettings()
 
 
 class _Reduced(eqx.Module):
@@ -107,20 +117,23 @@ class _Arrow(optx.AbstractDescent):
         stacked = jnp.concatenate([columns / scale[:, None, :], error[..., None]], axis=-1)
         triangles = jnp.linalg.qr(stacked, mode="r")
         room = jnp.stack([self.lower - y.theta, self.upper - y.theta])
-        damping = jnp.asarray(_LEAST_DAMPING, error.dtype)
+        damping = jnp.asarray(_SETTINGS.min_damping, error.dtype)
         _, remaining_cost = _shared_step(
             _damped(triangles, start_size, damping), start_size, damping
         )
         cost = jnp.sum(error**2)
-        predicted_reduction = (cost - remaining_cost) / jnp.maximum(cost, _FLOOR * self.scored)
+        floor = _SETTINGS.cost_floor * self.scored
+        predicted_reduction = (cost - remaining_cost) / jnp.maximum(cost, floor)
         lowered = 1.0 - cost / state.cost  # one at the very start
-        poor = (lowered < _SMALL_FALL) & (lowered < _SMALL_SHARE * state.predicted_reduction)
+        poor = lowered < _SETTINGS.poor_reduction
+        poor &= lowered < _SETTINGS.poor_ratio * state.predicted_reduction
         count = jnp.where(poor, state.poor + 1, 0)
         return _Reduced(triangles, *lengths, room, predicted_reduction, cost, count, state.widest)
 
     def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
         """The step of damping inverse to `step_size`."""
-        damping, start_size = _DAMPING / step_size, state.start_lengths.shape[1]
+        damping = _SETTINGS.initial_damping / step_size
+        start_size = state.start_lengths.shape[1]
         rows = _damped(state.triangles, start_size, damping)
         theta, _ = _shared_step(rows, start_size, damping)
         theta = jnp.clip(theta / state.shared, state.room[0], state.room[1])
@@ -202,8 +215,8 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
 
 def _lost(state: Any) -> Array:
-    short = state.search_state.step_size < _SHORTEST_STEP
-    return short | (state.descent_state.poor >= _MOST_SMALL_FALLS)
+    short = state.search_state.step_size < _SETTINGS.min_step
+    return short | (state.descent_state.poor >= _SETTINGS.max_poor_steps)
 
 
 def solve(
@@ -273,14 +286,13 @@ def _search(
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm,
         _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
-        optx.ClassicalTrustRegion(high_cutoff=0.75), lambda **_: None, max_steps, watch,
-        patient,
+        optx.ClassicalTrustRegion(high_cutoff=_SETTINGS.widening), lambda **_: None,
+        max_steps, watch, patient,
     )  # fmt: skip
     solution = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
     steps = solution.stats["num_steps"]
-    full, _ = solver.descent.step(
-        jnp.asarray(_DAMPING / _LEAST_DAMPING), solution.state.descent_state
-    )
+    full_step = jnp.asarray(_SETTINGS.initial_damping / _SETTINGS.min_damping)
+    full, _ = solver.descent.step(full_step, solution.state.descent_state)
     return Outcome(
         solution.value,
         jax.tree.map(jnp.add, solution.value, full),

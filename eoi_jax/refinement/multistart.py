@@ -8,6 +8,7 @@ rounds are again those of the best one of all. Stochastic local search: H. Hoos,
 *Stochastic Local Search* (2004), chapters 2 (iterated local search) and 4 (restarts).
 """
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -20,18 +21,29 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.levenberg_marquardt import solve_many
 from eoi_jax.refinement.problem import Problem, Unknowns, signals
 
-_REACH, _SEED = 8.0, 0  # ratio of drawn points to the plant's values, at most; of these points
-_TOURNAMENT = (8, 8)  # steps of the solver for all points, and for those that are left
-_SEARCH = (16, 8, 24)  # likewise, where further rounds begin at the best one
-_SHARE = 8  # one of so many is kept
-# Of further rounds: shares of the parameters that are drawn anew; spread of the logarithm of the
-# others, at random between; ratio to the plant's values from which on one has run away.
-_REDRAWN, _SPREAD, _LOST = (0.1, 0.25, 0.5), (0.02, 1.0), 1e3
-# Steps along what the runs hardly tell, in standard errors; least singular value over the largest.
-_FAR, _FLAT = (0.3, 30.0), 1e-9
-# So many rounds in a row that each lower the cost by less than a share of it are a standstill; the
-# last ones, one of so many, are those of the best one of all.
-_PATIENCE, _GAIN, _LAST = 5, 0.01, 5
+
+@dataclass(frozen=True)
+class MultistartSettings:
+    """Numbers of the search from several points."""
+
+    seed: int = 0  # of the points of the first round; that of further rounds is one more
+    max_ratio: float = 8.0  # of drawn parameters to the plant's values
+    # Steps of the solver for all points of a round, then for those that are left.
+    single_stages: tuple[int, ...] = (8, 8)  # of a single round
+    stages: tuple[int, ...] = (16, 8, 24)  # where further rounds begin at the best point
+    reduction: int = 8  # factor by which each stage lowers the number of points
+    # Further rounds: parameters are drawn anew, or moved, at random between the limits.
+    redrawn_shares: tuple[float, ...] = (0.1, 0.25, 0.5)  # of the parameters, one of these
+    spread: tuple[float, float] = (0.02, 1.0)  # of the logarithm of the others
+    valley_steps: tuple[float, float] = (0.3, 30.0)  # where runs hardly tell [standard errors]
+    min_singular: float = 1e-9  # value over the largest, at which such steps are no longer
+    max_drift: float = 1e3  # ratio to the plant's values beyond which a parameter has run away
+    min_reduction: float = 0.01  # of the cost in a round, as a share of it; less is a standstill
+    patience: int = 5  # rounds of standstill in a row, after which the search begins anew
+    final_share: float = 0.2  # of the rounds, at the end, that are those of the best point of all
+
+
+_SETTINGS = MultistartSettings()
 _RULE = "must be points (dicts of parameters, or rows), or how many are drawn: at least 1"
 
 
@@ -50,7 +62,7 @@ def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
         return np.zeros((0, len(plant.names)))
     if isinstance(starts, int | np.integer):
         check(starts >= 1, "starts", _RULE, starts)
-        return _drawn(plant, int(starts), np.random.default_rng(_SEED))
+        return _drawn(plant, int(starts), np.random.default_rng(_SETTINGS.seed))
     check(np.iterable(starts) and not isinstance(starts, str), "starts", _RULE, starts)
     points = starting_points(plant, starts)
     for i, name in enumerate(plant.names):
@@ -61,7 +73,7 @@ def points_of(plant: Plant, starts: Any) -> Float[np.ndarray, "points np"]:
 
 
 def _drawn(
-    plant: Plant, count: int, draw: np.random.Generator, reach: float = _REACH
+    plant: Plant, count: int, draw: np.random.Generator, reach: float = _SETTINGS.max_ratio
 ) -> Float[np.ndarray, "points np"]:
     """Points around a plant's values by ratio and by sign, in which guesses are mostly wrong.
 
@@ -103,13 +115,15 @@ def _varied(
     """
     drawn, nominal = _drawn(plant, count, draw), np.abs(np.asarray(plant.theta))
     kinds = draw.choice(["stay", "separate", "valley"], (count, 1))
-    spread, far = (_scales(draw, limits, (count, 1)) for limits in (_SPREAD, _FAR))
+    limits = _SETTINGS.spread, _SETTINGS.valley_steps
+    spread, far = (_scales(draw, pair, (count, 1)) for pair in limits)
     normal = draw.standard_normal(drawn.shape)
     points = best * np.exp(np.where(kinds == "separate", spread, 0.0) * normal)
     with np.errstate(over="ignore", invalid="ignore"):
         points += np.where(kinds == "valley", far, 0.0) * (normal @ standard_steps.T)
-    chosen = draw.uniform(size=drawn.shape) < draw.choice(_REDRAWN, (count, 1))
-    lost = np.abs(best) > _LOST * nominal
+    chance = draw.uniform(size=drawn.shape)
+    chosen = chance < draw.choice(_SETTINGS.redrawn_shares, (count, 1))
+    lost = np.abs(best) > _SETTINGS.max_drift * nominal
     run_away = lost | ~np.isfinite(points)
     points = np.where((chosen | run_away) & (nominal > 0), drawn, points)
     stays = (np.asarray(plant.free) == 0) | ~np.isfinite(points)
@@ -141,7 +155,8 @@ def _standard_steps(problem: Problem, unknowns: Unknowns) -> Float[np.ndarray, "
         return nowhere
     lengths = np.where(lengths > 0.0, lengths, np.inf)  # what leaves no trace stays
     _, values, across = np.linalg.svd(rows / lengths, full_matrices=False)
-    steps = sigma * (across.T / np.maximum(values, _FLAT * values[0])) / lengths[:, None]
+    values = np.maximum(values, _SETTINGS.min_singular * values[0])
+    steps = sigma * (across.T / values) / lengths[:, None]
     size = np.where(theta == 0.0, np.inf, np.abs(theta))
     return steps / np.maximum(np.max(np.abs(steps) / size[:, None], axis=0), 1.0)
 
@@ -169,8 +184,8 @@ def best(
     if not len(points):
         return []
     plant, free = problem.kernel.plant, list(problem.free)
-    draw = np.random.default_rng(_SEED + 1)
-    stages = _TOURNAMENT if rounds == 1 else _SEARCH
+    draw = np.random.default_rng(_SETTINGS.seed + 1)
+    stages = _SETTINGS.single_stages if rounds == 1 else _SETTINGS.stages
 
     def followed(theta: np.ndarray, starts: Any) -> _Candidate:
         diverged = _Candidate(unknowns, np.inf)  # stays the best one where all diverge
@@ -179,13 +194,15 @@ def best(
     current = followed(points[:, free], unknowns.starts)
     if rounds > 1:
         current = _better(current, followed(np.asarray(unknowns.theta)[None], unknowns.starts))
-    champion, stalled, attempts, last = current, 0, 1, rounds // _LAST
+    champion, stalled, attempts = current, 0, 1
+    last = int(rounds * _SETTINGS.final_share)
     for remaining in range(rounds - 1, 0, -1):
         if remaining == last:
             current = champion
-        if stalled >= _PATIENCE and remaining > last:
+        if stalled >= _SETTINGS.patience and remaining > last:
             # In turn near the plant's values and far from them.
-            theta = _drawn(plant, len(points), draw, _REACH ** (1 + attempts % 2))
+            reach = _SETTINGS.max_ratio ** (1 + attempts % 2)
+            theta = _drawn(plant, len(points), draw, reach)
             current, stalled, attempts = followed(theta[:, free], unknowns.starts), 0, attempts + 1
         else:
             theta = problem.completed(current.unknowns.theta)
@@ -193,7 +210,8 @@ def best(
             standard_steps[np.ix_(free, free)] = _standard_steps(problem, current.unknowns)
             varied = _varied(plant, theta, standard_steps, len(points), draw)
             candidate = followed(varied[:, free], current.unknowns.starts)
-            stalled = 0 if candidate.cost < (1.0 - _GAIN) * current.cost else stalled + 1
+            target = (1.0 - _SETTINGS.min_reduction) * current.cost
+            stalled = 0 if candidate.cost < target else stalled + 1
             current = _better(current, candidate)
         champion = _better(champion, current)
     return [champion.unknowns] if np.isfinite(champion.cost) else []
@@ -217,14 +235,14 @@ def _tournament(
         rough: of the first stage.
         theta: the points.
         initial: initial states at which all begin.
-        stages: steps of the solver, after each of which all but one of `_SHARE` are dropped.
+        stages: steps of the solver, after each of which all but one of `reduction` are dropped.
     """
     starts = np.broadcast_to(np.asarray(initial), (len(theta), *initial.shape))
     points, cost = Unknowns(np.asarray(theta), starts), np.full(len(theta), np.inf)
     for stage, steps in enumerate(stages):
         outcome = solve_many(problem if stage else rough, points, steps)
         cost = np.where(np.isfinite(outcome.cost), np.asarray(outcome.cost), np.inf)
-        survivors = np.argsort(cost, kind="stable")[: -(-len(cost) // _SHARE)]
+        survivors = np.argsort(cost, kind="stable")[: -(-len(cost) // _SETTINGS.reduction)]
         points = jax.tree.map(
             lambda leaf, survivors=survivors: np.asarray(leaf)[survivors], outcome.unknowns
         )

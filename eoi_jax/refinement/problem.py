@@ -30,11 +30,7 @@ from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulation.simulate import actuated, drive
 
-_HEAD = 50  # samples of each run from which its initial state is guessed
 CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
-_FEWEST_STEPS = 8  # steps of a run, at least
-_MOVED = 1e-3  # share of the outputs by which rounding of a parameter must not move them
-_TRACE = 1e-6  # length of a column, in standard deviations, that is no trace of a start
 
 
 # -- runs -------------------------------------------------------------------------------------
@@ -50,13 +46,16 @@ class Span:
     use: Bool[np.ndarray, " time"]
 
 
-def spans_of(records: Sequence[Record], window: float | None) -> list[Span]:
-    """Records cut into runs of about `window` seconds, of equal length within a record."""
+def spans_of(records: Sequence[Record], window: float | None, min_samples: int = 8) -> list[Span]:
+    """Records cut into runs of about `window` seconds, of equal length within a record.
+
+    A run has at least `min_samples` sample periods, unless its record is shorter.
+    """
     spans = []
     for i, record in enumerate(records):
         length = (len(record) - 1) * record.sample_period
         pieces = 1 if window is None else max(round(length / window), 1)
-        pieces = min(pieces, max((len(record) - 1) // _FEWEST_STEPS, 1))
+        pieces = min(pieces, max((len(record) - 1) // min_samples, 1))
         edges = np.round(np.linspace(0, len(record) - 1, pieces + 1)).astype(int)
         scored = scored_samples(record)
         for first, last in itertools.pairwise(edges):
@@ -215,14 +214,15 @@ def problem_of(
 
 
 def _faintest(
-    kernel: RunKernel, spread: Float[np.ndarray, " ny"], period: float
+    kernel: RunKernel, spread: Float[np.ndarray, " ny"], period: float, trace: float = 1e-6
 ) -> Float[np.ndarray, " states"]:
     """Length of a column by which a start of the largest conceivable size leaves no trace.
 
-    Else a start that a burn-in has forgotten is moved by orders of magnitude, after noise.
+    Else a start that a burn-in has forgotten is moved by orders of magnitude, after noise. No trace
+    is a change of the outputs by `trace` of their standard deviation.
     """
     largest = spread[list(kernel.columns)] / period ** np.asarray(kernel.rows)
-    return _TRACE / np.where(largest > 0, largest, np.inf)
+    return trace / np.where(largest > 0, largest, np.inf)
 
 
 def kernel_of(plant: Plant, store: str) -> RunKernel:
@@ -292,11 +292,11 @@ def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "
 
 
 def guessed_starts(
-    problem: Problem, records: Sequence[Record], spans: Sequence[Span]
+    problem: Problem, records: Sequence[Record], spans: Sequence[Span], samples: int = 50
 ) -> Float[np.ndarray, "runs unknowns"]:
-    """Initial states fitted to the first samples of each run, at the plant's own parameters."""
+    """Initial states fitted to the first `samples` of each run, at the plant's own parameters."""
     kernel, substeps = problem.kernel, problem.substeps
-    count = min([_HEAD, *(span.count for span in spans)])
+    count = min([samples, *(span.count for span in spans)])
     run = Run(kernel.plant, kernel.friction, count, substeps)
     heads = [slice(span.first, span.first + count) for span in spans]
     pairs = list(zip(spans, heads, strict=True))
@@ -479,7 +479,7 @@ def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size
     return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
 
 
-def ill_conditioned(squares: Any, theta: Any, power: Any) -> Any:
+def ill_conditioned(squares: Any, theta: Any, power: Any, max_share: float = 1e-3) -> Any:
     """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
 
     So it is where a step is too long for what the model does fast: the errors of the steps are then
@@ -490,9 +490,10 @@ def ill_conditioned(squares: Any, theta: Any, power: Any) -> Any:
             shape (runs, free + 1).
         theta: these parameters, shape (free,).
         power: sums of squares of the measured outputs, shape (runs,).
+        max_share: of the outputs, by which rounding of a parameter may move them.
     """
     moved = squares[:, :-1] * (np.finfo(theta.dtype).eps * theta) ** 2
-    return (moved > _MOVED**2 * (power + squares[:, -1])[:, None]).any(axis=1)
+    return (moved > max_share**2 * (power + squares[:, -1])[:, None]).any(axis=1)
 
 
 def unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:

@@ -10,7 +10,7 @@ Here is how fits follow each other. Runs and sensitivities are in `problem.py`, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,15 +51,25 @@ from eoi_jax.refinement.problem import (
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 
-_LONGER, _NEGLIGIBLE = 4, 0.1  # times the step; largest error of such steps, over the residual
-# Share of the cost that least squares promises where the solver stalls, from which on it is looked
-# for; points and rounds of that search.
-_PROMISED, _POINTS, _SEARCH_ROUNDS = 0.01, 64, 4
-_SHARES = (0.125, 0.25, 0.5)  # of the runs, that are fitted before the whole ones
-# Mean square of the errors in the first of these shares, over that of the whole runs, below which
-# errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry friction
-# (emps), 0.01 and far less in wrong minima of pendulums and of an oscillator.
-_GROWING = 0.3
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """How fits follow each other."""
+
+    rough_step: int = 4  # of the simulations that sort out starting points, times that of the fit
+    max_rough_error: float = 0.1  # of such steps, over the residual
+    # Share of the cost; where the solver stalls and least squares predicts more, a search follows.
+    max_reduction: float = 0.01
+    search_points: int = 64
+    search_rounds: int = 4
+    beginnings: tuple[float, ...] = (0.125, 0.25, 0.5)  # shares of runs in which errors grow
+    # Mean square of the errors in the first of these shares, over that of the whole runs, below
+    # which errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry
+    # friction (emps), 0.01 and far less in wrong minima of pendulums and of an oscillator.
+    max_beginning_error: float = 0.3
+
+
+_SETTINGS = RefinementSettings()
 
 
 @one_thread()
@@ -197,12 +207,11 @@ def _rougher(
     """
     if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
         return problem
-    substeps = max(problem.substeps // _LONGER, 1)
+    substeps = max(problem.substeps // _SETTINGS.rough_step, 1)
     rough = _stepped(problem, records, spans, substeps)
     sensitivities = signals(unknowns, rough)
-    negligible = rms(
-        unweighed(rough, sensitivities) - initial_error, problem.use
-    ) <= _NEGLIGIBLE * rms(initial_error, problem.use)
+    step_error = rms(unweighed(rough, sensitivities) - initial_error, problem.use)
+    negligible = step_error <= _SETTINGS.max_rough_error * rms(initial_error, problem.use)
     return (
         rough
         if np.all(negligible) and differentiable_at(rough, unknowns, sensitivities)
@@ -237,10 +246,10 @@ def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) ->
         The better one; with the steps of all.
     """
     predicted_reduction, steps = float(fit.outcome.predicted_reduction), fit.steps
-    threshold = _PROMISED if bool(fit.outcome.exhausted) else CONVERGED
+    threshold = _SETTINGS.max_reduction if bool(fit.outcome.exhausted) else CONVERGED
     if predicted_reduction < threshold or not fit.differentiable or not _growing(fit):
         return fit
-    for share in (*_SHARES, 1.0):
+    for share in (*_SETTINGS.beginnings, 1.0):
         problem = fit.problem if share == 1.0 else beginning(fit.problem, share)
         sensitivities = signals(unknowns, problem)
         if not differentiable_at(problem, unknowns, sensitivities):
@@ -255,11 +264,12 @@ def _growing(fit: Fit) -> bool:
     """Whether errors are small at the beginning of the runs and grow in them."""
     error, use = fit.sensitivities[..., -1], fit.use
     lengths = (np.asarray(fit.problem.counts) - 1) / fit.problem.substeps
-    first = (np.arange(use.shape[1]) <= _SHARES[0] * lengths[:, None])[..., None] & use
+    ends = _SETTINGS.beginnings[0] * lengths
+    first = (np.arange(use.shape[1]) <= ends[:, None])[..., None] & use
     beginning, overall = (
         np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
     )
-    return bool(beginning < _GROWING * overall)
+    return bool(beginning < _SETTINGS.max_beginning_error * overall)
 
 
 def _search_around(
@@ -272,15 +282,16 @@ def _search_around(
     """From points around a fit that stalled at a kink, far above what least squares promises."""
     outcome, problem = fit.outcome, fit.problem
     if (
-        float(outcome.predicted_reduction) < _PROMISED
+        float(outcome.predicted_reduction) < _SETTINGS.max_reduction
         or bool(outcome.exhausted)
         or not fit.differentiable
     ):
         return []
     theta = problem.completed(outcome.unknowns.theta)
-    points = points_of(problem.kernel.plant.with_parameters(theta), _POINTS)
+    centre = problem.kernel.plant.with_parameters(theta)
+    points = points_of(centre, _SETTINGS.search_points)
     rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
-    starts = best(problem, rough, outcome.unknowns, points, _SEARCH_ROUNDS)
+    starts = best(problem, rough, outcome.unknowns, points, _SETTINGS.search_rounds)
     fits = [
         fitted(problem, start, signals(start, problem), fit.initial_error, effort, huber)
         for start in starts

@@ -33,9 +33,6 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try
 from eoi_jax.simulation.validate import Validation, validate
 
-_PAIRS = 6  # pairs that are shown
-_TRIALS = 3  # significant answers that are refined with and judged on held-out records
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -172,22 +169,24 @@ def remaining(
     result = Remaining(plant, _ranked(ranking), _pairs(runs, tries, shares), refinement.rmse, level)
     if not validation_records:
         return result
-    trials = [
-        _trial(refinement, effect, validation_records, substeps)
-        for effect in result.significant[:_TRIALS]
-    ]
-    return replace(result, held_out=validate(plant, validation_records), trials=tuple(trials))
+    trials = _trials(refinement, result.significant, validation_records, substeps)
+    return replace(result, held_out=validate(plant, validation_records), trials=trials)
 
 
-def _trial(
+def _trials(
     refinement: Refinement,
-    candidate: Candidate,
+    candidates: Sequence[Candidate],
     validation_records: Sequence[Record],
     substeps: int,
-) -> Trial:
-    plant = augmented(refinement.plant, candidate.placed, candidate.values)
-    refinement_with = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
-    return Trial(candidate, refinement_with, validate(refinement_with.plant, validation_records))
+    max_trials: int = 3,
+) -> tuple[Trial, ...]:
+    """The first `max_trials` candidates, each refined with and judged on held-out records."""
+    trials = []
+    for candidate in candidates[:max_trials]:
+        plant = augmented(refinement.plant, candidate.placed, candidate.values)
+        fit = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
+        trials.append(Trial(candidate, fit, validate(fit.plant, validation_records)))
+    return tuple(trials)
 
 
 def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:
@@ -211,9 +210,12 @@ def _ranked(candidates: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
 
 
 def _pairs(
-    runs: LinearisedRuns, tries: Sequence[Try], shares_alone: Sequence[float | None]
+    runs: LinearisedRuns,
+    tries: Sequence[Try],
+    shares_alone: Sequence[float | None],
+    max_pairs: int = 6,
 ) -> tuple[Candidate, ...]:
-    """The pairs with the largest shares."""
+    """The `max_pairs` pairs with the largest shares."""
     linear = [attempt for attempt, share in zip(tries, shares_alone, strict=True)
               if attempt.placed.effect.gains or share is not None]  # fmt: skip
     shares = runs.pair_shares(linear)
@@ -222,7 +224,7 @@ def _pairs(
     for place in np.argsort(shares, axis=None)[::-1]:
         i, j = np.unravel_index(place, shares.shape)
         key = linear[i].placed, linear[j].placed
-        if shares[i, j] == 0 or len(candidates) == _PAIRS:
+        if shares[i, j] == 0 or len(candidates) == max_pairs:
             break
         if key not in candidates:
             candidates[key] = runs.candidate((linear[i], linear[j]), count)

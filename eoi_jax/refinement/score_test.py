@@ -40,11 +40,20 @@ from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.linear_response import Response, response_of
 from eoi_jax.simulation.simulate import free_run
 
-_PEAKS = 5  # frequencies of the residual at which a sinusoid is tried
-_RANK = 1e-8  # singular value, over the largest, of columns of which one follows from the others
-_NOVEL = 1e-6  # share of a column's power that the parameters must leave, else it is one of them
-
 Columns = Float[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True)
+class ScoreTestSettings:
+    """Numbers of the test."""
+
+    peaks: int = 5  # frequencies of the residual at which a sinusoid is tried
+    # Singular value, over the largest, of columns of which one follows from the others.
+    rank_tolerance: float = 1e-8
+    min_new: float = 1e-6  # share of a column's power that the model's own unknowns must leave
+
+
+_SETTINGS = ScoreTestSettings()
 
 
 @dataclass(frozen=True)
@@ -105,7 +114,8 @@ class LinearisedRuns:
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         sensitivities = _flat(signals(unknowns, problem))
-        basis = orthonormal(_wide(sensitivities[..., :-1], unknowns.starts.shape[1]), _RANK)
+        columns = _wide(sensitivities[..., :-1], unknowns.starts.shape[1])
+        basis = orthonormal(columns, _SETTINGS.rank_tolerance)
         residual = sensitivities[..., -1].ravel()
         residual = residual - basis @ (basis.T @ residual)
         time, inputs, y, z = _steps(problem, unknowns)
@@ -133,7 +143,7 @@ class LinearisedRuns:
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:
         """Frequencies at which the residual stands out [rad/s]."""
         power = np.abs(np.fft.rfft(self.residual))[1:] ** 2
-        best = np.argsort(power)[::-1][:_PEAKS]
+        best = np.argsort(power)[::-1][: _SETTINGS.peaks]
         ny = len(self.plant.outputs)
         return 2.0 * np.pi * (best + 1) / (len(self.residual) / ny * period)
 
@@ -150,7 +160,7 @@ class LinearisedRuns:
         power = np.sum(columns**2, axis=0)
         columns = columns - self.basis @ (self.basis.T @ columns)
         remaining_power = np.sum(columns**2, axis=0)
-        new = np.isfinite(remaining_power) & (remaining_power > _NOVEL * power)
+        new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
         count = len(forces) // len(grid)
         parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
         return [Try(placed, shape, columns[:, part])

@@ -20,9 +20,6 @@ from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, numbers
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import Drive, advanced, chained
 
-_CHUNK = 8192  # steps at a time
-_RUNS = 8  # scanned runs are filled up to a multiple: few lengths, few compilations
-
 
 class _Row(eqx.Module):
     """One step.
@@ -88,7 +85,7 @@ class _Chain(AbstractLoop):
 
 
 def outputs_of(
-    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], chunk: int = 8192
 ) -> Float[np.ndarray, "runs time ny"]:
     """Outputs of several runs of one length and one step, at the plant's own parameters.
 
@@ -97,6 +94,7 @@ def outputs_of(
         drives: runs on the leading axis.
         starts: likewise, NumPy arrays.
         friction: which outputs stick, see `integrator.frictional`.
+        chunk: steps at a time, because of the memory of their rows.
 
     Returns:
         Outputs at every sample, the first one too.
@@ -110,8 +108,8 @@ def outputs_of(
     first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
     fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
     begun, output_parts = code.begin(np.zeros((1, 1)), fixed), []
-    for at in range(0, runs * steps, _CHUNK):
-        index = np.arange(at, min(at + _CHUNK, runs * steps))
+    for at in range(0, runs * steps, chunk):
+        index = np.arange(at, min(at + chunk, runs * steps))
         begins = (index % steps == 0)[:, None]
         starts_by_row = begins * first[index // steps]
         rows = np.concatenate([time[index, None], inputs[index], begins, starts_by_row], axis=1)
@@ -132,10 +130,12 @@ def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoo
 
 
 def _scanned(
-    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], multiple: int = 8
 ) -> Float[np.ndarray, "runs time ny"]:
+    """The same; runs are filled up to a multiple of a number: few lengths, few compilations."""
     runs = len(drives.time)
-    index = np.minimum(np.arange(-(-runs // _RUNS) * _RUNS) if runs > 1 else np.arange(1), runs - 1)
+    count = -(-runs // multiple) * multiple if runs > 1 else 1
+    index = np.minimum(np.arange(count), runs - 1)
     padded_drives = Drive(
         np.asarray(drives.time)[index],
         np.asarray(drives.step)[index],

@@ -24,10 +24,15 @@ from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
-_FEW_LANES = 4  # so many lanes run one by one: a vector of them would take longer
-_CHUNK = 8192  # rows of outputs at a time
-
 Table = Float[np.ndarray, "runs rows columns"]
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How runs are laid out; the sums do not depend on it but for rounding."""
+
+    min_vector: int = 4  # lanes side by side; fewer run one by one: a vector would take longer
+    chunk: int = 8192  # rows of outputs at a time, because of their memory
 
 
 class _StateAndSlope(eqx.Module):
@@ -201,6 +206,7 @@ def signals(
     steps: Float[np.ndarray, " runs"],
     counts: Int[np.ndarray, " runs"],
     substeps: int,
+    settings: RunSettings = RunSettings(),
 ) -> Float[np.ndarray, "runs samples ny size"]:
     """c of every sample of one lane's runs: minus the slopes of ŷ, and the error, weighed.
 
@@ -211,8 +217,9 @@ def signals(
         steps: their length, of each run [s].
         counts: rows of each run that are not padding.
         substeps: rows in each sample.
+        settings: of the memory.
     """
-    single = _OneLane(kernel, lane, tables, steps, counts)
+    single = _OneLane(kernel, lane, tables, steps, counts, settings)
     samples = -(-tables.shape[1] // substeps)
     values = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
 
@@ -238,8 +245,9 @@ class _OneLane:
         tables: Table,
         steps: np.ndarray,
         counts: np.ndarray,
+        settings: RunSettings = RunSettings(),
     ):
-        self._threshold = np.asarray(lane.threshold)[0]
+        self._threshold, self._chunk = np.asarray(lane.threshold)[0], settings.chunk
         # In the order of the loop's `fixed`: plant and lane; the length of a step follows.
         self._plant = numbers(kernel, float)
         self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
@@ -279,7 +287,7 @@ class _OneLane:
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
         begun, count = (
             self._code.begin(self._directions, fixed),
-            max(_CHUNK // substeps, 1) * substeps,
+            max(self._chunk // substeps, 1) * substeps,
         )
         first = [place.start for place in self._code.outputs[::2]]
         for outputs in begun.outputs(rows, count):
@@ -299,11 +307,13 @@ def _one_run(kernel: RunKernel, start_size: int) -> CompiledLoop:
     return code
 
 
-def _code(kernel: RunKernel, start_size: int, lanes: int) -> CompiledLoop:
+def _code(
+    kernel: RunKernel, start_size: int, lanes: int, settings: RunSettings = RunSettings()
+) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
     loop = _FreeRun(shapes_of(kernel, dtype), *_shapes(len(plant.names), start_size, nu, ny), dtype)
-    return compiled_loop(loop, 1 + 3 * nu + 2 * ny, 1 if lanes < _FEW_LANES else None)
+    return compiled_loop(loop, 1 + 3 * nu + 2 * ny, 1 if lanes < settings.min_vector else None)
 
 
 @functools.cache

@@ -23,12 +23,18 @@ Samples = Float[np.ndarray, "time ny"]
 Starts = Float[np.ndarray, "runs unknowns"]
 Trials = Float[np.ndarray, "runs trials unknowns"]
 
-_ROUNDS = 20  # of Gauss-Newton; a linear plant needs one
-_DIFFERENCE = 1e-6  # step of derivatives, over the size of the variable
-_TRIALS = 5  # starts; and lengths of a step, each half of the one before, tried at once
-_SMALLEST_FALL = (
-    1e-5  # relative fall of the squared error below which they end: 0.02 standard errors
-)
+
+@dataclass(frozen=True)
+class InitialStateSettings:
+    """Numbers of the least squares."""
+
+    max_rounds: int = 20  # of Gauss-Newton; a linear plant needs one
+    trials: int = 5  # starts; and lengths of a step, each half of the one before, tried at once
+    difference: float = 1e-6  # step of derivatives, over the size of the variable
+    min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
+
+
+_SETTINGS = InitialStateSettings()
 
 
 @dataclass(frozen=True)
@@ -106,18 +112,19 @@ def _descend(
     def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
         runs = np.asarray([point.run for point in points])
         values = np.stack([point.values for point in points])
-        lengths = 0.5 ** np.arange(_TRIALS)[:, None]
+        lengths = 0.5 ** np.arange(_SETTINGS.trials)[:, None]
         trials = values[:, None] + np.stack(steps)[:, None] * lengths
         costs, errors, slopes = heads.part(runs).errors_and_slopes(trials, free)
         return [
             [
                 _Start(run, costs[i, j], trials[i, j], errors[i, j], None if j else slopes[i])
-                for j in range(_TRIALS)
+                for j in range(_SETTINGS.trials)
             ]
             for i, run in enumerate(runs)
         ]
 
-    ends = gauss_newton(points, linearise, evaluate, _SMALLEST_FALL, _ROUNDS).points
+    limits = _SETTINGS.min_reduction, _SETTINGS.max_rounds
+    ends = gauss_newton(points, linearise, evaluate, *limits).points
     return np.asarray([end.cost for end in ends]), np.stack([end.values for end in ends])
 
 
@@ -222,7 +229,8 @@ class _Heads:
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
         z = np.abs(values[:, self._reach.shape[1] :])
-        return _DIFFERENCE * np.concatenate([self._reach, np.where(z > 0, z, 1.0)], axis=1)
+        size = np.concatenate([self._reach, np.where(z > 0, z, 1.0)], axis=1)
+        return _SETTINGS.difference * size
 
     @cached_property
     def _reach(self) -> Starts:
@@ -253,8 +261,8 @@ def _polynomial_starts(
     rows, columns = owned(plant)
     factorial = np.cumprod([1.0, *range(1, degree + 1)])
     (samples,) = np.nonzero(valid)
-    starts, count = [], len(samples)
-    while count >= min(degree + 1, len(samples)) and count > 0 and len(starts) < _TRIALS:
+    starts, count, trials = [], len(samples), _SETTINGS.trials
+    while count >= min(degree + 1, len(samples)) and count > 0 and len(starts) < trials:
         index = samples[:count]
         # Time in units of the stretch: the columns are then of one size.
         reach = max(float(index[-1]), 1.0)
@@ -265,7 +273,7 @@ def _polynomial_starts(
         starts.append((coefficients * scale)[rows, columns])
         count //= 2
     starts = starts or [np.zeros(len(rows))]
-    return np.stack([*starts, *[starts[-1]] * (_TRIALS - len(starts))])
+    return np.stack([*starts, *[starts[-1]] * (trials - len(starts))])
 
 
 def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:

@@ -41,8 +41,7 @@ from eoi_jax.models.plant import REST_SPEED, Plant, State, velocity_of, with_vel
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
-_GRAIN = 3  # a length is rounded up by an eighth at most
-_PAIR = 2  # outputs whose frictions may act on each other
+_PAIR = 2  # outputs whose frictions may act on each other: `complementarity.py` balances no more
 REACHES = 2  # of `frictional`: what sticks acts on other outputs too
 
 Motion = Float[Array, "time r ny"]
@@ -155,7 +154,12 @@ def advanced(
 
 
 def chained(
-    plant: Plant, theta: Theta, drives: Drive, starts: State, friction: tuple[int, ...]
+    plant: Plant,
+    theta: Theta,
+    drives: Drive,
+    starts: State,
+    friction: tuple[int, ...],
+    length_bits: int = 3,
 ) -> Float[np.ndarray, "runs time ny"]:
     """Outputs of several runs of one length, one after the other in one scan.
 
@@ -168,14 +172,15 @@ def chained(
         drives: runs on the leading axis.
         starts: likewise.
         friction: which outputs stick, see `frictional`.
+        length_bits: binary digits of the length that follow the first one; it is rounded up to
+            them, here by an eighth at most, so that lengths that differ by little share a kernel.
 
     Returns:
         Outputs at every sample, the first one too.
     """
     runs, steps = np.shape(drives.time)
     total = runs * steps
-    # Lengths that differ by little share a kernel; what is run beyond the end is thrown away.
-    grain = 2 ** max(int(math.log2(total)) - _GRAIN, 0)
+    grain = 2 ** max(int(math.log2(total)) - length_bits, 0)
     index = np.minimum(np.arange(-(-total // grain) * grain), total - 1)
     restarts = index % steps == 0
     begun = jax.tree.map(lambda leaf: np.asarray(leaf)[index // steps], starts)

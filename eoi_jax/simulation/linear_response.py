@@ -30,8 +30,6 @@ from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import advanced, frictional
 from eoi_jax.simulation.known_direction import OwnInputs
 
-_WIDTH = 16  # forces that go side by side; so many always, for one kernel serves all
-
 
 @dataclass(frozen=True)
 class _Pushed:
@@ -75,19 +73,20 @@ class Response:
     forced: Float[Array, "runs samples n 3 ny"]
 
     def to(
-        self, forces: Float[np.ndarray, "runs samples 3 forces"], output: int
+        self, forces: Float[np.ndarray, "runs samples 3 forces"], output: int, width: int = 16
     ) -> Float[np.ndarray, "runs samples+1 ny forces"]:
         """How far some forces on an output move all outputs, at every sample and after the last.
 
         Args:
             forces: at the start, the middle and the end of each sample, in the unit of y^(r).
             output: number of the output on which they act.
+            width: forces that go side by side; so many always, for one kernel serves all.
         """
         kernel, count, ny = self.forced[..., output], forces.shape[-1], self.forced.shape[-1]
         parts = []
-        for first in range(0, count, _WIDTH):
-            part = forces[..., first : first + _WIDTH]
-            room = [(0, 0)] * 3 + [(0, _WIDTH - part.shape[-1])]
+        for first in range(0, count, width):
+            part = forces[..., first : first + width]
+            room = [(0, 0)] * 3 + [(0, width - part.shape[-1])]
             parts.append(np.asarray(_moved(self.free, kernel, jnp.pad(part, room)))[:, :, :ny])
         return np.concatenate(parts, axis=-1)[..., :count]
 

@@ -16,7 +16,7 @@ from eoi_jax.estimation.sweep.sweep import sweep
 from eoi_jax.models.check_records import check_records
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
-_FEWEST = 20  # resamples, of which quantiles say something
+_MIN_RESAMPLES = 20  # quantiles of fewer say nothing
 
 
 def bootstrap(
@@ -52,8 +52,8 @@ def bootstrap(
     Source:
         H. Künsch, Annals of Statistics 17 (1989) 1217, with blocks that do not overlap.
     """
-    rule = f"must be an integer ≥ {_FEWEST}"
-    check(isinstance(resamples, int) and resamples >= _FEWEST, "resamples", rule, resamples)
+    rule = f"must be an integer ≥ {_MIN_RESAMPLES}"
+    check(isinstance(resamples, int) and resamples >= _MIN_RESAMPLES, "resamples", rule, resamples)
     check_kind("identification", identification, Identification, "what `identify` returned")
     base = uncertainty(identification)
     check(
@@ -77,7 +77,7 @@ def bootstrap(
     ).isel(record=0, lowpass=0, observer=0, start=0, resample=slice(1, None))
     draws = np.asarray(drawn["parameters"].values)[drawn["ok"].values]
     check(
-        len(draws) >= max(_FEWEST, resamples // 2),
+        len(draws) >= max(_MIN_RESAMPLES, resamples // 2),
         "records",
         "must give an answer for at least half of the resamples",
         f"{len(draws)} of {resamples}",

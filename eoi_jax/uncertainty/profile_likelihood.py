@@ -25,9 +25,6 @@ from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.uncertainty.uncertainty import student, uncertainty
 
-_STEP = 0.5  # between points, in half widths of the interval that a parabola would have
-_FARTHEST = 4.0  # such half widths
-
 
 @dataclass(frozen=True)
 class Profile(Result):
@@ -129,7 +126,10 @@ def _limits(plant: Plant, name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class _Search:
-    """Points outwards from the estimate, to both sides."""
+    """Points outwards from the estimate, to both sides.
+
+    Lengths are in half widths of the interval that a parabola would have.
+    """
 
     fit: Callable[[Plant, float], Refinement]
     name: str
@@ -137,16 +137,20 @@ class _Search:
     error: float
     quantile: float
     limits: tuple[float, float]
+    step: float = 0.5  # between points
+    max_distance: float = 4.0  # beyond which a side is open
 
     def run(self, level: float, unit: str) -> Profile:
         value, half_width = self.centre.parameters[self.name], self.quantile * self.error
         # Both neighbours together: what is odd in D (its skewness) cancels.
-        first = [self._fit_at(self.centre, value + side * _STEP * half_width) for side in (-1, 1)]
+        first = [
+            self._fit_at(self.centre, value + side * self.step * half_width) for side in (-1, 1)
+        ]
         rises = [point.cost - self.centre.cost for point in first if point.status.ok]
         rise = float(np.mean(rises)) if rises else np.nan
         rule = "must have an optimum with a curvature that the profile can see"
         check(rise > 0, "refinement", rule, f"{rise:.2g} in the cost")
-        samples = (_STEP * self.quantile) ** 2 / rise
+        samples = (self.step * self.quantile) ** 2 / rise
         sides = [
             self._outwards(side, point, samples) for side, point in zip((-1, 1), first, strict=True)
         ]
@@ -180,7 +184,7 @@ class _Search:
         self, side: int, point: Refinement, samples: float
     ) -> tuple[list[Refinement], list[str]]:
         """Points of one side, and why it is open if it is."""
-        start, step = self.centre.parameters[self.name], _STEP * self.quantile * self.error
+        start, half_width = self.centre.parameters[self.name], self.quantile * self.error
         end = "below" if side < 0 else "above"
         points: list[Refinement] = []
         while point.status.ok and np.isfinite(point.cost):
@@ -190,11 +194,11 @@ class _Search:
                 return points, []
             if value in self.limits:
                 return points, [f"open {end}: the bound {value:g} lies inside the interval"]
-            if abs(value - start) > _FARTHEST * self.quantile * self.error:
+            if abs(value - start) > self.max_distance * half_width:
                 return points, [
                     f"open {end}: the cost stays below the threshold as far as {value:g}"
                 ]
-            point = self._fit_at(point, value + side * step)
+            point = self._fit_at(point, value + side * self.step * half_width)
         return points, [f"open {end}: {point.status}"]
 
     def _interval(

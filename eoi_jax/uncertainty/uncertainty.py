@@ -27,11 +27,6 @@ from eoi_jax.estimation.regression.least_squares import unidentified_directions
 from eoi_jax.models.plant import Plant, parameter_type
 from eoi_jax.refinement.result import Refinement
 
-_EXACT = 1e-3  # tolerance of a weight that stands for a whole number, where nothing is left of it
-_ROUGH = 0.05  # the same where noise hides it
-_INFLATED = 10.0  # error of a combination over what it were if it alone were estimated
-_NOTABLE = 0.1  # relative change that hides in the noise, from which this is worth a sentence
-
 
 @dataclass(frozen=True)
 class Uncertainty(Result):
@@ -227,12 +222,20 @@ def _on_bounds(
 
 
 def _open(
-    untraced: Float[np.ndarray, "np k"], theta: Float[np.ndarray, " np"], names: tuple[str, ...]
+    untraced: Float[np.ndarray, "np k"],
+    theta: Float[np.ndarray, " np"],
+    names: tuple[str, ...],
+    tolerance: float = 1e-3,
 ) -> list[str]:
-    """Sentences on directions that left no trace, together where they share parameters."""
+    """Sentences on directions that left no trace, together where they share parameters.
+
+    Weights that stand for whole numbers are within `tolerance` of them: they are not noisy.
+    """
     sentences = []
     for group in _groups(untraced):
-        involved, combinations = identifiable_combinations(untraced[:, group], theta, names, _EXACT)
+        involved, combinations = identifiable_combinations(
+            untraced[:, group], theta, names, tolerance
+        )
         if len(involved) == len(group):
             sentences.append(f"{_listed(involved)} left no trace in the data")
         elif combinations:
@@ -248,6 +251,9 @@ def _weak(
     errors: Float[np.ndarray, " np"],
     theta: Float[np.ndarray, " np"],
     names: tuple[str, ...],
+    tolerance: float = 0.05,
+    inflation: float = 10.0,
+    min_change: float = 0.1,
 ) -> list[str]:
     """Sentences on combinations that noise hides though each of their parameters alone would show.
 
@@ -259,6 +265,9 @@ def _weak(
         errors: standard errors; no finite one above zero for what takes no part.
         theta: the parameters.
         names: of them.
+        tolerance: of weights that stand for whole numbers, which noise hides.
+        inflation: error of a combination over what it were if it alone were estimated, at least.
+        min_change: relative change that hides in the noise, from which it is worth a sentence.
     """
     used = np.isfinite(errors) & (errors > 0) & (np.diagonal(precision) > 0)
     if np.sum(used) < 2:
@@ -268,12 +277,14 @@ def _weak(
     values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
     relative = np.where(used, errors, 0.0) / np.where(theta != 0, np.abs(theta), np.inf)
     sentences = []
-    for vector in vectors.T[values * _INFLATED**2 < 1.0]:
+    for vector in vectors.T[values * inflation**2 < 1.0]:
         direction = np.zeros(len(theta))
         direction[used] = vector / scale
-        involved, combinations = identifiable_combinations(direction[:, None], theta, names, _ROUGH)
+        involved, combinations = identifiable_combinations(
+            direction[:, None], theta, names, tolerance
+        )
         worst = max(relative[names.index(name)] for name in involved)
-        if len(involved) < 2 or worst < _NOTABLE:
+        if len(involved) < 2 or worst < min_change:
             continue
         sentence = f"{_listed(involved)} can hardly be told apart, only to within {worst:.0%}"
         if combinations:

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.identify import Identification, estimate
+from eoi_jax.estimation.identify import Identification, SignalSettings, estimate
 from eoi_jax.estimation.identify import identify as identify_by_default
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import (
@@ -362,10 +362,11 @@ def test_injection_and_residual_are_nan_where_nothing_is_scored(swung):
     assert np.nanmean(got.residual[0] ** 2) <= np.nanmean(got.injection[0] ** 2) * (1.0 + 1e-9)
 
 
-def test_a_record_too_long_to_keep_its_signals_gives_the_same(monkeypatch, swung):
+def test_a_record_too_long_to_keep_its_signals_gives_the_same(swung):
     """Then passes in between store nothing, and the best one is run once more."""
-    monkeypatch.setattr(import_module("eoi_jax.estimation.identify"), "_MAX_STORED", 0)
-    got, want = identify(NOMINAL, swung.record, OBSERVER, LOWPASS), swung.got
+    prepared = prepare_records(NOMINAL, (swung.record,), LOWPASS, substeps=2)
+    got = estimate(NOMINAL, prepared, OBSERVER, settings=SignalSettings(max_stored=0))
+    want = swung.got
     assert want.best_pass > 0
     for name in ("index", "injection", "first_injection", "residual", "covariance", "information"):
         mine, theirs = (np.asarray(getattr(one, name)) for one in (got, want))
@@ -708,6 +709,6 @@ def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
     module, calls = import_module("eoi_jax.estimation.identify"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
-    monkeypatch.setattr(module, "_MAX_DEFERRED", 100)
-    identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
+    prepared = prepare_records(NOMINAL, (swaying(noise=1e-3),), LOWPASS, substeps=2)
+    estimate(NOMINAL, prepared, OBSERVER, settings=SignalSettings(max_deferred=100))
     assert len(calls) == 1

@@ -9,7 +9,6 @@ import pytest
 from problems import grid
 
 from eoi_jax.data.record import Record
-from eoi_jax.estimation import instrument_kernel
 from eoi_jax.estimation import instrumental_variables as module
 from eoi_jax.estimation.identify import identify
 from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, sum_over_runs
@@ -154,7 +153,7 @@ def test_sensitivities_of_the_velocity_change_by_the_ratio_of_accelerations():
 # -- one pass over a pair ---------------------------------------------------------------------
 
 
-def paired(plant, record, simulated, observer, substeps=4):
+def paired(plant, record, simulated, observer, substeps=4, **options):
     """Sums of a pass over two records, at the plant's parameters; its rows add up to them."""
     prepared = prepare_records(plant, (record,), LowPass(60.0, 3), False, substeps)
     fine = simulated.resample(substeps)
@@ -163,7 +162,8 @@ def paired(plant, record, simulated, observer, substeps=4):
     beside = Simulated(fine.outputs[None, :-1], fine.outputs[None, 1:])
     one = jnp.asarray
     weight = one([3.0])
-    sums, rows = run_pairs(plant, observer, steps, beside, one(plant.theta), weight, one(0.0))
+    theta, leak = one(plant.theta), one(0.0)
+    sums, rows = run_pairs(plant, observer, steps, beside, theta, weight, leak, **options)
     scores = np.einsum("rsj,rsja->ra", rows.error, rows.zeta)
     np.testing.assert_allclose(scores, 3.0 * np.asarray(sums.rhs)[:, 0], rtol=1e-9)
     return sum_over_runs(sums)
@@ -192,15 +192,14 @@ def test_the_error_of_a_pair_is_that_of_the_output_and_instruments_are_its_sensi
     assert got.square[0] == pytest.approx(4 * error @ error, rel=0.06)
 
 
-def test_a_pass_in_parts_is_the_same_as_in_one_go(clean, monkeypatch):
+def test_a_pass_in_parts_is_the_same_as_in_one_go(clean):
     observer = SecondOrder(20.0, 100.0, 500.0)
     moved = TRUTH.with_parameters(1.01 * np.asarray(TRUTH.theta))
     record = simulate(moved, clean.time, clean.inputs, hold="zero", substeps=4)
     whole = paired(TRUTH, record, clean, observer)
     count = 4 * (len(record) - 1)
-    monkeypatch.setattr(instrument_kernel, "_MAX_STEPS_AT_ONCE", 300)
     assert count % -(-count // -(-count // 300))  # the last part is a shorter one
-    in_parts = paired(TRUTH, record, clean, observer)
+    in_parts = paired(TRUTH, record, clean, observer, max_steps=300)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(in_parts), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
@@ -455,7 +454,8 @@ def test_the_plain_estimate_stays_where_the_free_run_departs_in_every_window(cle
 
 
 def test_passes_that_do_not_settle_leave_the_plain_estimate(clean, monkeypatch):
-    monkeypatch.setattr(module, "_MAX_ITERATIONS", 1)
+    single = functools.partial(module.instrumental_estimate, max_iterations=1)
+    monkeypatch.setattr(module, "instrumental_estimate", single)
     got = identify(NOMINAL, noisy(clean, 1e-3, 0), instruments=True, substeps=2)
     assert any("did not converge within 1" in one for one in got.reasons)
     assert not np.any(got.correction)

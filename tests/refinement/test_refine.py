@@ -1,5 +1,6 @@
 """Output-error refinement: derivatives, exact recovery, bounds, windows, failures."""
 
+import functools
 import importlib
 from typing import Any
 
@@ -12,9 +13,8 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._checks import RecordWarning
 from eoi_jax.models.augmented import augmented, place
-from eoi_jax.refinement import fit
 from eoi_jax.refinement import problem as output_error
-from eoi_jax.refinement.fit import _typical
+from eoi_jax.refinement.fit import _typical, fitted
 from eoi_jax.refinement.multistart import _varied, points_of
 from eoi_jax.refinement.problem import (
     Unknowns,
@@ -223,7 +223,8 @@ def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(m
     monkeypatch.setattr(module, "best", best)
     alone = refine(start, record)
     assert not asked  # it converged
-    monkeypatch.setattr(module, "_PROMISED", -1.0)
+    settings = module.RefinementSettings(max_reduction=-1.0)
+    monkeypatch.setattr(module, "_SETTINGS", settings)
     found = refine(start, record)
     ((where, points),) = asked
     np.testing.assert_allclose(where, alone.plant.theta)
@@ -353,7 +354,8 @@ def test_weights_that_did_not_settle_are_said(monkeypatch):
     struck = np.random.default_rng(1).random(len(record)) < 0.05
     outputs = record.outputs + 1e-2 * struck[:, None]
     spoilt = eoi.Record(record.time, record.inputs, outputs, hold="linear")
-    monkeypatch.setattr(fit, "_ROUNDS", 0)
+    module = importlib.import_module("eoi_jax.refinement.refine")
+    monkeypatch.setattr(module, "fitted", functools.partial(fitted, reweightings=0))
     (note,) = refine(OSCILLATOR, spoilt, huber=1.345).notes
     # From the spread of the struck samples to that of the others, which is a hundredth.
     assert "the weights of the outputs still changed by" in note

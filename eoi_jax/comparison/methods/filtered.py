@@ -33,12 +33,20 @@ from eoi_jax.estimation.preparation import TAPER
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
 
-_WIDE = 5.0  # cut-off of W over that of L, in whose band W is flat to 1e-5
-_MAX_SHARE = 0.5  # largest cut-off of W over the Nyquist frequency, with sub-steps
-_ENDS = 4.0  # margin at the ends of a segment in time constants of W, where it lacks data
-_DECAY = 5.0  # smallest decay of the linearised plant over a record, in time constants
-
 Samples = Float[np.ndarray, "time ny"]
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Numbers by which the filters are chosen and used."""
+
+    cutoff_ratio: float = 5.0  # of W to L, in whose band W is then flat to 1e-5
+    max_cutoff: float = 0.5  # of W, over the Nyquist frequency with sub-steps
+    margin: float = 4.0  # at the ends of a segment, where W lacks data [time constants of W]
+    min_decay: float = 5.0  # of the linearised plant over a record [time constants]
+
+
+_SETTINGS = FilterSettings()
 
 
 @dataclass(frozen=True)
@@ -75,9 +83,9 @@ def default_filters(plant: Plant, records: Sequence[Record]) -> Filters:
     """
     check_runs_of_samples(records)
     narrow = default_lowpass(plant, records)[0].cutoff
-    wide = _WIDE * narrow
+    wide = _SETTINGS.cutoff_ratio * narrow
     nyquist = np.pi / max(record.sample_period for record in records)
-    return Filters(narrow, wide, int(np.ceil(wide / (_MAX_SHARE * nyquist))))
+    return Filters(narrow, wide, int(np.ceil(wide / (_SETTINGS.max_cutoff * nyquist))))
 
 
 def motion(plant: Plant, record: Record, wide: float) -> Motion:
@@ -116,7 +124,7 @@ def usable(plant: Plant, record: Record, signals: Motion, filters: Filters) -> S
     resting = np.concatenate([resting[:1], resting]) | np.concatenate([resting, resting[-1:]])
     good = np.repeat(record.valid[:, None], record.outputs.shape[1], axis=1)
     good &= ~(resting @ plant.jumps.T) & ~constant(record)
-    margin = round(_ENDS / (filters.wide * h))
+    margin = round(_SETTINGS.margin / (filters.wide * h))
     for start, stop in record.segments():
         good[start : start + margin] = good[max(stop - margin, 0) : stop] = False
     return tapered(good.astype(float), TAPER / (filters.narrow * h))
@@ -297,4 +305,5 @@ def linearised(
     if not np.all(np.isfinite(transition)):
         return None
     slowest = -np.max(np.linalg.eigvals(transition).real)
-    return Response(transition, plant.degrees) if slowest * duration > _DECAY else None
+    decays = slowest * duration > _SETTINGS.min_decay
+    return Response(transition, plant.degrees) if decays else None

@@ -12,9 +12,6 @@ from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, Secon
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant
 
-_RELAY = 2.0  # gain of the explicit relay over the largest injection, or its largest rate
-_MIN_RATIO = 4.0  # frequency of the relay's limit cycle over the cut-off of F; 4.6 in the paper
-
 
 class PlainImplicit(AbstractComparator):
     """`identify` with the default implicit observer, filter and sub-steps."""
@@ -43,7 +40,7 @@ class PlainExplicit(AbstractComparator):
         """A first pass sets the gains, then `identify`."""
         first = plain(plant, records, passes=1)
         period = max(record.sample_period for record in records)
-        cutoff = 1.4 / (_MIN_RATIO**2 * period)
+        cutoff = _highest_cutoff(period)
         if plant.relative_degree > 1 and first.lowpass.cutoff > cutoff:
             first = plain(plant, records, None, LowPass(cutoff, first.lowpass.order), passes=1)
         if not first.status.ok:
@@ -82,18 +79,23 @@ def answer(result: Identification) -> Estimate:
     return Estimate(result.parameters, result.standard_errors, result.status)
 
 
-def explicit_form(first: Identification) -> AbstractObserver | None:
-    """The observer of a first pass in explicit form, with gains for its injection.
+def _highest_cutoff(period: float, ratio: float = 4.0) -> float:
+    """Cut-off of F [rad/s] below the relay's limit cycle by this ratio; 4.6 in the paper."""
+    return 1.4 / (ratio**2 * period)
 
-    None if one of its parts has no explicit form.
+
+def explicit_form(first: Identification, relay_ratio: float = 2.0) -> AbstractObserver | None:
+    """The observer of a first pass in explicit form; None if one of its parts has none.
+
+    Its relays have gains of `relay_ratio` times the largest injection, or its largest rate.
     """
     size, speed = _largest(first)
 
     def convert(part: AbstractObserver, outputs: slice) -> AbstractObserver | None:
         if isinstance(part, FirstOrder):
-            return FirstOrder(_RELAY * speed[outputs], part.leak, "explicit")
+            return FirstOrder(relay_ratio * speed[outputs], part.leak, "explicit")
         if isinstance(part, SecondOrder):
-            return SecondOrder(part.c1, part.c2, _RELAY * size[outputs], "explicit")
+            return SecondOrder(part.c1, part.c2, relay_ratio * size[outputs], "explicit")
         assert isinstance(part, HighOrder)
         return None
 

@@ -20,9 +20,6 @@ from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.gauss_newton import gauss_newton
 
-_STEPS, _LENGTHS = 30, 20  # most steps; lengths of each, a half of the one before
-_SMALLEST_FALL = 1e-14  # relative fall of the power of the residuals below which they have settled
-
 
 class StateVariableFilter(AbstractComparator):
     """Least squares of L[y^(r)] on L[φ], both filters without phase.
@@ -71,8 +68,17 @@ class Regression:
         return _mean_power(self.solved.power)
 
 
-def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
-    """Gauss-Newton with halved steps: where it ends, and how."""
+def least_squares_on(
+    filtered: Equation, max_steps: int = 30, lengths: int = 20, min_reduction: float = 1e-14
+) -> tuple[Regression, Status]:
+    """Gauss-Newton with halved steps: where it ends, and how.
+
+    Args:
+        filtered: the equation.
+        max_steps: linearisations, at most.
+        lengths: of each step, at most; each is a half of the one before.
+        min_reduction: relative fall of the power of the residuals below which they have settled.
+    """
     plant = filtered.plant
 
     def at(theta: Float[np.ndarray, " np"]) -> Regression:
@@ -90,7 +96,7 @@ def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
 
     def evaluate(points: list[Regression], steps: list[np.ndarray]) -> list[Iterator[Regression]]:
         return [
-            (at(point.theta + 0.5**i * step) for i in range(_LENGTHS))
+            (at(point.theta + 0.5**i * step) for i in range(lengths))
             for point, step in zip(points, steps, strict=True)
         ]
 
@@ -99,11 +105,11 @@ def least_squares_on(filtered: Equation) -> tuple[Regression, Status]:
         return start, Status("no_data", _NO_DATA)
     if not np.isfinite(start.cost):
         return start, Status("diverged", _DIVERGED)
-    descent = gauss_newton([start], linearise, evaluate, _SMALLEST_FALL, _STEPS)
+    descent = gauss_newton([start], linearise, evaluate, min_reduction, max_steps)
     (end,) = descent.points
     status = _identified(plant, end.solved, descent.rounds)
     if status.ok and descent.exhausted:
-        text = f"residuals still fell after {_STEPS} Gauss-Newton steps"
+        text = f"residuals still fell after {max_steps} Gauss-Newton steps"
         status = Status("passes_exhausted", text)
     return end, status
 

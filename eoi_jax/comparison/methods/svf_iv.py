@@ -27,9 +27,6 @@ from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import validate
 
-_ROUNDS = 20
-_SETTLED = 0.01  # change of a parameter in standard errors, below which it has converged
-
 
 class StateVariableInstruments(AbstractComparator):
     r"""Least squares on filtered signals, corrected for the noise in its regressors.
@@ -59,11 +56,17 @@ class StateVariableInstruments(AbstractComparator):
         return _rounds(filtered, start.theta)
 
 
-def _rounds(filtered: Equation, theta: Float[np.ndarray, " np"]) -> Estimate:
+def _rounds(
+    filtered: Equation,
+    theta: Float[np.ndarray, " np"],
+    max_rounds: int = 20,
+    tolerance: float = 0.01,
+) -> Estimate:
+    """Rounds of instruments, until θ changes by less than `tolerance` of its standard errors."""
     plant, record = filtered.plant, filtered.records[0]
     memory = round(filtered.memory / record.sample_period)
     errors = np.zeros_like(theta)
-    for number in range(1, _ROUNDS + 1):
+    for number in range(1, max_rounds + 1):
         simulated = _instruments(filtered, theta)
         if simulated is None:
             return Estimate(None, None, Status("diverged", _DIVERGED.format(number)))
@@ -77,11 +80,11 @@ def _rounds(filtered: Equation, theta: Float[np.ndarray, " np"]) -> Estimate:
         errors = np.sqrt(np.diagonal(covariance(solved, rows, instruments, memory)))
         moved = np.clip(theta + solved.increment, plant.lower, plant.upper) - theta
         theta = theta + moved
-        if np.all(np.abs(moved) <= np.maximum(_SETTLED * errors, 1e-9 * np.abs(theta))):
+        if np.all(np.abs(moved) <= np.maximum(tolerance * errors, 1e-9 * np.abs(theta))):
             used = "the plant itself, linearised" if response else "fixed, as the plant integrates"
             text = f"settled after {number} rounds; the filter is {used}{rest_note(plant)}"
             return Estimate(named(plant, theta), named(plant, errors), Status("converged", text))
-    text = f"parameters still moved after {_ROUNDS} rounds: instruments of a poor model"
+    text = f"parameters still moved after {max_rounds} rounds: instruments of a poor model"
     status = Status("passes_exhausted", text)
     return Estimate(named(plant, theta), named(plant, errors), status)
 

@@ -25,6 +25,7 @@ Source: J.-X. Xu, H. Hashimoto, Int. J. Control 57 (1993) 1413; IEEE Trans. Indu
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -47,11 +48,21 @@ from eoi_jax.estimation.regression.least_squares import least_squares, untraced
 from eoi_jax.models.library.mass_spring_damper import mass_spring_damper_dynamics
 from eoi_jax.models.plant import Plant
 
-# Section 6 of the paper, for its plant: intervals of α, β and ρ, h₁ [1/s] and τ [s].
+# Section 6 of the paper, for its plant: intervals of α, β and ρ.
 _INTERVALS = {"alpha": (100.0, 500.0), "beta": (5.0, 20.0), "rho": (1.0, 5.0)}
-_RATE, _LAG = 20.0, 0.02
-_LAST = 0.1  # share of the records over which α̂ is averaged, and time constant of its adaptation
-_STEADY = 0.02  # largest relative change of α̂ within that share of a converged estimate
+
+
+@dataclass(frozen=True)
+class IdentifierSettings:
+    """Numbers of the identifier; h₁ and τ as in section 6 of the paper, for its plant."""
+
+    rate: float = 20.0  # h₁ [1/s]
+    lag: float = 0.02  # τ [s]
+    final_share: float = 0.1  # of the records: over it α̂ is averaged, and with it α̂ adapts
+    max_drift: float = 0.02  # relative, of a converged α̂ within that share
+
+
+_SETTINGS = IdentifierSettings()
 
 
 class VSSDirect(AbstractComparator):
@@ -86,7 +97,7 @@ class VSSDirect(AbstractComparator):
 
 
 def _answer(plant: Plant, history: Float[np.ndarray, "time np"]) -> Estimate:
-    last = history[-max(int(_LAST * len(history)), 2) :]
+    last = history[-max(int(_SETTINGS.final_share * len(history)), 2) :]
     theta = np.mean(last, axis=0)
     if not np.all(np.isfinite(history)):
         text = "the identifier does not stay finite: sampling too slow for its gains"
@@ -95,8 +106,9 @@ def _answer(plant: Plant, history: Float[np.ndarray, "time np"]) -> Estimate:
     moved = np.abs(np.mean(last[middle:], axis=0) - np.mean(last[:middle], axis=0))
     drift = float(np.max(moved / np.maximum(np.abs(theta), np.finfo(float).tiny)))
     text = f"mean over the last tenth of the records, in which it drifts by {drift:.2g} at most"
-    code = "converged" if drift < _STEADY else "passes_exhausted"
-    advice = "" if drift < _STEADY else ": longer records, or more excitation"
+    is_steady = drift < _SETTINGS.max_drift
+    code = "converged" if is_steady else "passes_exhausted"
+    advice = "" if is_steady else ": longer records, or more excitation"
     return Estimate(named(plant, theta), None, Status(code, text + advice))
 
 
@@ -159,12 +171,13 @@ def _prepared(filtered: Equation) -> tuple[Signals, _Gains, list[str]]:
     moments = np.einsum("kj,j,kja,kjb->ab", mask, weights, phi, phi) / len(phi)
     solution = least_squares(moments, np.zeros(len(theta)), plant.free)
     unidentified = untraced(solution, plant.names, plant.free)
-    lag = _LAG if is_paper_plant else 1.0 / filtered.filters.narrow
-    settling = _LAST * float(np.sum(period))
+    lag = _SETTINGS.lag if is_paper_plant else 1.0 / filtered.filters.narrow
+    rate = _SETTINGS.rate if is_paper_plant else _SETTINGS.rate * _SETTINGS.lag / lag
+    settling = _SETTINGS.final_share * float(np.sum(period))
     gains = _Gains(
         jnp.asarray(middle),
         jnp.asarray(width),
-        jnp.asarray(_RATE if is_paper_plant else _RATE * _LAG / lag),
+        jnp.asarray(rate),
         jnp.asarray(lag),
         jnp.asarray(solution.inverse / settling),
         jnp.asarray(weights),

@@ -19,8 +19,6 @@ from jaxtyping import Float
 from eoi_jax.comparison.methods.filtered import Rows
 from eoi_jax.estimation.regression.least_squares import Solution, least_squares
 
-_BLOCKS, _FEWEST = 50, 3  # blocks of scores: desired number, and the smallest
-
 
 @dataclass(frozen=True)
 class WeightedSolution:
@@ -76,18 +74,25 @@ def solve(rows: Rows, instruments: Rows, free: Float[np.ndarray, " np"]) -> Weig
 
 
 def covariance(
-    solved: WeightedSolution, rows: Rows, instruments: Rows, memory: int
+    solved: WeightedSolution,
+    rows: Rows,
+    instruments: Rows,
+    memory: int,
+    max_blocks: int = 50,
+    min_blocks: int = 3,
 ) -> Float[np.ndarray, "np np"]:
-    """Sandwich over blocks of scores; NaN where the records are too short for three blocks.
+    """Sandwich over blocks of scores; NaN where the records are too short for them.
 
     Args:
         solved: at the estimate.
         rows: there.
         instruments: there.
-        memory: of the filter [samples].
+        memory: of the filter [samples]; a block is as long, or longer.
+        max_blocks: about, of a long record.
+        min_blocks: of which a covariance says something.
     """
     total = sum(len(error) for error in rows.error)
-    length = max(total // _BLOCKS, memory, 1)
+    length = max(total // max_blocks, memory, 1)
     scores = []
     for error, psi, phi in zip(rows.error, instruments.phi, rows.phi, strict=True):
         count = len(error) // length
@@ -99,7 +104,7 @@ def covariance(
         scores.append(np.einsum("bka,k->ba", score.reshape(count, length, score.shape[1]), window))
     blocks = np.concatenate(scores)
     inverse = np.asarray(solved.solution.inverse)
-    if len(blocks) < _FEWEST:
+    if len(blocks) < min_blocks:
         return np.where(inverse != 0, np.nan, 0.0)
     meat = blocks.T @ blocks * total / (len(blocks) * length) * len(blocks) / (len(blocks) - 1)
     return inverse @ solved.projection @ meat @ solved.projection.T @ inverse

@@ -41,7 +41,7 @@ from eoi_jax.estimation.kernel import Step, Steps, Sums
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.models.plant import Plant
 
-_WARP = 32  # threads
+_WARP = 32  # threads of a GPU that run in step
 Number = Any  # of all lanes of a tile, or one that they share
 
 

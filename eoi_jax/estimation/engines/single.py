@@ -25,8 +25,6 @@ from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant
 
-_CHUNK = 4096  # rows at a time: their outputs stay in the cache
-
 Theta = Float[np.ndarray, " np"]
 
 
@@ -172,12 +170,15 @@ class _Job:
         ny = self._score.shape[1]
         self._information = np.zeros((ny, len(theta), len(theta)), code.dtype)
 
-    def go(self, rows: np.ndarray, signals: np.ndarray | None) -> None:
-        """Through the record; outputs are written where there is room for them."""
+    def go(self, rows: np.ndarray, signals: np.ndarray | None, chunk: int = 4096) -> None:
+        """Through the record, `chunk` rows at a time, so that their outputs stay in the cache.
+
+        Outputs are written to `signals` if it is an array.
+        """
         places, ny, size = self._run.code.outputs, *self._information.shape[:2]
         first = 0
         with np.errstate(over="ignore", invalid="ignore"):  # of a model without bound
-            for part in self._run.outputs(rows, _CHUNK, signals):
+            for part in self._run.outputs(rows, chunk, signals):
                 scores = self._score[first : first + len(part)]
                 first += len(part)
                 for j in range(ny):

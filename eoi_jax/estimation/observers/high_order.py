@@ -33,7 +33,6 @@ _LAMBDAS = {
     4: (3.0, 4.16, 3.06, 1.1),
     5: (5.0, 10.03, 9.30, 4.57, 1.1),
 }
-_NEWTON_STEPS = 12
 
 
 class HighOrder(AbstractObserver):
@@ -119,7 +118,8 @@ class HighOrder(AbstractObserver):
         observed = injection + drift
         return new, Observation(injection, observed, self._middle(new, observed, h), sliding)
 
-    def _root(self, b: Output, gains: list, h: Scalar) -> Output:
+    def _root(self, b: Output, gains: list, h: Scalar, iterations: int = 12) -> Output:
+        """ρ of an error beyond the sliding set, by a fixed number of Newton steps from above."""
         r = self.degree
 
         def newton(_: Any, rho: Output) -> Output:
@@ -130,7 +130,7 @@ class HighOrder(AbstractObserver):
             return jnp.maximum(rho - (value - b) / slope, 0.0)
 
         start = jnp.maximum(b, jnp.finfo(b.dtype).tiny) ** (1.0 / r)
-        return jax.lax.fori_loop(0, _NEWTON_STEPS, newton, start)
+        return jax.lax.fori_loop(0, iterations, newton, start)
 
     def _middle(self, new: Float[Array, "r ny"], observed: Output, h: Scalar) -> Rates:
         """∇ⁱy/hⁱ lags the middle of the step by (i-1)h/2, and is extrapolated by its rate."""

@@ -5,7 +5,7 @@ r"""Least squares within bounds, from normal equations, by block principal pivot
 The set of parameters on their bounds is changed until the others, solved for again, lie inside and
 the cost would fall only beyond each active bound (Karush-Kuhn-Tucker). All violations are exchanged
 at once, which usually takes two or three turns. Where that cycles, only the last violation is
-exchanged, which cannot cycle except in directions without information: after `_RELEASE_TURNS` no
+exchanged, which cannot cycle except in directions without information: after `release_turns` no
 parameter is released from its bound any more.
 
 Source: L. Portugal, J. Júdice, L. Vicente, Mathematics of Computation 63 (1994) 625 (block
@@ -16,9 +16,6 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-
-# Turns in which all violations are exchanged at once, and in which bounds may be released.
-_BLOCK_TURNS, _RELEASE_TURNS = 10, 100
 
 Rows = Float[np.ndarray, "lanes np"]
 # Returns Δθ for right-hand sides, with only the parameters of the mask free.
@@ -36,6 +33,8 @@ def bounded(
     rhs: Rows,
     increment: Rows,
     room: tuple[Rows, Rows],
+    block_turns: int = 10,
+    release_turns: int = 100,
 ) -> tuple[Rows, Int[np.ndarray, "lanes np"]]:
     """Least squares within bounds, for many lanes at once.
 
@@ -45,6 +44,8 @@ def bounded(
         rhs: b.
         increment: its solution without bounds.
         room: smallest and largest Δθ.
+        block_turns: turns in which all violations are exchanged at once; two or three are usual.
+        release_turns: turns in which bounds may be released, so that it ends.
 
     Returns:
         Δθ, and on which bound each parameter lies: -1 the lower, 1 the upper, 0 none.
@@ -54,11 +55,11 @@ def bounded(
     while True:
         with np.errstate(invalid="ignore"):  # a lane that is not finite
             slope = rhs - np.einsum("lab,lb->la", information, increment)
-        inward = (side * slope < 0.0) & (turn < _RELEASE_TURNS)
+        inward = (side * slope < 0.0) & (turn < release_turns)
         leaves = (side == 0) & ((increment < low) | (increment > high))
         if not np.any(inward | leaves):
             return increment, side
-        if turn >= _BLOCK_TURNS:
+        if turn >= block_turns:
             last = np.cumsum((inward | leaves)[:, ::-1], axis=1)[:, ::-1] == 1
             inward, leaves = inward & last, leaves & last
         side = np.where(leaves, np.where(increment > high, 1, -1), np.where(inward, 0, side))

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-_MAX_EXPONENT = 3  # largest exponent of a product, or factor of a sum
-_MIN_WEIGHT = 0.02  # share of the largest weight from which a parameter belongs to a direction
+_MAX_EXPONENT = 3  # of a product, or factor of a sum: `_power` writes no other
 
 
 def identifiable_combinations(
@@ -35,7 +34,7 @@ def identifiable_combinations(
         are: ``("a/c", "b/c")`` or ``("a + b",)``; empty where neither products nor sums fit, or
         both do (one point cannot decide between them).
     """
-    is_involved = np.max(np.abs(_relative_weights(directions, theta)), axis=1) > _MIN_WEIGHT
+    is_involved = _is_involved(directions, theta)
     involved = tuple(name for name, flag in zip(names, is_involved, strict=True) if flag)
     rows = directions[is_involved]
     forms = []
@@ -50,7 +49,7 @@ def format_direction(
     direction: Float[np.ndarray, " np"], theta: Float[np.ndarray, " np"], names: Sequence[str]
 ) -> str:
     """A direction of θ as text, in the parameters' own units: ``+1·a -0.5·b``."""
-    is_involved = np.abs(_relative_weights(direction[:, None], theta)[:, 0]) > _MIN_WEIGHT
+    is_involved = _is_involved(direction[:, None], theta)
     weights = direction / np.max(np.abs(direction[is_involved]))
     weights = weights * np.sign(weights[is_involved][0])
     return " ".join(
@@ -60,10 +59,15 @@ def format_direction(
     )
 
 
-def _relative_weights(directions: np.ndarray, theta: np.ndarray) -> Float[np.ndarray, "np k"]:
-    """Relative changes of the parameters, the largest 1; absolute changes of zero parameters."""
-    relative = directions / np.where(theta != 0, np.abs(theta), 1.0)[:, None]
-    return relative / np.max(np.abs(relative), axis=0)
+def _is_involved(
+    directions: Float[np.ndarray, "np k"], theta: np.ndarray, min_weight: float = 0.02
+) -> Bool[np.ndarray, " np"]:
+    """Which parameters change along a direction by a share `min_weight` of the largest change.
+
+    Changes are relative ones, of parameters that are zero absolute ones.
+    """
+    relative = np.abs(directions) / np.where(theta != 0, np.abs(theta), 1.0)[:, None]
+    return np.max(relative / np.max(relative, axis=0), axis=1) > min_weight
 
 
 def _invariants(

@@ -9,7 +9,7 @@ T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identifica
 import numpy as np
 from jaxtyping import Float
 
-_ROUNDING = 1e-12  # relative size of an eigenvalue of the scaled Σ ζᵀζ that is zero
+from eoi_jax.estimation.regression.orthonormal import informative_directions
 
 
 def instrumental_variables(
@@ -30,11 +30,7 @@ def instrumental_variables(
         Δθ, and [Σ ζᵀψ]⁻¹ in the identified directions; zero for fixed parameters. Not finite where
         the instruments do not determine Δθ.
     """
-    length = np.sqrt(np.maximum(np.diagonal(information), 0.0)) * free
-    active = length > 0
-    unscale = active / np.where(active, length, 1.0)
-    values, directions = np.linalg.eigh(information * np.outer(unscale, unscale))
-    basis = directions[:, values > _ROUNDING * max(float(values[-1]), 0.0)] * unscale[:, None]
+    basis, _ = informative_directions(information * np.outer(free, free))
     inner = basis.T @ cross @ basis
     try:
         inverse = basis @ np.linalg.inv(inner) @ basis.T

@@ -17,10 +17,6 @@ from jaxtyping import Array, Bool, Float
 
 from eoi_jax.compiler.programs import jit
 
-# Eigenvalues of the scaled information matrix below this many rounding errors count as zero.
-_ROUNDING = 100.0
-
-
 Host = Array | np.ndarray
 
 
@@ -75,9 +71,15 @@ def _compiled(information: Any, rhs: Any, free: Any, damping: Any) -> Solution:
 
 
 def _solved(
-    xp: Any, eigen: Callable, information: Any, rhs: Any, free: Any, damping: Any
+    xp: Any,
+    eigen: Callable,
+    information: Any,
+    rhs: Any,
+    free: Any,
+    damping: Any,
+    rounding_errors: float = 100.0,
 ) -> Solution:
-    """`least_squares` by NumPy or JAX."""
+    """`least_squares` by NumPy or JAX; eigenvalues of so many rounding errors count as zero."""
     length = xp.sqrt(xp.maximum(xp.diagonal(information, axis1=-2, axis2=-1), 0.0)) * free
     scale = xp.where(length > 0, length, 1.0)
     active = free * (length > 0)
@@ -85,7 +87,7 @@ def _solved(
     # Fixed parameters: directions of their own.
     fixed = (1.0 - free)[..., None] * xp.eye(free.shape[-1], dtype=information.dtype)
     eigenvalues, directions = eigen(information / sizes * both_active + fixed)
-    threshold = _ROUNDING * information.shape[-1] * xp.finfo(information.dtype).eps
+    threshold = rounding_errors * information.shape[-1] * xp.finfo(information.dtype).eps
     identified = eigenvalues > threshold * xp.maximum(eigenvalues[..., -1:], 0.0)
     identified &= eigenvalues > 0
     safe = xp.where(identified, eigenvalues, 1.0)

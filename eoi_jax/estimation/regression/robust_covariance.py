@@ -47,12 +47,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-_FEWEST = 2  # smallest number of cosines
-_PEAKS = 8.0 / 3.0  # ((1/2)² + (1/4)² + (1/4)²)⁻¹: width of all peaks over that of one peak
-_MIN_SHARE = 0.05  # smallest share of a score left by the estimate for which it is scaled up
-_MANY_COSINES = 1000  # from this number on all variances have the same degrees of freedom
-_SAMPLES_AT_ONCE = 100_000  # approximate number of samples in a group of records
-_ROUNDING = 1e-12  # relative size of an eigenvalue of the scaled information that is zero
+from eoi_jax.estimation.regression.orthonormal import informative_directions
+
+
+@dataclass(frozen=True)
+class LongRunSettings:
+    """Numbers of `long_run`; those of the formula for B are in the module's docstring."""
+
+    min_cosines: int = 2
+    max_cosines: int = 1000  # beyond, all variances have the degrees of freedom of the cosines
+    min_share: float = 0.05  # of a score left by the estimate, for which it is scaled up
+
+
+_SETTINGS = LongRunSettings()
 
 
 def long_run(
@@ -81,12 +88,16 @@ def long_run(
     lengths = (
         [len(scores)] if lengths is None else [int(length) for length in lengths if length > 0]
     )
-    independent = len(scores) / (_PEAKS * correlation_time(scores, lengths))
-    count = max(round(0.4 * independent ** (2.0 / 3.0)), _FEWEST)
+    peaks = 1.0 / (0.5**2 + 0.25**2 + 0.25**2)  # width of all peaks over that of one peak
+    independent = len(scores) / (peaks * correlation_time(scores, lengths))
+    count = max(round(0.4 * independent ** (2.0 / 3.0)), _SETTINGS.min_cosines)
     estimated = np.any(inverse != 0, axis=0)
     if not np.all(estimated):
         scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
-    unit = _orthonormal(rows.reshape(-1, rows.shape[2]))
+    # The columns of the rows times `unit` are orthonormal.
+    flat = rows.reshape(-1, rows.shape[2])
+    directions, eigenvalues = informative_directions(flat.T @ flat)
+    unit = directions / np.sqrt(eigenvalues)
     projected = scores @ unit
     groups = [
         _sums(projected[places], rows[places], unit, count / len(scores))
@@ -94,32 +105,25 @@ def long_run(
     ]
     spread = np.sum([group.spread for group in groups], axis=0)
     values, vectors = np.linalg.eigh(np.sum([group.expected for group in groups], axis=0))
-    restored = vectors / np.sqrt(np.maximum(values, _MIN_SHARE)) @ vectors.T
+    restored = vectors / np.sqrt(np.maximum(values, _SETTINGS.min_share)) @ vectors.T
     # θ moves by `inverse` times the sum of the scores: unit⁻ᵀ times those made orthonormal.
     moved = inverse @ np.linalg.pinv(unit).T @ restored
     return moved @ spread @ moved.T, _degrees_of_freedom(groups, moved)
 
 
-def _of_one_length(lengths: Sequence[int]) -> list[Any]:
-    """Indices that give the samples of some records of one length, shape (records, time)."""
+def _of_one_length(lengths: Sequence[int], max_samples: int = 100_000) -> list[Any]:
+    """Indices that give the samples of some records of one length, shape (records, time).
+
+    Groups have about `max_samples`, because of the memory of their transforms.
+    """
     if len(lengths) == 1:
         return [None]  # a new axis, without a copy
     ends, groups = np.cumsum(lengths), []
     for length in np.unique(lengths):
         first = ends[np.asarray(lengths) == length] - length
         places = first[:, None] + np.arange(length)
-        groups += np.array_split(places, -(-places.size // _SAMPLES_AT_ONCE))
+        groups += np.array_split(places, -(-places.size // max_samples))
     return groups
-
-
-def _orthonormal(rows: Float[np.ndarray, "rows np"]) -> Float[np.ndarray, "np k"]:
-    """U such that the columns of `rows` @ U are orthonormal; without columns of no information."""
-    information = rows.T @ rows
-    length = np.sqrt(np.diagonal(information))
-    length = np.where(length > 0, length, 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(length, length))
-    informative = values > _ROUNDING * values[-1]
-    return vectors[:, informative] / np.sqrt(values[informative]) / length[:, None]
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,7 @@ def _degrees_of_freedom(
     """(tr K)²/tr(K²) for each parameter; infinite for a parameter without variance."""
     count = sum(len(group.squares) * group.functions for group in groups)
     varies = np.any(moved != 0, axis=1)
-    if count > _MANY_COSINES:
+    if count > _SETTINGS.max_cosines:
         return np.where(varies, float(count - 1), np.inf)
     freedom = np.full(len(moved), np.inf)
     for i in np.flatnonzero(varies):

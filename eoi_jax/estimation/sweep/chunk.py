@@ -57,8 +57,13 @@ def engines_used(part: Part, engine: AbstractEngine) -> list[EngineUsed]:
     return list(dict.fromkeys(_Lanes(part, group, engine).used() for group in _groups(part)))
 
 
-def precision_error(part: Part, engine: AbstractEngine, sets: int) -> dict[str, float]:
+def precision_error(part: Part, engine: AbstractEngine, sets: int = 16) -> dict[str, float]:
     """Largest error of single against double precision, on the first gain sets of a chunk.
+
+    Args:
+        part: the chunk.
+        engine: that runs the passes.
+        sets: number of gain sets.
 
     Returns:
         Relative error of the common index and of the parameters, each over its largest value.

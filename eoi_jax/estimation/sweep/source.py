@@ -20,9 +20,6 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import TAPER, PreparedRecords, prepare_records, prepare_steps
 from eoi_jax.models.plant import Plant
 
-# Number of steps up to which a source stores them for the next pass.
-_MAX_STORED_STEPS = 1_000_000
-
 
 @dataclass(frozen=True)
 class Choices:
@@ -51,6 +48,7 @@ class StepSource:
         choices: how the records are prepared.
         taps: length of the observers' moving average [steps].
         explicit: the observers' form.
+        max_stored: number of steps up to which they are stored for the next pass.
     """
 
     plant: Plant
@@ -58,6 +56,7 @@ class StepSource:
     choices: Choices
     taps: int
     explicit: bool
+    max_stored: int = 1_000_000
     _first: PreparedRecords = field(init=False, repr=False)
     _counts: BlockCounts | None = field(init=False, default=None, repr=False)
     _block_counts: tuple[int, ...] | None = field(init=False, default=None, repr=False)
@@ -95,7 +94,7 @@ class StepSource:
         stored, count, counts, blocks = [], 0, BlockCounts(), []
         for steps in self._make_steps():
             count += len(steps[0].time)
-            stored = [*stored, steps] if count <= _MAX_STORED_STEPS else []
+            stored = [*stored, steps] if count <= self.max_stored else []
             counts, blocks = counts.plus(steps[0]), [*blocks, _blocks(steps[0])]
             yield steps
         self._stored, self._counts, self._block_counts = stored or None, counts, tuple(blocks)

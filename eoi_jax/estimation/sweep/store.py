@@ -22,7 +22,7 @@ from eoi_jax.estimation.sweep.chunk import CODES, OK, Arrays
 from eoi_jax.estimation.sweep.marks import Chunks, Condition, Place, digest
 from eoi_jax.estimation.sweep.plan import DIMENSIONS, Plan
 
-_FORMAT = 4
+_FORMAT = 4  # number of the layout of a store; no other one is read
 _LABELS = "eoi_jax"
 _RESUME = "The same sweep with this store computes what is missing."
 _NOT_RUN = {"f": np.nan, "i": 0}  # values of a lane that has not run

@@ -26,10 +26,6 @@ from eoi_jax.estimation.sweep.source import Choices
 from eoi_jax.estimation.sweep.store import Labels, Store
 from eoi_jax.models.plant import Plant
 
-_MAX_QUEUED = 64  # unfinished chunks submitted to an executor at a time
-_MAX_TRIES = 3  # of a chunk whose worker failed
-_CALIBRATION_SETS = 16  # gain sets on which the error of single precision is measured
-
 Place = tuple[int, ...]
 
 
@@ -130,7 +126,7 @@ def sweep(
             finished = False
     outcome = {"finished": int(finished), **_engines(plan, places, unfinished, engine)}
     if precision == "float32" and double and finished and places:
-        errors = precision_error(plan.part_at(places[0]), engine, _CALIBRATION_SETS)
+        errors = precision_error(plan.part_at(places[0]), engine)
         outcome |= {f"float32_error_of_{name}": value for name, value in errors.items()}
     return target.dataset(outcome)
 
@@ -165,15 +161,23 @@ def _results(
 
 
 def _spread(
-    plan: Plan, places: list[Place], engine: AbstractEngine, executor: Executor
+    plan: Plan,
+    places: list[Place],
+    engine: AbstractEngine,
+    executor: Executor,
+    max_queued: int = 64,
+    max_tries: int = 3,
 ) -> Iterator[tuple[Place, Arrays | None]]:
-    """Chunks from an executor's workers as they finish; None for a chunk that failed every time."""
-    waiting = deque((place, _MAX_TRIES) for place in places)
+    """Chunks from an executor's workers as they finish; None for a chunk that failed every time.
+
+    At most `max_queued` are submitted at a time; one whose worker fails has `max_tries`.
+    """
+    waiting = deque((place, max_tries) for place in places)
     running: dict[Future, tuple[Place, int]] = {}
     double = _double()
     try:
         while waiting or running:
-            while waiting and len(running) < _MAX_QUEUED:
+            while waiting and len(running) < max_queued:
                 place, tries = waiting.popleft()
                 future = executor.submit(remote_chunk, plan.part_at(place), engine, double)
                 running[future] = (place, tries)

@@ -39,10 +39,11 @@ def run_of(plant, start):
     return lane, table, RunRow(TIME, u[..., None], y[:, None], 1.0 * use[:, None])
 
 
-def shown(plant, lane, table):
+def shown(plant, lane, table, *settings):
     one = jax.tree.map(lambda leaf: np.asarray(leaf)[None, None], lane)
     ends = np.array([PERIOD]), np.array([len(table)])
-    return compiled_runs.signals(kernel_of(plant, "signals"), one, table[None], *ends, 1)[0]
+    kernel = kernel_of(plant, "signals")
+    return compiled_runs.signals(kernel, one, table[None], *ends, 1, *settings)[0]
 
 
 WIDE = Plant(waves, dict.fromkeys(TERMS, 0.5), 1, ("u",), ("y",))
@@ -56,12 +57,12 @@ def test_more_unknowns_than_a_register_holds_are_those_of_the_scan():
 
 
 @pytest.mark.parametrize("rows", [1, 64, COUNT, COUNT + 1])
-def test_a_record_may_go_through_in_pieces(monkeypatch, rows):
+def test_a_record_may_go_through_in_pieces(rows):
     plant = plants.pendulum()  # it sticks and leaves
     lane, table, _ = run_of(plant, [0.1, 0.0])
     whole = shown(plant, lane, table)
-    monkeypatch.setattr(compiled_runs, "_CHUNK", rows)
-    np.testing.assert_array_equal(shown(plant, lane, table), whole)
+    settings = compiled_runs.RunSettings(chunk=rows)
+    np.testing.assert_array_equal(shown(plant, lane, table, settings), whole)
 
 
 def steps_of(u):

@@ -51,7 +51,7 @@ def test_mean_of_ar1_noise_is_covered(a: float):
 
 
 def test_slope_is_covered_where_regressor_and_residual_share_a_resonance():
-    """Half of the score's power lies at twice the frequency: the reason for `_PEAKS`."""
+    """Half of the score's power lies at twice the frequency: the reason for the width 8/3."""
     rng = np.random.default_rng(0)
     shares = [covered(resonant(2000, rng), resonant(2000, rng)) for _ in range(TRIALS)]
     share, naive = np.mean(shares, axis=0)
