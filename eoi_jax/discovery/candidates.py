@@ -89,6 +89,7 @@ def seen_at(
         band,
         peaks,
         lags,
+        plant.kinds[plant.outputs[placed.output]],
     )
 
 

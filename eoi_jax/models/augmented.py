@@ -159,6 +159,7 @@ def augmented(
         bounds=limits,
         fixed=plant.fixed,
         units=units,
+        kinds=dict(plant.kind_items),
         name=plant.name,
         actuator=_Actuator(plant.actuator, declared_names, placements)
         if slow or plant.actuator

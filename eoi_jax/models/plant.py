@@ -22,6 +22,7 @@ from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax._types import Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
 from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.kinds import checked_kinds, kind_of
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
 # differs between the two only by a jump; its square is representable in single precision.
@@ -72,6 +73,8 @@ class Plant(eqx.Module):
         fixed: names of the parameters that keep their nominal values.
         units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
             z2, …), for tables and figures.
+        kinds: ``{output: kind}``: ``"position"``, ``"speed"``, ``"level"``, ``"temperature"``, …
+            (`kinds.py`): which effects fit it. By default from unit, name and relative degree.
         name: name of the plant; default: the name of `dynamics`, or ``model`` if it has none.
         actuator: ``a(t, u, p)``, maps the means of the inputs over the steps of a record, (S, nu),
             at the middles of the steps, (S,), to the inputs of f and g. For delays and lags, which
@@ -79,7 +82,7 @@ class Plant(eqx.Module):
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
-            r < 1, an `internal` without `internal_initial`.
+            r < 1, a kind that contradicts the unit, an `internal` without `internal_initial`.
     """
 
     dynamics: Dynamics = eqx.field(static=True)
@@ -95,6 +98,7 @@ class Plant(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     fixed: tuple[str, ...] = eqx.field(static=True)
     unit_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    kind_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
 
     def __init__(
@@ -111,11 +115,12 @@ class Plant(eqx.Module):
         units: Mapping[str, str] | None = None,
         name: str | None = None,
         actuator: Actuator | None = None,
+        kinds: Mapping[str, str] | None = None,
     ):
         check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
-        for kind, mapping in (("parameters", parameters), ("bounds", bounds), ("units", units)):
-            mapping = {} if mapping is None and kind != "parameters" else mapping
-            check_kind(kind, mapping, Mapping, "a dict by name")
+        check_kind("parameters", parameters, Mapping, "a dict by name")
+        for field, mapping in (("bounds", bounds), ("units", units), ("kinds", kinds)):
+            check_kind(field, mapping or {}, Mapping, "a dict by name")
         self.dynamics = dynamics
         self.internal = internal
         self.actuator = actuator
@@ -152,6 +157,7 @@ class Plant(eqx.Module):
         self.internal_initial = _internal_initial(internal, internal_initial)
         self.unit_items = tuple((units or {}).items())
         self._check_units()
+        self.kind_items = checked_kinds(kinds or {}, self.outputs, self.units)
         self._check_shapes()
 
     # -- parameters -----------------------------------------------------------------------
@@ -165,6 +171,15 @@ class Plant(eqx.Module):
     def units(self) -> dict[str, str]:
         """Units by name."""
         return dict(self.unit_items)
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """What each output is, as declared or as unit, name and degree tell; "" if unknown."""
+        declared = dict(self.kind_items)
+        return {
+            name: declared.get(name) or kind_of(name, self.units.get(name, ""), degree)
+            for name, degree in zip(self.outputs, self.degrees, strict=True)
+        }
 
     @property
     def relative_degree(self) -> int:
@@ -230,6 +245,7 @@ class Plant(eqx.Module):
             units=self.units,
             name=self.name,
             actuator=self.actuator,
+            kinds=dict(self.kind_items),
         )
 
     # -- equations ------------------------------------------------------------------------

@@ -157,6 +157,7 @@ def refine(
     fits = [fitted(problem, *start, initial_error, effort, huber) for start in begun]
     if not fits:
         reason = DIVERGED if starts is None else ALL_DIVERGED.format(len(points))
+        reason += f". {choose_steps(nominal, records).note}".removesuffix(". ")
         return unanswered(nominal, records, window, Status("diverged", reason))
     if starts is None:
         fits = [_grown(fits[0], begun[0][0], effort, huber)]
@@ -164,8 +165,9 @@ def refine(
         fits = [_finer(fit, records, spans, effort, huber) for fit in fits]
     if starts is None:
         fits += _search_around(fits[0], records, spans, effort, huber)
-    fit = lowest(fits, huber)
-    return refinement_of(fit, records, spans, window)
+    result = refinement_of(lowest(fits, huber), records, spans, window)
+    note = choose_steps(result.plant, records).note if substeps is None else ""
+    return replace(result, notes=(*result.notes, note)) if note else result
 
 
 def _begun(

@@ -138,6 +138,7 @@ class LinearisedRuns:
         return Seen(
             level, rate, np.ravel(channel), placed.row == 0, 0.0, duration, period,
             band or 1.0 / duration, self._peaks(period),
+            kind=self.plant.kinds[self.plant.outputs[placed.output]],
         )  # fmt: skip
 
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:

@@ -22,6 +22,7 @@ from eoi_jax.data.resampling import HOLDS, inputs_within_steps
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
+from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
 
 Pieces = Float[np.ndarray, "steps order nu"]
 
@@ -38,7 +39,7 @@ def simulate(
     hold: str = "auto",
     internal: ArrayLike | None = None,
     solver: str = "fixed",
-    substeps: int = 1,
+    substeps: int | None = None,
     name: str = "simulation",
 ) -> Record:
     """Free run of a plant.
@@ -54,7 +55,8 @@ def simulate(
         internal: internal states at ``time[0]``, shape (nz,); by default the plant's own start.
         solver: ``"fixed"`` (Runge-Kutta 4, dry friction sticks) or ``"adaptive"`` (Dormand-Prince 8
             of diffrax to a relative tolerance of 1e-10, smooth plants only).
-        substeps: steps per sample, of the fixed solver.
+        substeps: steps per sample, of the fixed solver. None: one, more where the fastest mode
+            along the run needs them (`step_size.py`).
         name: name of the record.
 
     Returns:
@@ -86,15 +88,7 @@ def simulate(
         y, _ = _adaptive(plant, jnp.asarray(plant.theta), jnp.asarray(time), pieces, start)
         outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
     else:
-        driven_by = acted(plant, drive(time, u, used, substeps))
-        single_drive = Drive(
-            driven_by.time[None],
-            np.asarray(driven_by.step)[None],
-            driven_by.inputs[None],
-            driven_by.substeps,
-        )
-        begun = State(start.y[None], start.z[None])
-        outputs = outputs_of(plant, single_drive, begun, frictional(plant))[0]
+        outputs = _fixed(plant, time, u, used, start, substeps)
     bad = ~np.all(np.isfinite(outputs), axis=1)
     failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
@@ -109,6 +103,32 @@ def simulate(
         units={key: plant.units[key] for key in plant.inputs + plant.outputs if key in plant.units},
         hold=hold,
     )
+
+
+def _fixed(
+    plant: Plant,
+    time: Float[np.ndarray, " time"],
+    inputs: Float[np.ndarray, "time nu"],
+    hold: str,
+    start: State,
+    substeps: int | None,
+) -> Float[np.ndarray, "time ny"]:
+    """Outputs by Runge-Kutta steps, a few for a sample where the fastest mode needs them."""
+    begun, friction = State(start.y[None], start.z[None]), frictional(plant)
+    count = 1 if substeps is None else substeps
+    while True:
+        driven_by = acted(plant, drive(time, inputs, hold, count))
+        lanes = driven_by.time[None], np.asarray(driven_by.step)[None], driven_by.inputs[None]
+        outputs = outputs_of(plant, Drive(*lanes, count), begun, friction)[0]
+        if substeps is not None or 2 * count > finest_steps([time]):
+            return outputs
+        needed = 4 * count  # of a run that has left the finite numbers
+        if np.all(np.isfinite(outputs)):
+            rate = mode_along(plant, time, inputs, outputs) * (time[1] - time[0])
+            needed = 2 ** max(int(np.ceil(np.log2(max(rate, 1e-9) / RULES.mode))), 0)
+        if needed <= count:
+            return outputs
+        count = min(needed, finest_steps([time]))
 
 
 def drive(

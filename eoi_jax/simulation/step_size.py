@@ -7,14 +7,14 @@ sections II.1 and IV.2). λ are eigenvalues of the Jacobian of the whole state, 
 derivatives and internal states, linearised along the measured signals.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
@@ -71,15 +71,38 @@ def fastest_mode(
         quantile: of |λ| over the samples; None: that of the rules.
         rules: how many samples are looked at, and which quantile counts.
     """
-    rows = [record.outputs]
+    usable = record.valid if np.any(record.valid) else np.ones(len(record), dtype=bool)
+    signals = record.time, record.inputs, record.outputs
+    return mode_along(plant, *signals, usable, quantile, rules)
+
+
+def mode_along(
+    plant: Plant,
+    time: Float[np.ndarray, " time"],
+    inputs: Float[np.ndarray, "time nu"],
+    outputs: Float[np.ndarray, "time ny"],
+    usable: Bool[np.ndarray, " time"] | None = None,
+    quantile: float | None = None,
+    rules: StepRules = RULES,
+) -> float:
+    """`fastest_mode` along signals that are no record.
+
+    Args:
+        plant: with its parameter values.
+        time: uniform grid [s].
+        inputs: at each instant.
+        outputs: likewise.
+        usable: instants that count; None: all.
+        quantile: as of `fastest_mode`.
+        rules: likewise.
+    """
+    rows = [outputs]
     for _ in range(1, plant.relative_degree):
-        rows.append(np.gradient(rows[-1], record.sample_period, axis=0))
-    inputs = driven(plant, record.time, record.inputs)
-    usable = np.flatnonzero(record.valid)
-    usable = usable if len(usable) else np.arange(len(record))
-    index = usable[np.unique(np.linspace(0, len(usable) - 1, rules.instants).astype(int))]
-    y = np.stack(rows, axis=1)[index]
-    signals = (record.time[index], y, np.asarray(inputs)[index])
+        rows.append(np.gradient(rows[-1], time[1] - time[0], axis=0))
+    acted_inputs = np.asarray(driven(plant, time, inputs))
+    instants = np.arange(len(time)) if usable is None else np.flatnonzero(usable)
+    index = instants[np.unique(np.linspace(0, len(instants) - 1, rules.instants).astype(int))]
+    signals = time[index], np.stack(rows, axis=1)[index], acted_inputs[index]
     slopes = along(_state_slope, ("fixed", "rows"), plant, signals)
     slopes = slopes[np.all(np.isfinite(slopes), axis=(1, 2))]
     if not slopes.size:
@@ -131,8 +154,8 @@ def choose_steps(plant: Plant, records: Sequence[Record], rules: StepRules = RUL
     ))  # fmt: skip
 
 
-def finest_steps(records: Sequence[Record], rules: StepRules = RULES) -> int:
-    """Steps per sample that these records may have at most."""
+def finest_steps(records: Sequence[Sized], rules: StepRules = RULES) -> int:
+    """Steps per sample that records of these lengths may have at most."""
     return min(rules.finest, max(rules.total // sum(map(len, records)), rules.coarsest))
 
 

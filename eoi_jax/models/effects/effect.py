@@ -75,6 +75,7 @@ class Seen:
     Attributes:
         y, v, u: the scored samples of all records for the channel that the effect acts on.
         measured: whether `v` is the output itself, of relative degree one.
+        kind: what the output is (`models/kinds.py`); "" where that is not known.
         noise: standard deviation of the remaining noise in `y`.
         duration: duration of the longest record [s].
         sample_period: h [s].
@@ -93,6 +94,19 @@ class Seen:
     band: float
     peaks: Float[np.ndarray, " peaks"]
     lags: Float[np.ndarray, " lags"] = field(default_factory=lambda: np.zeros(0))
+    kind: str = ""
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether `v` is a speed: by its kind, else because it takes both signs."""
+        if not self.measured:
+            return True
+        return self.kind == "speed" if self.kind else turns(self.v)
+
+    @property
+    def is_level(self) -> bool:
+        """Whether `y` may be a level: by its kind, else because it takes only one sign."""
+        return self.kind == "level" if self.kind else not turns(self.y)
 
 
 class AbstractEffect(ABC):

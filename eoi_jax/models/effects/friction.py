@@ -1,7 +1,7 @@
 """Friction and drag: forces against the velocity of an output."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +10,16 @@ from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, See
 
 
 class AbstractFriction(AbstractTerm):
-    """A function of the velocity. An output of degree one is a speed if it takes both signs."""
+    """A function of the velocity.
+
+    Of a speed that never reverses, dry friction is a constant, which is another effect.
+    """
 
     depends_on = "v"
+    reverses: ClassVar[bool] = False
 
     def shows(self, seen: Seen) -> bool:
-        return turns(seen.v) or not seen.measured
+        return seen.is_speed and (turns(seen.v) or not (self.reverses and seen.measured))
 
 
 class ViscousFriction(AbstractFriction):
@@ -36,6 +40,7 @@ class CoulombFriction(AbstractFriction):
     name = "coulomb_friction"
     sentence = "Coulomb (dry) friction"
     gains = (Parameter("", "{f}", lower=0.0),)
+    reverses = True
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.sign(at.v)
@@ -52,6 +57,7 @@ class AsymmetricFriction(AbstractFriction):
     sentence = "dry friction that differs between the two directions"
     gains = (Parameter("forward", "{f}", lower=0.0), Parameter("backward", "{f}", lower=0.0))
     contains = ("coulomb_friction", "constant_offset")
+    reverses = True
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         forward, backward = jnp.where(at.v > 0, 1.0, 0.0), jnp.where(at.v < 0, 1.0, 0.0)
@@ -113,6 +119,7 @@ class AsymmetricViscousFriction(AbstractFriction):
     name = "asymmetric_friction"
     sentence = "viscous friction that differs between the two directions"
     gains = (Parameter("slope", "{f/v}"),)
+    reverses = True
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.abs(at.v)

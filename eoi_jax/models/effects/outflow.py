@@ -34,7 +34,7 @@ class Leak(AbstractTerm):
         return plant.degrees[output] == 1
 
     def shows(self, seen: Seen) -> bool:
-        return not turns(seen.y)  # a level is never negative; a signal of both signs is a speed
+        return not seen.measured or not turns(seen.y)  # of both signs it is viscous friction
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y
@@ -51,6 +51,9 @@ class Overflow(AbstractTerm):
 
     def fits(self, plant: Plant, output: int) -> bool:
         return plant.degrees[output] == 1
+
+    def shows(self, seen: Seen) -> bool:
+        return seen.is_level
 
     def grid(self, seen: Seen) -> Grid:
         return quantiles(seen.y, _LEVELS)

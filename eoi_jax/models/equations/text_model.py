@@ -30,6 +30,7 @@ class ModelTable(msgspec.Struct, frozen=True, omit_defaults=True):
     bounds: dict[str, tuple[float | None, float | None]] = {}
     fixed: tuple[str, ...] = ()
     units: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     input_delay: dict[str, str] = {}
     input_lag: dict[str, str] = {}
     name: str = ""
@@ -46,6 +47,7 @@ def plant_from_text(
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
     fixed: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
+    kinds: Mapping[str, str] | None = None,
     input_delay: Mapping[str, str] | None = None,
     input_lag: Mapping[str, str] | None = None,
     name: str = "model",
@@ -73,6 +75,7 @@ def plant_from_text(
         bounds: ``{name: (lower, upper)}`` of parameters; None for no bound.
         fixed: parameters that keep their nominal value.
         units: ``{name: unit}`` of parameters, inputs, outputs and states.
+        kinds: what an output is, as of `Plant`.
         input_delay: by input: the parameter that is its delay [s].
         input_lag: by input: the parameter that is the time constant of its first-order lag [s].
         name: what to call it.
@@ -114,6 +117,7 @@ def plant_from_text(
         bounds={key: _limits(pair) for key, pair in (bounds or {}).items()},
         fixed=tuple(fixed),
         units=units,
+        kinds=kinds,
         name=name,
         actuator=acting(placed) if placed else None,
     )
