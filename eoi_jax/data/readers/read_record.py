@@ -24,8 +24,6 @@ from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 
-_MESSAGE_LENGTH = 300  # characters quoted of a library's message on a damaged file
-
 
 def read_record(
     path: str | Path,
@@ -294,13 +292,14 @@ def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
     return _printable(table)
 
 
-def _cause(failure: Exception) -> str:
+def _cause(failure: Exception, length: int = 300) -> str:
+    """What a library says of a damaged file: so many characters of its first line."""
     if isinstance(failure, MemoryError):
         return "it needs more memory than there is"
     if isinstance(failure, RecursionError):
         return "it is nested too deeply"
     lines = str(failure).splitlines()
-    return printable(lines[0][:_MESSAGE_LENGTH]) if lines else type(failure).__name__
+    return printable(lines[0][:length]) if lines else type(failure).__name__
 
 
 def _printable(table: Table) -> Table:
