@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-_CONTEXT = 40  # characters shown on either side of a mark
-
 
 class RecordWarning(UserWarning):
     """The data of a record were changed (resampled, masked) when it was constructed."""
@@ -72,7 +70,9 @@ def check_count(name: str, value: Any, minimum: int = 1) -> int:
     return int(value)
 
 
-def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") -> ValueError:
+def misplaced(
+    name: str, rule: str, text: str, column: int, advice: str = "", width: int = 40
+) -> ValueError:
     """The error for a text that is wrong at a single place; the message marks the column.
 
     Args:
@@ -81,12 +81,13 @@ def misplaced(name: str, rule: str, text: str, column: int, advice: str = "") ->
         text: the value of the field.
         column: of the first wrong character, counted from 0.
         advice: a sentence on what to do.
+        width: characters of a long text that are shown on either side of the mark.
 
     Returns:
         The error; the caller raises it.
     """
-    first = max(0, column - _CONTEXT) if len(text) > 2 * _CONTEXT else 0
-    excerpt = text[first : first + 2 * _CONTEXT]
+    first = max(0, column - width) if len(text) > 2 * width else 0
+    excerpt = text[first : first + 2 * width]
     # Unprintable characters would shift the mark or move the terminal's cursor.
     is_printable = excerpt.isprintable()
     visible = (

@@ -13,8 +13,10 @@ import numpy as np
 
 from eoi_jax._atomic import write_file, write_folder
 from eoi_jax._checks import check, check_choice
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.cli import build, html_report, run_folder
 from eoi_jax.cli.config import Config, IdentifyTable, load
+from eoi_jax.cli.signals import ExitCode
 from eoi_jax.cli.summary import (
     discovery_summary,
     identification_summary,
@@ -25,7 +27,6 @@ from eoi_jax.cli.template import checked, draft
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.inspection import inspect as inspect_file
-from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
@@ -41,7 +42,6 @@ from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.simulation.validate import Validation, validate
 
-_NO_ANSWER, _INTERRUPTED = 1, 130
 _MORE_STARTS = "`starts = 200` under [refine] tries that many points around the nominal values"
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("explained", "nothing_missing", "unexplained")
@@ -74,7 +74,7 @@ def identify(
         result, validation = _identify(job, progress)
     summary = identification_summary(job, result, validation)
     if not result.status.ok:
-        return Outcome(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / job.settings.name
     passes_option = "" if passes is None else f" --passes {passes}"
     config_text = _with_command(f"eoi identify{_config_argument(config)}{passes_option}", source)
@@ -110,7 +110,7 @@ def discover(
         result = _discover(job, progress)
     summary = discovery_summary(job, result)
     if not (result.status.ok or result.status.code in _ANSWERS):
-        return Outcome(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / job.settings.name
     config_text = _with_command(f"eoi discover{_config_argument(config)}", source)
     _write_run(
@@ -118,7 +118,7 @@ def discover(
     )
     if result.status.code == "unexplained":
         # The folder is written all the same: it has the maps of the residual.
-        return Outcome(summary, discovery_text(result), folder, _NO_ANSWER, answer(result))
+        return Outcome(summary, discovery_text(result), folder, ExitCode.NO_ANSWER, answer(result))
     return Outcome(summary, discovery_text(result), folder)
 
 
@@ -147,13 +147,13 @@ def refine(
             complaint = f"no estimate to refine ({start.status})"
             if start.status.code != "no_data":
                 complaint += f". {_MORE_STARTS}"
-            return Outcome(summary, code=_NO_ANSWER, complaint=complaint)
+            return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
         if progress is not None:
             progress("free-run fit, step", 0, None, "compiling")
         result, refined_run = _refine(job, start, progress)
     summary = refinement_summary(job, start, start_run, result, refined_run)
     if not result.status.ok:
-        return Outcome(summary, code=_NO_ANSWER, complaint=f"no answer ({result.status})")
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / job.settings.name
     text = refinement_text(result, start_run, refined_run)
     config_text = _with_command(f"eoi refine{_config_argument(config)}", source)
@@ -201,9 +201,9 @@ def sweep(
     if not result.attrs["finished"]:
         remaining = f"{summary['statuses'].get('not_run', 0)} of {summary['lanes']} lanes"
         complaint = f"interrupted with {remaining} to run; the same command continues"
-        return Outcome(summary, code=_INTERRUPTED, complaint=complaint)
+        return Outcome(summary, code=ExitCode.INTERRUPTED, complaint=complaint)
     if best_lane is None:
-        return Outcome(summary, code=_NO_ANSWER, complaint=f"no answer: {text}")
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer: {text}")
     return Outcome(summary, text, folder)
 
 

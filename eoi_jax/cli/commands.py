@@ -13,8 +13,8 @@ from typing import Annotated
 import typer
 
 from eoi_jax import cli
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.cli.options import (
-    MAX_GIGABYTES,
     RUNS,
     AsJson,
     Data,

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from eoi_jax._checks import check, is_shallow, printable
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax._schema import struct
-from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.models.equations.text_model import ModelTable
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -339,8 +339,6 @@ class Config(msgspec.Struct, frozen=True):
 
 # -- from text to tables ----------------------------------------------------------------------
 
-_MAX_DEPTH = 20  # nested tables and lists; a valid config has five
-
 
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
     """TOML has inf and nan: only a bound may be infinite, meaning no bound."""
@@ -355,8 +353,12 @@ def _check_finite(value: Any, place: tuple[str, ...]) -> None:
         check(math.isfinite(value), ".".join(place), "must be a finite number", value)
 
 
-def load(path: Path) -> Config:
+def load(path: Path, max_depth: int = 20) -> Config:
     """Read and check a TOML file.
+
+    Args:
+        path: of the file.
+        max_depth: nested tables and lists; a valid config has five.
 
     Raises:
         ValueError: the file is missing or not TOML, a key is unknown (the known keys are listed),
@@ -372,8 +374,8 @@ def load(path: Path) -> Config:
         reason = "nested too deeply" if deep else printable(str(error))
         check(False, "config", "must be a TOML file", path, f"Parser: {reason}.")
         raise
-    rule = f"must have at most {_MAX_DEPTH} levels of nested tables and lists"
-    check(is_shallow(tables, _MAX_DEPTH), "config", rule, path)
+    rule = f"must have at most {max_depth} levels of nested tables and lists"
+    check(is_shallow(tables, max_depth), "config", rule, path)
     _check_finite(tables, ())
     data, validation = tables.get("data"), tables.get("validation")
     if isinstance(data, dict) and isinstance(validation, dict):

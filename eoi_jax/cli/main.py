@@ -9,9 +9,7 @@ import os
 import sys
 
 from eoi_jax import cli
-from eoi_jax.cli.signals import handle, ignore, interrupt
-
-_ERROR, _INTERRUPTED = 2, 130
+from eoi_jax.cli.signals import INTERRUPTED, ExitCode, handle, ignore, interrupt
 
 
 def main() -> None:
@@ -26,11 +24,11 @@ def main() -> None:
         finally:
             ignore()  # the process ends now, with its exit status
     except KeyboardInterrupt:  # before a command starts
-        _exit(_INTERRUPTED, "interrupted; no partly written files remain")
+        _exit(ExitCode.INTERRUPTED, INTERRUPTED)
     except Exception as error:  # outside `terminal.failures`, e.g. at an import
         if "--debug" in sys.argv:
             raise
-        _exit(_ERROR, f"{type(error).__name__}: {error}; --debug shows the traceback")
+        _exit(ExitCode.WRONG, f"{type(error).__name__}: {error}; --debug shows the traceback")
 
 
 def _exit(code: int, message: str) -> None:

@@ -93,4 +93,3 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Print only the path of the
 MaxGigabytes = Annotated[
     float, typer.Option(help="Limit of the unpacked size of a compressed file [GB]; inf: no limit.")
 ]
-MAX_GIGABYTES = 4.0  # as in `eoi_jax.data.readers.limits`, which would import JAX

@@ -1,5 +1,6 @@
-"""Signals that end a process: interrupt (Ctrl-C), termination, and hang-up of the terminal."""
+"""How a process ends: exit codes, and signals: Ctrl-C, termination, hang-up of the terminal."""
 
+import enum
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -7,10 +8,19 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+INTERRUPTED = "interrupted; no partly written files remain"
 # Windows has no SIGHUP.
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
+
+
+class ExitCode(enum.IntEnum):
+    """Exit statuses beside 0, as of a shell: 128 and the number of SIGINT where it ended."""
+
+    NO_ANSWER = 1
+    WRONG = 2
+    INTERRUPTED = 130
 
 
 def interrupt(number: int = signal.SIGINT, frame: FrameType | None = None) -> None:

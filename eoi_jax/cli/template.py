@@ -4,6 +4,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,21 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
-from eoi_jax.data.inspection import Channel, Inspection
+from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 
-_FIT_SAMPLES = 1_000_000  # samples of the first guess of the parameters
-_HELD_OUT = 0.3  # of the samples, at the end
-_BANDWIDTHS = 4.0  # bandwidths of the output within which the first guess is fitted
-_FIRST_ORDER_SHARE = 0.95  # share of ẏ that a first-order model must explain to be chosen
+
+@dataclass(frozen=True)
+class DraftSettings:
+    """How a draft divides the data and fits the first guess of its parameters."""
+
+    held_out: float = 0.3  # share of the samples, at the end
+    bandwidths: float = 4.0  # of the output, within which the first guess is fitted
+    first_order_share: float = 0.95  # of ẏ, that a first-order model must explain to be chosen
+
+
+_SETTINGS = DraftSettings()
 
 
 def draft(inspection: Inspection, target: Path) -> str:
@@ -86,8 +94,9 @@ def _outputs(inspection: Inspection) -> list[str]:
 
 def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> Record:
     """The first samples, as read with the config."""
-    clock, signals, part = inspection.clock, inspection.signals, slice(0, _FIT_SAMPLES)
-    count = min(inspection.samples, _FIT_SAMPLES)
+    clock, signals = inspection.clock, inspection.signals
+    count = min(inspection.samples, InspectionSettings.examined)
+    part = slice(0, count)
     period = clock.sample_period or 1.0
     u = np.stack([signals[key][part] for key in inputs], axis=1) if inputs else np.zeros((count, 0))
     stamps = (
@@ -105,7 +114,8 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
     Derivatives are differences of the record after a zero-phase filter above the output's band.
     """
     h = record.sample_period
-    cutoff = min(_BANDWIDTHS * (output.band or 0.05 / h) * 2.0 * h, 0.8)  # of the Nyquist frequency
+    band = _SETTINGS.bandwidths * (output.band or 0.05 / h)
+    cutoff = min(2.0 * h * band, 0.8)  # of the Nyquist frequency
     segments = [(a, b) for a, b in record.segments() if b - a >= 8]
     rows, rates, accelerations = [], [], []
     for start, stop in segments:
@@ -117,7 +127,7 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
         accelerations.append(np.gradient(rate, h)[2:-2])
     table, rate, acceleration = (np.concatenate(parts) for parts in (rows, rates, accelerations))
     first_order, remainder = _least_squares(np.delete(table, 1, axis=1), rate)
-    if remainder < 1.0 - _FIRST_ORDER_SHARE and first_order[0] > 0:
+    if remainder < 1.0 - _SETTINGS.first_order_share and first_order[0] > 0:
         return 1, first_order
     second_order, _ = _least_squares(table, acceleration)
     return 2, second_order
@@ -210,7 +220,7 @@ def _data_lines(
     target: Path,
 ) -> str:
     """[data], and [validation] with the end of the record, which the fit does not use."""
-    cut = int((1.0 - _HELD_OUT) * inspection.samples)
+    cut = int((1.0 - _SETTINGS.held_out) * inspection.samples)
     units = {channel.name: channel.unit for channel in inspection.channels if channel.unit}
     units = {key: unit for key, unit in units.items() if key in (*inputs, output.name)}
     lines = [

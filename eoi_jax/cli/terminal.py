@@ -19,12 +19,8 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from eoi_jax.cli.signals import handle, ignore
+from eoi_jax.cli.signals import INTERRUPTED, ExitCode, handle, ignore
 
-NO_ANSWER, WRONG, INTERRUPTED = 1, 2, 130
-
-_INTERRUPTED = "interrupted; no partly written files remain"
-_REPEAT_AFTER = 0.5  # [s] until the interrupt is raised again; cleaning up takes less
 _PROGRESS_BARS: list[Any] = []  # on the terminal now
 
 _DEBUG = [False]
@@ -71,11 +67,11 @@ def failures(as_json: bool) -> Iterator[None]:
     except (typer.Exit, typer.Abort, _ClickError):
         raise
     except KeyboardInterrupt:
-        stop(INTERRUPTED, _INTERRUPTED, as_json)
+        stop(ExitCode.INTERRUPTED, INTERRUPTED, as_json)
     except Exception as error:
         if is_debug():
             raise
-        stop(WRONG, _sentence(error), as_json)
+        stop(ExitCode.WRONG, _sentence(error), as_json)
 
 
 def _sentence(error: Exception) -> str:
@@ -147,19 +143,23 @@ def _exit_interrupted(as_json: bool) -> None:
     if atomic is not None and hasattr(atomic, "tidy"):
         atomic.tidy()
     with contextlib.suppress(typer.Exit):
-        stop(INTERRUPTED, _INTERRUPTED, as_json)
+        stop(ExitCode.INTERRUPTED, INTERRUPTED, as_json)
     with contextlib.suppress(OSError):
         sys.stdout.flush()
-    os._exit(INTERRUPTED)
+    os._exit(ExitCode.INTERRUPTED)
 
 
 @contextmanager
-def keyboard_interrupts() -> Iterator[None]:
-    """Raise Ctrl-C as an exception, repeatedly until it is handled: for work that is resumable."""
+def keyboard_interrupts(interval: float = 0.5) -> Iterator[None]:
+    """Raise Ctrl-C as an exception, repeatedly until it is handled: for work that is resumable.
+
+    Args:
+        interval: time until it is raised again [s]; cleaning up takes less.
+    """
     timers: list[threading.Timer] = []
 
     def raise_interrupt(*_: Any) -> None:
-        timers.append(threading.Timer(_REPEAT_AFTER, signal.raise_signal, [signal.SIGINT]))
+        timers.append(threading.Timer(interval, signal.raise_signal, [signal.SIGINT]))
         timers[-1].daemon = True
         timers[-1].start()
         raise KeyboardInterrupt

@@ -21,8 +21,7 @@ from eoi_jax._atomic import sweep_up, write_file
 
 _MAGIC = b"eoi_jax machine code 1\n"
 _DIGEST = hashlib.sha256().digest_size
-_LENGTH = 8  # bytes of the length
-_MAX_FILES = 2000  # files, of some ten kilobytes each; beyond, the older half goes
+_LENGTH = 8  # bytes of the header that hold the length of the code
 
 
 def read(path: Path) -> bytes | None:
@@ -40,12 +39,13 @@ def read(path: Path) -> bytes | None:
     return code if content[:head] == _header(path.name, code) else None
 
 
-def keep(path: Path, code: bytes) -> None:
+def keep(path: Path, code: bytes, max_files: int = 2000) -> None:
     """Write code, whole or not at all; that it cannot be written is no error.
 
     Args:
         path: in a folder of `usable`.
         code: of one loop.
+        max_files: in the folder, of some ten kilobytes each; beyond, the older half goes.
     """
 
     def fill(draft: Path) -> None:
@@ -53,7 +53,7 @@ def keep(path: Path, code: bytes) -> None:
 
     with suppress(OSError):
         write_file(path, fill)
-        _prune(path.parent)
+        _prune(path.parent, max_files)
 
 
 def _header(name: str, code: bytes) -> bytes:
@@ -98,9 +98,9 @@ def _fault(folder: Path) -> str | None:
     return None if os.access(folder, os.W_OK) else f"{folder} cannot be written to"
 
 
-def _prune(folder: Path) -> None:
+def _prune(folder: Path, max_files: int) -> None:
     files = list(folder.glob("*.o"))
-    if len(files) > _MAX_FILES:
+    if len(files) > max_files:
         files.sort(key=lambda file: file.stat().st_mtime)
         for path in files[: len(files) // 2]:
             path.unlink(missing_ok=True)

@@ -19,10 +19,8 @@ from eoi_jax.compiler import code_cache
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.llvm import llvm
 
-_MAX_TRANSLATIONS = 64  # translations of machine code
 
-
-def cached_translation(function: Callable, maxsize: int = _MAX_TRANSLATIONS) -> Callable:
+def cached_translation(function: Callable, maxsize: int = 64) -> Callable:
     """A translation that is done once for the same arguments; so is one that fails.
 
     Args:

@@ -27,8 +27,6 @@ from eoi_jax.compiler.trace import translate
 
 # Leading axes that the arrays of an argument may have.
 AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
-_BLOCK = 131072  # numbers of one intermediate result
-_MAX_PROGRAMS = 256  # in memory, of some ten kilobytes each
 
 Kind = tuple[tuple[int, ...], str]  # shape and kind of type of a leaf
 
@@ -78,8 +76,11 @@ class Along:
         else:
             self._columns = [_columns(leaf, axis, dtype) for leaf, axis in pairs]
 
-    def __call__(self, part: slice) -> Any:
-        """The result at some rows, as from `along`."""
+    def __call__(self, part: slice, block_size: int = 131072) -> Any:
+        """The result at some rows, as from `along`.
+
+        `block_size` is how many numbers of an intermediate result there are at a time: a mebibyte.
+        """
         if self._program is None:
             return jax.tree.map(
                 lambda leaf: leaf[part] if self.grid is None else leaf[:, part], self._by_xla
@@ -87,7 +88,7 @@ class Along:
         rows = range(self.rows)[part]
         lead = (len(rows),) if self.grid is None else (self.grid, len(rows))
         result = np.empty((len(self._program.outputs), *lead), self._program.dtype)
-        step = max(_BLOCK // max(self.grid or 1, 1), 1)
+        step = max(block_size // max(self.grid or 1, 1), 1)
         with np.errstate(all="ignore"):
             for first in range(0, len(rows), step):
                 last = min(first + step, len(rows))
@@ -199,7 +200,7 @@ class _Program:
         return jax.tree.unflatten(self.structure, leaves)
 
 
-@functools.partial(cached_translation, maxsize=_MAX_PROGRAMS)
+@functools.partial(cached_translation, maxsize=256)  # of some ten kilobytes each
 def _program(
     function: Callable,
     structures: tuple,

@@ -27,13 +27,20 @@ import numpy as np
 from eoi_jax._checks import check_count
 from eoi_jax.compiler.jax_private import Literal, Tracer, forget_lowered, tracing
 
-PROGRAMS = 128  # of two to five megabytes each, and ten to forty mappings of memory
 _PART, _END = b"\0|", b"\0]"  # between the parts of a traced function, and at its end
-_NESTED = 4  # so many functions inside others: their traces take ten megabytes each
-_RELEASE_INTERVAL = (
-    10  # programs, after which what their compilation has freed goes back to the system
-)
-_CALLS = 8  # so many calls, by identity of their arguments, are remembered for each program
+
+
+@dataclass(frozen=True)
+class MemorySettings:
+    """What compiled programs may keep in memory; `configure` sets the number of programs."""
+
+    programs: int = 128  # of two to five megabytes each, and ten to forty mappings of memory
+    nested: int = 4  # functions inside others, whose traces take ten megabytes each
+    calls: int = 8  # of each program, remembered by the identity of their arguments
+    release_interval: int = 10  # programs after which memory of compilation is given back
+
+
+_SETTINGS = MemorySettings()
 
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
 _NUMBERS = (*_ARRAYS, bool, int, float, complex)
@@ -196,7 +203,7 @@ class _Call:
     result: Any
 
 
-_limit = PROGRAMS
+_limit = _SETTINGS.programs
 _compiled_count = 0  # programs since memory was given back
 _lock = threading.RLock()
 _programs: OrderedDict[str, _Program] = OrderedDict()
@@ -231,12 +238,12 @@ def _traced(function: Callable, split: _Split, key: Hashable) -> tuple[_Call, Ca
             program = _programs[name] = _Program(run, traced.jaxpr, OrderedDict())
             _compiled_count += 1
         _programs.move_to_end(name)
-        if len(program.calls) >= _CALLS:
+        if len(program.calls) >= _SETTINGS.calls:
             _calls.pop(program.calls.popitem(last=False)[0], None)
         program.calls[key] = None
         _calls[key] = _Call(name, result)
         _trim()
-        if _compiled_count >= _RELEASE_INTERVAL:
+        if _compiled_count >= _SETTINGS.release_interval:
             _compiled_count = 0
             _give_back()
         return _calls[key], program.run
@@ -265,7 +272,7 @@ def _nested(function: Callable, split: _Split) -> Callable:
     with _lock:
         if key not in _inner:
             _inner[key] = _jitted(function, split)
-            if len(_inner) > _NESTED:
+            if len(_inner) > _SETTINGS.nested:
                 _inner.popitem(last=False)
         _inner.move_to_end(key)
         return _inner[key]

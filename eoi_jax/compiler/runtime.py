@@ -17,9 +17,6 @@ from eoi_jax.compiler.instructions import Layout, layout, output_places, source,
 from eoi_jax.compiler.jit import cached_translation, machine_code
 from eoi_jax.compiler.loop import AbstractLoop, LaneProgram, lane_program
 
-_LINE = 64  # bytes that caches move at a time
-_CHUNK_BYTES = 500_000  # of what the lanes share of the rows, at a time: half a second cache
-
 _POINTER, _INTEGER = ctypes.c_void_p, ctypes.c_int64
 _FUNCTION = ctypes.CFUNCTYPE(
     None, _POINTER, _POINTER, _INTEGER, *[_POINTER] * 6, _INTEGER, _POINTER, _INTEGER
@@ -158,6 +155,7 @@ class Run:
         rows: Float[np.ndarray, "rows columns"],
         rare: RowFlags | None = None,
         threads: int = 1,
+        chunk_size: int = 500_000,
     ) -> None:
         """Through the rows of a table; for loops without outputs.
 
@@ -165,10 +163,11 @@ class Run:
             rows: as the loop reads them, one after the other in memory.
             rare: of these rows; None for a loop without flags.
             threads: among which the lanes are divided.
+            chunk_size: bytes of what the lanes share of the rows, at a time: half a second cache.
         """
         code, total = self.code, len(rows)
         width = max(len(code.program.shared), 1)
-        count = max(1, _CHUNK_BYTES // (width * code.dtype.itemsize))
+        count = max(1, chunk_size // (width * code.dtype.itemsize))
         shared = _aligned((min(count, total), width), code.dtype)
         rows = np.ascontiguousarray(rows, code.dtype)
         flags, blocks, values = self._flags(rare, total)
@@ -291,11 +290,11 @@ def _table(values: Sequence[Any], count: int, dtype: Any) -> np.ndarray:
     return table
 
 
-def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Zeros that begin with a line of the cache."""
+def _aligned(shape: tuple[int, ...], dtype: Any, line: int = 64) -> np.ndarray:
+    """Zeros that begin with a line of the cache, the bytes that it moves at a time."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.zeros(size + _LINE, np.uint8)
-    start = -raw.ctypes.data % _LINE
+    raw = np.zeros(size + line, np.uint8)
+    start = -raw.ctypes.data % line
     return raw[start : start + size].view(dtype).reshape(shape)
 
 

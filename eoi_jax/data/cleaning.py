@@ -13,8 +13,8 @@ from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
-    GAP,
     Grid,
+    GridSettings,
     Segments,
     covered,
     fill,
@@ -26,9 +26,7 @@ from eoi_jax.data.resampling import (
 )
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
-_LARGEST = 1e150
 STAIRCASE = 0.2  # share of steps that may change a held input's value
-_DEGREE = 3  # of the spline through outputs that lie between grid points
 
 Names: TypeAlias = Sequence[str] | None
 Inputs: TypeAlias = Float[np.ndarray, "time nu"]
@@ -38,8 +36,14 @@ OnGrid: TypeAlias = tuple[
 ]
 
 
-def _numbers(name: str, values: Any) -> np.ndarray:
-    """A float64 copy; masked elements of a masked array become NaN."""
+def _numbers(name: str, values: Any, limit: float = 1e150) -> np.ndarray:
+    """A float64 copy; masked elements of a masked array become NaN.
+
+    Args:
+        name: of the argument.
+        values: its elements.
+        limit: size of a number from which sums of squares may overflow.
+    """
     array = values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
     check(array.dtype.kind not in "cMm", name, "must be real numbers", f"dtype {array.dtype}")
     try:
@@ -49,7 +53,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     finite = array[np.isfinite(array)]
     largest = float(np.max(np.abs(finite), initial=0.0))
     advice = "Its square must be a number, too: give a `scale`, or drop such samples."
-    check(largest < _LARGEST, name, f"must be below {_LARGEST:g} in size", largest, advice)
+    check(largest < limit, name, f"must be below {limit:g} in size", largest, advice)
     return np.array(array)
 
 
@@ -254,7 +258,7 @@ def interpolate(
     position, query, segments = _grid_positions(grid, stamps, good)
     valid = covered(position, segments, query)
     spacing = np.diff(stamps)
-    gaps = int(np.sum(spacing > GAP * h))
+    gaps = int(np.sum(spacing > GridSettings.gap * h))
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
     hold_text = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
     notes.append(
@@ -267,7 +271,7 @@ def interpolate(
         inputs = held_means(position, u_finite, query.size)
     else:
         inputs = hold_inputs(position, u_finite, segments, query, hold)
-    return inputs, spline(position, y, segments, query, _DEGREE), valid
+    return inputs, _cubic(position, y, segments, query), valid
 
 
 def interpolated_noise(
@@ -290,8 +294,18 @@ def interpolated_noise(
     """
     white = np.random.default_rng(0).standard_normal((stamps.size, 1))
     position, query, segments = _grid_positions(grid, stamps, good)
-    filtered = spline(position, white, segments, query, _DEGREE)
+    filtered = _cubic(position, white, segments, query)
     return np.maximum(white_noise(y, runs(valid), filtered), quanta / np.sqrt(12.0))
+
+
+def _cubic(
+    position: TimeAxis,
+    outputs: Outputs,
+    segments: Segments,
+    query: Float[np.ndarray, " points"],
+) -> Float[np.ndarray, "points ny"]:
+    """Outputs between their samples: a cubic follows motion and amplifies noise little."""
+    return spline(position, outputs, segments, query, degree=3)
 
 
 def _grid_positions(

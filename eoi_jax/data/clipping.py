@@ -7,10 +7,18 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 
-_LEVELS = 500  # levels into which the range of a channel is divided
-_END_LEVELS = 25  # levels next to the end that are compared
-_FEWEST_LEVELS = 6  # number of them with samples; with fewer the channel is a staircase
-_PILE = 10.0  # ratio of the samples at the extreme to those of a level next to it
+
+@dataclass(frozen=True)
+class ClippingSettings:
+    """What counts as a pile of samples at the end of a channel's range."""
+
+    levels: int = 500  # into which the range is divided
+    end_levels: int = 25  # next to the end, that are compared
+    min_occupied: int = 6  # of them with samples; with fewer the channel is a staircase
+    pile_ratio: float = 10.0  # of the samples at the end to those of a level next to it
+
+
+_SETTINGS = ClippingSettings()
 
 
 @dataclass(frozen=True)
@@ -57,12 +65,13 @@ def _pile(values: Float[np.ndarray, " n"]) -> float:
     value_range = float(np.ptp(values))
     if value_range <= 0:
         return 0.0
-    width = max(value_range / _LEVELS, float(np.min(np.diff(np.unique(values)))))
+    width = max(value_range / _SETTINGS.levels, float(np.min(np.diff(np.unique(values)))))
     level = ((np.max(values) - values) / width + 0.5).astype(int)
-    counts = np.bincount(level[level <= _END_LEVELS], minlength=_END_LEVELS + 1)
+    end = _SETTINGS.end_levels
+    counts = np.bincount(level[level <= end], minlength=end + 1)
     pile, adjacent, inner = counts[0], np.sum(counts[1:4]), np.mean(counts[4:])
-    staircase = np.sum(counts[1:] > 0) < _FEWEST_LEVELS or value_range < 2 * _END_LEVELS * width
+    staircase = np.sum(counts[1:] > 0) < _SETTINGS.min_occupied or value_range < 2 * end * width
     lingers = adjacent > 6.0 * inner + 3.0 * np.sqrt(3.0 * inner + 1.0) and adjacent > 0.1 * pile
-    if staircase or lingers or pile < _PILE * max(adjacent / 3.0, inner, 1.0):
+    if staircase or lingers or pile < _SETTINGS.pile_ratio * max(adjacent / 3.0, inner, 1.0):
         return 0.0
     return float(pile / len(values))

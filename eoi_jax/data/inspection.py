@@ -15,21 +15,14 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check
 from eoi_jax._display import Result, text
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.data.cleaning import SHORTEST, STAIRCASE
 from eoi_jax.data.clipping import saturations
-from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import Clock, find_clock
-
-_EXAMINED = 1_000_000  # samples of which noise, quantum and saturation are estimated
-_SPECTRUM_SAMPLES = 1 << 17  # samples of which the spectrum is taken
-_BAND_POWER = 0.99  # share of a signal's power that lies in its band
-_JUMP = (
-    0.25  # share of the range: a larger change from one sample to the next is no motion of a mass
-)
 
 _INPUT = frozenset((
     "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
@@ -46,6 +39,19 @@ _OUTPUT = frozenset((
 _REFERENCES = frozenset(("ref", "reference", "referencia", "target", "setpoint", "demand"))
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
+
+
+@dataclass(frozen=True)
+class InspectionSettings:
+    """What an inspection looks at, so that it takes seconds for a file of any size."""
+
+    examined: int = 1_000_000  # samples of which noise, quantum and saturation are estimated
+    spectrum_samples: int = 1 << 17  # samples of which the spectrum is taken
+    band_power: float = 0.99  # share of a signal's power that lies in its band
+    max_motion: float = 0.25  # share of the range: a mass moves less from one sample to the next
+
+
+_SETTINGS = InspectionSettings()
 
 
 @dataclass(frozen=True)
@@ -272,7 +278,7 @@ def _measured(
     numbers: Mapping[str, Float[np.ndarray, " time"]],
 ) -> Channel:
     """The channel with noise, quantum, saturation and band, from a record of only this channel."""
-    part = slice(0, _EXAMINED)
+    part = slice(0, _SETTINGS.examined)
     name = "y"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
@@ -307,12 +313,12 @@ def _record(time: Any, values: Float[np.ndarray, " time"], period: float) -> Rec
 
 def _band(values: Float[np.ndarray, " time"], period: float) -> float | None:
     """Frequency below which 99 % of the power of the signal without its mean lies [Hz]."""
-    part = values[:_SPECTRUM_SAMPLES]
+    part = values[: _SETTINGS.spectrum_samples]
     power = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(len(part)))) ** 2
     total = np.cumsum(power[1:])
     if not total[-1] > 0:
         return None
-    line = int(np.searchsorted(total, _BAND_POWER * total[-1])) + 1
+    line = int(np.searchsorted(total, _SETTINGS.band_power * total[-1])) + 1
     return float(line / (len(part) * period))
 
 
@@ -402,12 +408,12 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
     if name_role == "input":
         manner = ", and is held between changes" if staircase else ""
         return "input", f"its name says so{manner}"
-    if jump > _JUMP and (staircase or not called_output):
+    if jump > _SETTINGS.max_motion and (staircase or not called_output):
         manner = "is held and jumps" if staircase else "jumps"
         return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
     if called_output:
         return "output", "its name says so"
-    if jump <= _JUMP and channel.changes and channel.changes > STAIRCASE:
+    if jump <= _SETTINGS.max_motion and channel.changes and channel.changes > STAIRCASE:
         return "output", f"it moves smoothly, at most {100 * jump:.2g} % of its range in one sample"
     return "other", "there is no evidence of its role"
 

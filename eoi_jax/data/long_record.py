@@ -13,8 +13,7 @@ from eoi_jax.data.cleaning import choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 
-_SHORTEST = 1000
-_PLACES = 64  # places whose values enter the hash and determine the hold
+_SHORTEST = 1000  # samples of a piece, and of a place that the hash and the hold depend on
 
 
 class LongRecord(Sequence[Record]):
@@ -102,11 +101,11 @@ class LongRecord(Sequence[Record]):
         # A remainder too short for a piece is part of the last piece.
         return max((self.samples - 1) // self.piece + (self._remainder >= _SHORTEST), 1)
 
-    def _places(self) -> list[tuple[int, int]]:
-        """Ranges (start, stop) all along the record; a single range for a short record."""
-        if self.samples <= _PLACES * _SHORTEST:
+    def _places(self, count: int = 64) -> list[tuple[int, int]]:
+        """Up to `count` ranges (start, stop) all along the record, or one: read in a moment."""
+        if self.samples <= count * _SHORTEST:
             return [(0, self.samples)]
-        starts = np.linspace(0, self.samples - _SHORTEST, _PLACES).astype(int).tolist()
+        starts = np.linspace(0, self.samples - _SHORTEST, count).astype(int).tolist()
         return [(start, start + _SHORTEST) for start in starts]
 
     def _choose_hold(self) -> str:

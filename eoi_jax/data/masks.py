@@ -12,11 +12,6 @@ from jaxtyping import Bool, Float
 
 from eoi_jax.data.record import Record
 
-# An increment of y within this many standard deviations of its noise has no certain sign.
-_SIGNIFICANT = 4.0
-# Steps, beside its moving average, after which an implicit observer that starts anew slides.
-_SLIDES_AFTER = 3
-
 
 def transient_samples(record: Record, transient: float = 0.0) -> int:
     """Samples at the start of a record that are not scored.
@@ -55,6 +50,7 @@ def moving(
     outputs: Float[np.ndarray, "time ny"],
     h: float,
     noise: Float[np.ndarray, " ny"],
+    certainty: float = 4.0,
 ) -> Bool[np.ndarray, "time-1 ny"]:
     """Steps in which the direction of motion is certain.
 
@@ -67,11 +63,12 @@ def moving(
         outputs: on a uniform grid.
         h: its step [s].
         noise: standard deviation of that of the velocities, `defaults.velocity_noise`, shape (ny,).
+        certainty: standard deviations of the noise within which a velocity has no certain sign.
     """
     velocity = np.where(
         np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
     )
-    direction = np.sign(velocity) * (np.abs(velocity) > _SIGNIFICANT * noise)
+    direction = np.sign(velocity) * (np.abs(velocity) > certainty * noise)
     previous = np.concatenate([direction[:1], direction[:-1]])
     following = np.concatenate([direction[1:], direction[-1:]])
     return (direction != 0) & (direction == previous) & (direction == following)
@@ -83,6 +80,7 @@ def usable_steps(
     degrees: Sequence[int],
     jumps: Bool[np.ndarray, "ny ny"],
     noise: Float[np.ndarray, " ny"],
+    settling: int = 3,
 ) -> tuple[Bool[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     """Steps in which model and measurement belong together, and those at which an observer starts.
 
@@ -92,6 +90,8 @@ def usable_steps(
         degrees: relative degrees of the outputs.
         jumps: `Plant.jumps`: which outputs' directions each acceleration jumps with.
         noise: of the velocities, as of `moving`.
+        settling: steps, beside its moving average, after which an implicit observer that starts
+            on the measurement slides: about the relative degree.
 
     Returns:
         Usable steps of each output, and the steps at which the observer starts: the first one, and
@@ -106,8 +106,7 @@ def usable_steps(
         good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
     good &= ~constant(record)
     use = consecutive(good, taps)  # every step of the moving average must be good
-    # An implicit observer started on the measurement slides after about r steps.
-    return use & beyond_starts(restart, taps + _SLIDES_AFTER)[:, None], restart
+    return use & beyond_starts(restart, taps + settling)[:, None], restart
 
 
 def consecutive(good: Bool[np.ndarray, "steps ny"], count: int) -> Bool[np.ndarray, "steps ny"]:

@@ -21,10 +21,19 @@ Real: TypeAlias = float | int | np.number
 Segments: TypeAlias = Sequence[tuple[int, int]]
 
 HOLDS = ("zero", "linear", "smooth")
-_JITTER = 1e-3  # a stamp within this many periods of its grid point is on it
-_ROUNDING = 1e-9  # of a period
-GAP = 2.5  # a spacing of more periods than this is a gap, not one late sample
-_GROWTH = 10  # a grid this many times longer than the stamps is no regular sampling
+
+
+@dataclass(frozen=True)
+class GridSettings:
+    """When stamps lie on a uniform grid; all in periods of that grid but for a ratio."""
+
+    tolerance: float = 1e-3  # distance from its grid point within which a stamp is on it
+    rounding: float = 1e-9  # of sums and quotients of stamps
+    gap: float = 2.5  # spacing above which samples are missing; below, a sample is late
+    max_growth: float = 10.0  # points of the grid for each stamp; with more, the pauses dominate
+
+
+_SETTINGS = GridSettings()
 
 
 @dataclass(frozen=True)
@@ -71,8 +80,9 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     start, slope = _line(index, stamps)
     deviation = float(np.max(np.abs(stamps - (start + slope * index)))) / slope
     resolution = _resolution(stamps, slope) / slope
-    rounded = deviation > _JITTER and deviation <= 0.6 * resolution + _JITTER
-    if deviation <= _JITTER or rounded:
+    on_line = deviation <= _SETTINGS.tolerance
+    rounded = not on_line and deviation <= 0.6 * resolution + _SETTINGS.tolerance
+    if on_line or rounded:
         count = int(index[-1]) + 1
         slope = _snap(slope, count)
         start = float(stamps[0]) if deviation < 1e-6 else start
@@ -80,8 +90,8 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
         return Grid(time, slope, index, deviation, resolution * slope if rounded else 0.0)
     first = float(stamps[0])
     if deviation < 0.5:  # from the first point of the line that lies between stamps
-        period, first = slope, start + slope * np.ceil((first - start) / slope - _ROUNDING)
-    count = int(np.floor((stamps[-1] - first) / period + _ROUNDING)) + 1
+        period, first = slope, start + slope * np.ceil((first - start) / slope - _SETTINGS.rounding)
+    count = int(np.floor((stamps[-1] - first) / period + _SETTINGS.rounding)) + 1
     period = _snap(period, count)
     time = first + period * np.arange(count)
     return Grid(time, period, None, deviation, 0.0)
@@ -93,7 +103,7 @@ def sample_segments(stamps: TimeAxis, good: Mask, sample_period: float) -> list[
     A gap is a spacing above 2.5 periods. A smaller one is a late sample, as the clock of an
     operating system produces it, and is bridged by a spline.
     """
-    joined = np.diff(stamps) <= GAP * sample_period
+    joined = np.diff(stamps) <= _SETTINGS.gap * sample_period
     return runs(good, joined)
 
 
@@ -192,7 +202,7 @@ def hold_inputs(
         return spline(position, inputs, segments, query, degree=5)
     if hold == "linear":
         return fill(position, inputs, query)
-    last = np.searchsorted(position, query + _JITTER, side="right") - 1
+    last = np.searchsorted(position, query + _SETTINGS.tolerance, side="right") - 1
     return inputs[np.clip(last, 0, len(inputs) - 1)]
 
 
@@ -229,7 +239,8 @@ def held_means(
         inputs: values from each stamp on.
         count: number of steps.
     """
-    step = np.ceil(position[1:] - _JITTER).astype(int) - 1  # step in which each input changes
+    # The step in which each input changes.
+    step = np.ceil(position[1:] - _SETTINGS.tolerance).astype(int) - 1
     within_grid = (step >= 0) & (step < count)
     share = np.clip(step + 1 - position[1:], 0.0, 1.0)  # of the step after the change
     means = hold_inputs(position, inputs, (), np.arange(count, dtype=float), "zero")
@@ -318,8 +329,8 @@ def low_pass_noise(*cutoffs: float) -> float:
 def _queries_within(
     position: Float[np.ndarray, " stamps"], start: int, stop: int, query: TimeAxis
 ) -> slice:
-    first = np.searchsorted(query, position[start] - _JITTER, side="left")
-    last = np.searchsorted(query, position[stop - 1] + _JITTER, side="right")
+    first = np.searchsorted(query, position[start] - _SETTINGS.tolerance, side="left")
+    last = np.searchsorted(query, position[stop - 1] + _SETTINGS.tolerance, side="right")
     return slice(int(first), int(last))
 
 
@@ -351,7 +362,7 @@ def _snap(period: float, count: int) -> float:
 def _check_regular(stamps: TimeAxis, period: float) -> None:
     span = float(stamps[-1] - stamps[0])
     check(
-        span <= _GROWTH * period * len(stamps),
+        span <= _SETTINGS.max_growth * period * len(stamps),
         "time",
         f"must be sampled regularly: {len(stamps)} samples span {span / period:.3g} times "
         "their median spacing",

@@ -16,16 +16,26 @@ from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.masks import longest_run
 from eoi_jax.data.record import Record
 
-_CHANCE = 1e-3  # that white noise shows a signal in any bin of a record
-_SHARED = 35.0 / 18.0  # bins of a Hann window that carry as much as one alone: 1 + 2 (4/9 + 1/36)
-_FLOOR_ERROR = 3.0 * np.sqrt(7.26)  # of σ² over 1/√n: three standard deviations, 8th difference
-_NEIGHBOURS, _RATIO = 8, 0.05  # bins on each side that are averaged: fixed, and per bin
-# A line: bins on each side that hold it (Hann), and its mean over that of its neighbours; the same
-# of an input, from which on that drives it; share of an output's power from which on it is motion.
-_LINE_WIDTH, _LINE, _DRIVEN, _MOTION = 2, 8.0, 3.0, 1e-2
-_ROUNDED = 1e-12  # share of the power below which sums over a few bins are rounding
-_CUTOFFS = 200  # number of cut-offs that are tried
-_BAND = 5e-3  # width of a band of frequencies in which a filter is taken to be flat, relative
+
+@dataclass(frozen=True)
+class SpectrumSettings:
+    """How signal, lines and noise are told apart in a spectrum behind a Hann window."""
+
+    chance: float = 1e-3  # that white noise shows a signal in any bin of a record
+    shared_bins: float = 35.0 / 18.0  # that carry as much as one alone: 1 + 2 (4/9 + 1/36)
+    floor_error: float = 3.0 * 7.26**0.5  # of σ² over 1/√n: three deviations of an 8th difference
+    neighbours: int = 8  # bins that are averaged on each side
+    neighbour_ratio: float = 0.05  # further ones for each bin: a fixed ratio of frequencies
+    line_width: int = 2  # bins on each side that hold a line
+    line_ratio: float = 8.0  # mean of a line over that of its neighbours
+    driven_ratio: float = 3.0  # the same of an input, from which on that drives the line
+    motion_share: float = 1e-2  # of an output's power from which on a line is motion
+    rounding: float = 1e-12  # share of the power below which sums over a few bins are rounding
+    cutoffs: int = 200  # that are tried
+    band_width: float = 5e-3  # of frequencies in which a filter is taken to be flat, relative
+
+
+_SETTINGS = SpectrumSettings()
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class Spectrum:
 
     def quiet_cutoff(self, share: float, order: int) -> float:
         """Highest cut-off [rad/s] whose filter passes noise below `share` of the motion (rms)."""
-        cutoffs = np.geomspace(self.omega[1], self.omega[-1], _CUTOFFS)
+        cutoffs = np.geomspace(self.omega[1], self.omega[-1], _SETTINGS.cutoffs)
         omega, signal, noise = self._bands()
         # (ω/cut-off)^2r as a quotient: so many powers would take longer than a pass.
         top, bottom = (
@@ -65,7 +75,9 @@ class Spectrum:
 
     def _bands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean frequency, motion and noise of bands so narrow that a filter is flat in each."""
-        edges = np.geomspace(1.0, len(self.omega), round(np.log(len(self.omega)) / _BAND))
+        edges = np.geomspace(
+            1.0, len(self.omega), round(np.log(len(self.omega)) / _SETTINGS.band_width)
+        )
         first = np.unique(np.append(0, edges[:-1].astype(int)))
         sums = (np.add.reduceat(column, first) for column in (self.omega, self.motion, self.noise))
         omega, signal, noise = sums
@@ -118,7 +130,7 @@ def _periodogram(
     window = np.hanning(stop - start)
     power = _power(record.outputs[start:stop, output], window)
     omega = 2.0 * np.pi * np.fft.rfftfreq(stop - start, record.sample_period)
-    lines = _lines(power, _LINE)
+    lines = _lines(power, _SETTINGS.line_ratio)
     if np.any(lines):
         moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
         lines = _foreign(power, lines, [_power(u, window) for u in moving]) & bool(moving)
@@ -145,10 +157,14 @@ def _foreign(
     says nothing about where the dynamics of the plant lie.
     """
     for u in inputs:
-        lines = lines & ~_lines(u, _DRIVEN)
-    line_power, _ = _neighbour_sums(power, _LINE_WIDTH)
-    lines = lines & (line_power < _MOTION * np.sum(power)) & (line_power > _ROUNDED * np.sum(power))
-    return _neighbour_sums(lines.astype(float), _LINE_WIDTH)[0] > 0.0
+        lines = lines & ~_lines(u, _SETTINGS.driven_ratio)
+    line_power, _ = _neighbour_sums(power, _SETTINGS.line_width)
+    lines = (
+        lines
+        & (line_power < _SETTINGS.motion_share * np.sum(power))
+        & (line_power > _SETTINGS.rounding * np.sum(power))
+    )
+    return _neighbour_sums(lines.astype(float), _SETTINGS.line_width)[0] > 0.0
 
 
 def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndarray, " frequency"]:
@@ -156,8 +172,10 @@ def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndar
 
     A free motion that decays within the record has skirts, which the near ones show.
     """
-    line, narrow = _neighbour_sums(power, _LINE_WIDTH)
-    neighbourhoods = [_neighbour_sums(power, reach) for reach in (_NEIGHBOURS, _reach(power))]
+    line, narrow = _neighbour_sums(power, _SETTINGS.line_width)
+    neighbourhoods = [
+        _neighbour_sums(power, reach) for reach in (_SETTINGS.neighbours, _reach(power))
+    ]
     exceeds = [
         line * (wide - narrow) > ratio * narrow * (total - line) for total, wide in neighbourhoods
     ]
@@ -166,7 +184,7 @@ def _lines(power: Float[np.ndarray, " frequency"], ratio: float) -> Bool[np.ndar
 
 def _reach(power: Float[np.ndarray, " frequency"]) -> np.ndarray:
     """Neighbouring bins on each side of each bin."""
-    return _NEIGHBOURS + (_RATIO * np.arange(len(power))).astype(int)
+    return _SETTINGS.neighbours + (_SETTINGS.neighbour_ratio * np.arange(len(power))).astype(int)
 
 
 def _neighbour_sums(
@@ -185,13 +203,15 @@ def _exceeds_noise(
 
     The average spans a fixed ratio of frequencies: single bins at high frequency, which ω^2r weighs
     most, are many, and one of them exceeds its expectation manifold in every record. Over its
-    expectation the mean of m bins is distributed as χ²/ν with ν = 2m/`_SHARED`, whose quantile is
+    expectation the mean of m bins is distributed as χ²/ν, ν = 2m / `shared_bins`, whose quantile is
     $(1 - 2/9ν + z \sqrt{2/9ν})^3$. The floor itself is an estimate.
 
     Source: Wilson and Hilferty, PNAS 17 (1931) 684.
     """
     total, count = _neighbour_sums(power, _reach(power))
-    spread = _SHARED / (9.0 * count)  # 2/9ν
-    z = NormalDist().inv_cdf(1.0 - _CHANCE / len(power))
-    highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (1.0 + _FLOOR_ERROR / np.sqrt(samples))
+    spread = _SETTINGS.shared_bins / (9.0 * count)  # 2/9ν
+    z = NormalDist().inv_cdf(1.0 - _SETTINGS.chance / len(power))
+    highest = (1.0 - spread + z * np.sqrt(spread)) ** 3 * (
+        1.0 + _SETTINGS.floor_error / np.sqrt(samples)
+    )
     return total / count > highest * floor

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.readers.table import Table
-from eoi_jax.data.resampling import GAP
+from eoi_jax.data.resampling import GridSettings
 
 _NAMES = re.compile(
     r"(t|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
@@ -25,8 +25,8 @@ _UNITS = {
     "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
     "d": 86400.0, "days": 86400.0,
 }  # fmt: skip
-# Seconds, milliseconds, … since 1970, for dates from 2001 to 2065.
-_EPOCHS = ((1e9, 1.0), (1e12, 1e-3), (1e15, 1e-6), (1e18, 1e-9))
+# Units since 1970, the smallest value of each, and its seconds, for dates from 2001 to 2065.
+_EPOCHS = (("seconds", 1e9, 1.0), ("ms", 1e12, 1e-3), ("µs", 1e15, 1e-6), ("ns", 1e18, 1e-9))
 _SPREADSHEET = (36000.0, 73000.0)  # days since 1900, for dates from 1998 to 2099
 
 
@@ -132,9 +132,8 @@ def _unit(
         if word in _UNITS:
             return _UNITS[word], f"in {word}, as the file says"
     first, step = float(values[0]), float(np.median(np.diff(values)))
-    for low, factor in _EPOCHS:
+    for word, low, factor in _EPOCHS:
         if low <= first < 3.0 * low and step * factor < 1e4:
-            word = {1.0: "seconds", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns"}[factor]
             return factor, f"its size is that of {word} since 1970"
     low, high = _SPREADSHEET
     if low < first < high and 0 < step < 0.5:
@@ -159,7 +158,7 @@ def _clock_of(
     steps = np.diff(stamps)
     forward = steps[steps > 0]
     period = float(np.median(forward))
-    gaps = forward > GAP * period
+    gaps = forward > GridSettings.gap * period
     backward = np.flatnonzero(steps < 0)
     regular = forward[~gaps]
     return Clock(

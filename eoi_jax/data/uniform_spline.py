@@ -23,7 +23,6 @@ _POLES = {
         np.sqrt(67.5 + sign * np.sqrt(4436.25)) - sign * np.sqrt(26.25) - 6.5 for sign in (-1, 1)
     ),
 }
-_FAR = 64  # samples from an end at which a mode has decayed to nothing
 
 
 def within_steps(
@@ -46,15 +45,18 @@ def within_steps(
 
 
 def _coefficients(
-    samples: Float[np.ndarray, "time channel"], degree: int
+    samples: Float[np.ndarray, "time channel"], degree: int, decay: int = 64
 ) -> Float[np.ndarray, "coefficients channel"]:
-    """c, from (k − 1)/2 samples before the first to (k − 1)/2 after the last."""
+    """c, from (k − 1)/2 samples before the first to (k − 1)/2 after the last.
+
+    `decay` is the number of samples from an end at which a mode has decayed to nothing.
+    """
     from scipy.ndimage import spline_filter1d  # 0.1 s of import
 
     margin = (degree - 1) // 2
     inner = spline_filter1d(samples, degree, axis=0, mode="mirror")
     extended = np.concatenate([inner[margin:0:-1], inner, inner[-2 : -2 - margin : -1]])
-    modes, reach = np.zeros((len(extended), 2 * margin)), min(len(extended), _FAR)
+    modes, reach = np.zeros((len(extended), 2 * margin)), min(len(extended), decay)
     modes[:reach, :margin] = np.asarray(_POLES[degree]) ** np.arange(reach)[:, None]
     modes[:, margin:] = modes[::-1, :margin]
     ends = np.r_[: degree + 1 + margin], np.r_[-degree - 1 - margin : 0]

@@ -9,18 +9,16 @@ from jaxtyping import Bool, Float
 from eoi_jax.data.masks import transient_samples
 from eoi_jax.data.record import Record
 
-_SHARE = 0.1  # of the shortest record
-_VALID_SHARE = 0.5  # of the most valid samples at any start; a run with fewer starts later
 
-
-def window_length(records: Sequence[Record], fewest: int) -> float | None:
-    """A tenth of the shortest record, but at least `fewest` samples of the coarsest record.
+def window_length(records: Sequence[Record], fewest: int, share: float = 0.1) -> float | None:
+    """A share of the shortest record, but at least `fewest` samples of the coarsest record.
 
     The length is in seconds, as records of one data set may have different sample periods.
 
     Args:
         records: the data set.
         fewest: smallest number of samples of a window.
+        share: of the shortest record; a free run over a tenth of it drifts little.
 
     Returns:
         Length of a window [s]; None where that is more than half of the shortest record.
@@ -28,7 +26,7 @@ def window_length(records: Sequence[Record], fewest: int) -> float | None:
     shortest = min(records, key=lambda record: len(record) * record.sample_period)
     period = shortest.sample_period
     coarsest = max(record.sample_period for record in records)
-    window = max(round(_SHARE * len(shortest)) * period, fewest * coarsest)
+    window = max(round(share * len(shortest)) * period, fewest * coarsest)
     return None if window > len(shortest) // 2 * period else window
 
 
@@ -55,7 +53,13 @@ class Plan:
     lost: int
 
 
-def plan(record: Record, initial_samples: int, window: float | None, required: int) -> Plan:
+def plan(
+    record: Record,
+    initial_samples: int,
+    window: float | None,
+    required: int,
+    valid_share: float = 0.5,
+) -> Plan:
     """Free runs along a record: a single one, or one for each window.
 
     The state at a start is estimated from the valid ones of the first `initial_samples` samples. A
@@ -67,6 +71,7 @@ def plan(record: Record, initial_samples: int, window: float | None, required: i
         initial_samples: number from which a state is estimated; they are not scored.
         window: length of each run [s]; None for a single run.
         required: number of valid samples that a state needs.
+        valid_share: of the most valid samples at any start; a run with fewer starts later.
     """
     total = len(record)
     count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
@@ -74,7 +79,7 @@ def plan(record: Record, initial_samples: int, window: float | None, required: i
     valid_count = np.concatenate([[0], np.cumsum(record.valid)])
     valid_ahead = valid_count[head:] - valid_count[:-head]  # of the next `head` samples
     available = int(np.max(valid_ahead))
-    need = max(int(np.ceil(_VALID_SHARE * available)), required)
+    need = max(int(np.ceil(valid_share * available)), required)
     possible = (valid_ahead >= need) & record.valid[: len(valid_ahead)]
     starts, predicted, late, lost, score = [], [], 0, 0, np.zeros(total, dtype=bool)
     for first in range(0, total - 1, count):

@@ -20,7 +20,6 @@ from eoi_jax._checks import check
 from eoi_jax.models.plant import Plant
 
 _TINY = 1e-9  # relative to a row's largest entry: a smaller coefficient is rounding
-_MAX_CONDITION = 1e12  # of T: beyond, the state does not follow from the outputs
 
 Terms = tuple[tuple[str, int, int], ...]  # parameter, row of x.y (or -1: an input), column
 
@@ -172,12 +171,16 @@ def _chain_plant(
     u_names: tuple[str, ...],
     y_names: tuple[str, ...],
     name: str,
+    max_condition: float = 1e12,
 ) -> Plant:
-    """The plant with state ξ = T x; coefficients that are only rounding are no parameters."""
+    """The plant with state ξ = T x; coefficients that are only rounding are no parameters.
+
+    Beyond the condition number `max_condition` of T the state does not follow from the outputs.
+    """
     places = [(i, j) for j, r in enumerate(degrees) for i in range(r)]
     chain = np.stack([c[j] @ np.linalg.matrix_power(a, i) for i, j in places])
     scale = np.linalg.norm(chain, axis=1, keepdims=True)
-    observable = bool(np.all(scale > 0)) and bool(np.linalg.cond(chain / scale) < _MAX_CONDITION)
+    observable = bool(np.all(scale > 0)) and bool(np.linalg.cond(chain / scale) < max_condition)
     check(
         observable,
         "system",

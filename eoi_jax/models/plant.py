@@ -27,7 +27,6 @@ from eoi_jax.models.kinds import checked_kinds, kind_of
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
 # differs between the two only by a jump; its square is representable in single precision.
 REST_SPEED = 1e-18
-_FAR_FACTOR = 1e3  # ratio of the larger velocity to `REST_SPEED`
 
 
 class State(eqx.Module):
@@ -610,8 +609,10 @@ def _pushed(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array]:
     return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
 
-def _across_rest(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array, Array]:
-    """Change of f_i across rest of output j, at a small and a larger velocity, and size of f_i."""
+def _across_rest(
+    plant: Plant, probe: tuple[Any, ...], ratio: float = 1e3
+) -> tuple[Array, Array, Array]:
+    """Change of f_i across rest of output j at `REST_SPEED` and `ratio` times it; size of f_i."""
     t, y, u, theta = probe
     x = State(y, plant.internal_start(theta) + 0.1)
 
@@ -620,5 +621,5 @@ def _across_rest(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array, Ar
         below_rest = plant._with_velocities(t, x, u, theta, -distance)
         return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
 
-    (near_change, size), (far_change, _) = change(REST_SPEED), change(_FAR_FACTOR * REST_SPEED)
+    (near_change, size), (far_change, _) = change(REST_SPEED), change(ratio * REST_SPEED)
     return near_change, far_change, size

@@ -21,7 +21,6 @@ from msgspec import UNSET, UnsetType
 from eoi_jax._checks import check, is_shallow
 
 _PACKAGE = "eoi_jax."
-_MAX_DEPTH = 200  # nesting of objects and lists; results have fewer than fifty levels
 # Files name a class by a tag, which stays when the class is moved or renamed. Values: the module,
 # and the name of the class where it differs from the tag.
 CLASSES: Mapping[str, str] = {
@@ -169,17 +168,18 @@ def stored_form(value: Any) -> Any:
     return value
 
 
-def check_tree(tree: Any, keys: Sequence[str]) -> None:
+def check_tree(tree: Any, keys: Sequence[str], max_depth: int = 200) -> None:
     """Check that a tree has the form that `save` writes and refers to existing arrays.
 
     Args:
         tree: the tree, from JSON.
         keys: of the arrays.
+        max_depth: nesting of objects and lists; results have fewer than fifty levels.
 
     Raises:
         ValueError: a tree of a different form, or one that is nested too deeply.
     """
-    if not is_shallow(tree, _MAX_DEPTH):
+    if not is_shallow(tree, max_depth):
         raise ValueError("it is nested too deeply")
     try:
         msgspec.convert(tree, Branch | str | float | int | bool | None)

@@ -8,8 +8,6 @@ from eoi_jax.comparison.compare import Comparison, Entry
 from eoi_jax.report.style import WIDE, fix_theme, logarithmic, new_figure, series, themed, with_unit
 from eoi_jax.report.tables import columns, with_error
 
-_COLUMNS = 6  # parameters side by side
-
 
 def comparison_text(result: Comparison) -> str:
     """Scores, parameters, and how each method ended.
@@ -76,11 +74,11 @@ def worst_error(entry: Entry) -> float:
     return max(abs(value) for value in entry.errors.values())
 
 
-def _parameters(result: Comparison) -> str:
-    """Nominal values, true values and each method's estimate, `_COLUMNS` parameters a table."""
+def _parameters(result: Comparison, width: int = 6) -> str:
+    """Nominal values, true values and each method's estimate, `width` parameters side by side."""
     names, tables = result.plant.names, []
-    for start in range(0, len(names), _COLUMNS):
-        group = names[start : start + _COLUMNS]
+    for start in range(0, len(names), width):
+        group = names[start : start + width]
         rows = [("parameter", *group)]
         rows.append(("nominal", *(f"{result.plant.parameters[name]:.6g}" for name in group)))
         if result.truth is not None:

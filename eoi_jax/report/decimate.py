@@ -3,19 +3,16 @@
 import numpy as np
 from jaxtyping import Float
 
-# Two points per pixel column of a figure 1000 px wide.
-_COLUMNS = 1000
-
 
 def decimate(
-    time: Float[np.ndarray, " time"], values: Float[np.ndarray, " time"], columns: int = _COLUMNS
+    time: Float[np.ndarray, " time"], values: Float[np.ndarray, " time"], columns: int = 1000
 ) -> tuple[Float[np.ndarray, " drawn"], Float[np.ndarray, " drawn"]]:
     """The smallest and the largest value of each of `columns` intervals, so that peaks remain.
 
     Args:
         time: stamps [s].
         values: the signal; NaN is ignored in an interval that has other values.
-        columns: number of intervals.
+        columns: number of intervals; the default is one per pixel of a figure 1000 px wide.
 
     Returns:
         Time and values of at most ``2 * columns`` points, in time order.

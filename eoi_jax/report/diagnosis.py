@@ -23,8 +23,6 @@ from eoi_jax.report.style import (
 )
 from eoi_jax.report.tables import columns
 
-_QUANTISED = 0.5  # share of quantisation in the noise from which it is reported
-
 
 def findings(diagnosis: Diagnosis, status: Status) -> tuple[str, ...]:
     """The findings of a diagnosis in sentences, the most important first.
@@ -257,12 +255,12 @@ def lines(diagnosis: Diagnosis) -> Iterator[str]:
         )
 
 
-def quantisation(diagnosis: Diagnosis) -> Iterator[str]:
-    """Outputs whose noise is mostly quantisation."""
+def quantisation(diagnosis: Diagnosis, share: float = 0.5) -> Iterator[str]:
+    """Outputs with more than this share of quantisation in the standard deviation of the noise."""
     for name, noise, step in zip(
         diagnosis.outputs, diagnosis.noise, diagnosis.quantum, strict=True
     ):
-        if step / np.sqrt(12.0) > _QUANTISED * noise > 0:
+        if step / np.sqrt(12.0) > share * noise > 0:
             unit = with_space(diagnosis.units.get(name, ""))
             yield (
                 f"{name} is quantised in steps of {step:.4g}{unit}, which cause most of its noise "

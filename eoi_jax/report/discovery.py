@@ -17,7 +17,6 @@ from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 
 _DRIFT = " (over whole records the free run drifts)"
-_NEXT = 5  # candidates in the table of those that were not added
 
 
 def discovery_text(discovery: Discovery) -> str:
@@ -207,9 +206,9 @@ def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     return rows
 
 
-def candidate_table(discovery: Discovery) -> str:
-    """The best candidates that were not added, with the reason; empty if there are none."""
-    rows = candidate_rows(discovery)[: 1 + _NEXT]
+def candidate_table(discovery: Discovery, count: int = 5) -> str:
+    """The `count` best candidates that were not added, with the reason; empty if none was."""
+    rows = candidate_rows(discovery)[: 1 + count]
     return columns(rows, "<<>><") if rows else ""
 
 

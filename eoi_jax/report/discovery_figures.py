@@ -23,9 +23,6 @@ from eoi_jax.report.style import (
     with_unit,
 )
 
-_BINS = 40
-_COLUMNS = 2  # maps side by side
-
 
 @themed()
 def discovery_figure(discovery: Discovery) -> Any:
@@ -37,7 +34,7 @@ def discovery_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    outputs, rows = len(discovery.plant.outputs), -(-len(_maps(discovery)) // _COLUMNS)
+    outputs, (rows, _) = len(discovery.plant.outputs), _layout(_maps(discovery))
     heights = [1.0 + 1.4 * outputs, 0.5 + 2.5 * rows, free_run_height(outputs)]
     figure = new_figure(WIDE, sum(heights))
     grid = figure.add_gridspec(3, 1, height_ratios=heights)
@@ -76,7 +73,7 @@ def effect_figure(discovery: Discovery) -> Any:
         A `matplotlib.figure.Figure`.
     """
     maps = _maps(discovery)
-    rows = -(-len(maps) // _COLUMNS)
+    rows, _ = _layout(maps)
     figure = new_figure(WIDTH, 0.7 + (2.1 if len(maps) > 1 else 2.6) * rows)
     _draw_maps(figure, discovery)
     return fix_theme(figure)
@@ -164,12 +161,16 @@ def _maps(discovery: Discovery) -> list[tuple[str, str, str]]:
     return list(dict.fromkeys(maps))
 
 
+def _layout(maps: list[tuple[str, str, str]], max_columns: int = 2) -> tuple[int, int]:
+    """Rows and columns of panels, of which `max_columns` fit side by side."""
+    columns = min(len(maps), max_columns)
+    return -(-len(maps) // columns), columns
+
+
 def _draw_maps(figure: Any, discovery: Discovery) -> None:
     """The residual before against variables, and the part of it that the added effects explain."""
     maps = _maps(discovery)
-    columns = min(len(maps), _COLUMNS)
-    rows = -(-len(maps) // columns)
-    panels = figure.subplots(rows, columns, squeeze=False)
+    panels = figure.subplots(*_layout(maps), squeeze=False)
     for axes, (output, name, against) in zip(panels.ravel(), maps, strict=False):
         _draw_map(axes, discovery, discovery.plant.outputs.index(output), name, against)
     for axes in panels.ravel()[len(maps) :]:
@@ -186,7 +187,10 @@ def _variable(discovery: Discovery, added: Added) -> str:
     return added.output if added.output in inputs else inputs[0]
 
 
-def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) -> None:
+def _draw_map(
+    axes: Any, discovery: Discovery, j: int, name: str, against: str, max_bins: int = 40
+) -> None:
+    """One map; means are taken over `max_bins` bins, as many dots as a narrow panel can show."""
     declared = discovery.declared
     variable = _values(declared, j, name)
     if against:
@@ -196,7 +200,7 @@ def _draw_map(axes: Any, discovery: Discovery, j: int, name: str, against: str) 
     # Where the plant sticks only the model without friction is scored: use samples that both score.
     scored = np.isfinite(variable) & np.isfinite(explained)
     order = np.argsort(variable[scored])
-    bins = np.array_split(np.flatnonzero(scored)[order], int(np.clip(np.sum(scored), 1, _BINS)))
+    bins = np.array_split(np.flatnonzero(scored)[order], int(np.clip(np.sum(scored), 1, max_bins)))
     if not np.any(scored):
         axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center")
         bins = []

@@ -1,6 +1,7 @@
 """Figures of estimates: free runs before and after, intervals, correlation, profiles."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,33 +24,43 @@ from eoi_jax.report.style import (
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
-_PER_ROW = 6  # parameters, in a figure of full width
-_MAX_DISTANCE = 4.0  # half widths of the interval up to which the starting value is drawn
-_MAX_NUMBERED = 12  # parameters up to which correlations are written as numbers
-_MAX_OPACITY = 0.65  # opacity of a correlation of ±1, at which its number is readable
+
+@dataclass(frozen=True)
+class EstimateLayout:
+    """What fits in the panels of a figure of estimates."""
+
+    per_row: int = 6  # parameters side by side, in a figure of full width
+    max_distance: float = 4.0  # half widths of an interval up to which the initial value is drawn
+    max_numbered: int = 12  # parameters up to which correlations are written as numbers
+    max_opacity: float = 0.65  # of a correlation of ±1, at which its number is readable
+
+
+_LAYOUT = EstimateLayout()
+_NARROW = EstimateLayout(per_row=3)
 
 
 @themed()
-def refinement_figure(result: Refinement, record: int = 0) -> Any:
+def refinement_figure(result: Refinement, record: int = 0, layout: EstimateLayout = _LAYOUT) -> Any:
     """Measurement and free runs before and after, their errors, and parameters with intervals.
 
     Args:
         result: of `refine`; without its records only the parameters are drawn.
         record: which of the records is drawn.
+        layout: of the panels.
 
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
     outputs = result.plant.outputs if result.records else ()
     free = _free(result)
-    rows = -(-len(free) // _PER_ROW)
+    rows = -(-len(free) // layout.per_row)
     heights = [free_run_height(len(outputs)) if outputs else 1e-3, 0.4 + 1.9 * rows]
     figure = new_figure(WIDE, 0.4 + sum(heights))
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     if outputs:
         _draw_refined_runs(figure.add_subfigure(grid[0]), result, record)
     lower = figure.add_subfigure(grid[1])
-    _draw_intervals(lower, uncertainty(result), free, result.nominal.parameters, _PER_ROW)
+    _draw_intervals(lower, uncertainty(result), free, result.nominal.parameters, layout)
     lower.suptitle("parameters with 95 % intervals", x=0.01, ha="left", fontsize="medium")
     figure.suptitle(f"{result.plant.name}: {result.status.code}")
     return fix_theme(figure)
@@ -89,61 +100,69 @@ def _draw_refined_runs(figure: Any, result: Refinement, record: int) -> None:
 
 
 @themed()
-def uncertainty_figure(estimate: Uncertainty, initial: Mapping[str, float] | None = None) -> Any:
+def uncertainty_figure(
+    estimate: Uncertainty,
+    initial: Mapping[str, float] | None = None,
+    layout: EstimateLayout = _LAYOUT,
+) -> Any:
     """A panel for each free parameter with its 95 % interval, and the correlation of all.
 
     Args:
         estimate: of `uncertainty` or `bootstrap`.
         initial: values to compare with.
+        layout: of the panels.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
     names = _estimated(estimate)
-    rows = -(-len(names) // _PER_ROW)
+    rows = -(-len(names) // layout.per_row)
     heights = [0.4 + 1.9 * rows, 1.2 + 0.34 * len(names)]
     figure = new_figure(WIDE, sum(heights))
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     upper = figure.add_subfigure(grid[0])
-    _draw_intervals(upper, estimate, names, initial or {}, _PER_ROW)
+    _draw_intervals(upper, estimate, names, initial or {}, layout)
     upper.suptitle("parameters with 95 % intervals", x=0.01, ha="left", fontsize="medium")
-    _draw_correlation(figure.add_subfigure(grid[1]), estimate, names)
+    _draw_correlation(figure.add_subfigure(grid[1]), estimate, names, layout)
     return fix_theme(figure)
 
 
 @themed()
 def interval_figure(
-    estimate: Uncertainty, initial: Mapping[str, float] | None = None, per_row: int = 3
+    estimate: Uncertainty,
+    initial: Mapping[str, float] | None = None,
+    layout: EstimateLayout = _NARROW,
 ) -> Any:
     """A small panel for each free parameter with its 95 % interval.
 
     Args:
         estimate: of `uncertainty` or `bootstrap`.
         initial: values to compare with.
-        per_row: panels side by side.
+        layout: of the panels.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
     names = _estimated(estimate)
-    figure = new_figure(WIDTH, 0.2 + 1.7 * -(-len(names) // per_row))
-    _draw_intervals(figure, estimate, names, initial or {}, per_row)
+    figure = new_figure(WIDTH, 0.2 + 1.7 * -(-len(names) // layout.per_row))
+    _draw_intervals(figure, estimate, names, initial or {}, layout)
     return fix_theme(figure)
 
 
 @themed()
-def correlation_figure(estimate: Uncertainty) -> Any:
-    """Correlation of the estimates as colours and, for up to a dozen parameters, as numbers.
+def correlation_figure(estimate: Uncertainty, layout: EstimateLayout = _LAYOUT) -> Any:
+    """Correlation of the estimates as colours and, for few parameters, as numbers.
 
     Args:
         estimate: of `uncertainty` or `bootstrap`.
+        layout: of the panels.
 
     Returns:
         A `matplotlib.figure.Figure`.
     """
     names = _estimated(estimate)
     figure = new_figure(WIDTH, min(1.4 + 0.42 * len(names), 5.0))
-    _draw_correlation(figure, estimate, names)
+    _draw_correlation(figure, estimate, names, layout)
     return fix_theme(figure)
 
 
@@ -157,12 +176,12 @@ def _draw_intervals(
     estimate: Uncertainty,
     names: Sequence[str],
     initial: Mapping[str, float],
-    per_row: int,
+    layout: EstimateLayout,
 ) -> None:
     """A small panel for each parameter, scaled to its interval: parameters differ by decades."""
     intervals = estimate.intervals()
-    rows = -(-len(names) // per_row)
-    panels = figure.subplots(rows, per_row, squeeze=False).ravel()
+    rows = -(-len(names) // layout.per_row)
+    panels = figure.subplots(rows, layout.per_row, squeeze=False).ravel()
     for axes, name in zip(panels, names, strict=False):
         low, high = intervals[name]
         value = estimate.parameters[name]
@@ -172,7 +191,7 @@ def _draw_intervals(
         if not np.isfinite(half_width):
             axes.text(0.5, 0.9, "no finite interval", transform=axes.transAxes, ha="center")
         if name in initial:
-            if not half_width * _MAX_DISTANCE < abs(initial[name] - value):
+            if not half_width * layout.max_distance < abs(initial[name] - value):
                 axes.plot(0.0, initial[name], "x", color=series(BASE))
             axes.text(0.97, 0.03, f"before {initial[name]:.5g}", color=series(BASE), ha="right",
                       fontsize="small", transform=axes.transAxes)  # fmt: skip
@@ -186,7 +205,9 @@ def _draw_intervals(
         axes.set_visible(False)
 
 
-def _draw_correlation(figure: Any, estimate: Uncertainty, names: Sequence[str]) -> None:
+def _draw_correlation(
+    figure: Any, estimate: Uncertainty, names: Sequence[str], layout: EstimateLayout
+) -> None:
     """A square for each pair, its opacity proportional to the correlation."""
     from matplotlib.patches import Rectangle
 
@@ -196,9 +217,9 @@ def _draw_correlation(figure: Any, estimate: Uncertainty, names: Sequence[str]) 
     for i, j in np.argwhere(np.isfinite(matrix)):
         # Opacity rather than a colour map, so that the page can replace the colours by its theme.
         colour = series(ACCENT if matrix[i, j] > 0 else BASE)
-        alpha = _MAX_OPACITY * abs(matrix[i, j])
+        alpha = layout.max_opacity * abs(matrix[i, j])
         axes.add_patch(Rectangle((j, i), 1.0, 1.0, facecolor=colour, alpha=alpha, linewidth=0))
-        if len(names) <= _MAX_NUMBERED:
+        if len(names) <= layout.max_numbered:
             size = "x-small" if len(names) > 7 else "small"
             axes.text(j + 0.5, i + 0.5, f"{matrix[i, j]:.2f}", ha="center", va="center",
                       fontsize=size)  # fmt: skip
@@ -211,7 +232,7 @@ def _draw_correlation(figure: Any, estimate: Uncertainty, names: Sequence[str]) 
     axes.set_aspect("equal")
     axes.tick_params(length=0)
     for order, (label, number) in enumerate((("positive", ACCENT), ("negative", BASE))):
-        axes.add_patch(Rectangle((0, 0), 0, 0, facecolor=series(number), alpha=_MAX_OPACITY,
+        axes.add_patch(Rectangle((0, 0), 0, 0, facecolor=series(number), alpha=layout.max_opacity,
                                  label=label, zorder=order))  # fmt: skip
     legend_above(axes)
 

@@ -27,8 +27,6 @@ from eoi_jax.report.style import (
 )
 from eoi_jax.simulation.validate import Validation
 
-_MAX_RANGE = 3.0  # half ranges of the measurement to which a free run is clipped
-
 
 @themed()
 def identification_figure(result: Identification, record: int = 0) -> Any:
@@ -214,6 +212,7 @@ def draw_free_runs(
     runs: Sequence[tuple[np.ndarray, str, str]],
     title: str = "",
     measured_outputs: bool = True,
+    max_range: float = 3.0,
 ) -> None:
     """Free runs and their errors over time, two panels for each output.
 
@@ -225,6 +224,8 @@ def draw_free_runs(
         runs: outputs (N, ny), colour and label of each free run.
         title: label of the record; "" for its name.
         measured_outputs: whether the outputs of the record are measurements.
+        max_range: half ranges of the measurement to which the panels are clipped: a run that
+            diverges must not flatten the other curves.
     """
     ratios = [1.6, 1.0] * len(outputs)
     panels = figure.subplots(2 * len(outputs), 1, sharex=True, height_ratios=ratios)
@@ -240,10 +241,11 @@ def draw_free_runs(
             y_hat = prediction[:, j]
             upper.plot(*decimate(time, y_hat), color=colour, linewidth=1.0, label=label)
             lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
-        if measured_outputs:  # a run that diverges must not flatten the other curves
-            mean, half_range = np.nanmean(y), np.nanmax(np.abs(y - np.nanmean(y)))
-            limit(upper, mean - _MAX_RANGE * half_range, mean + _MAX_RANGE * half_range)
-            limit(lower, -_MAX_RANGE * half_range, _MAX_RANGE * half_range)
+        if measured_outputs:
+            mean = np.nanmean(y)
+            size = max_range * np.nanmax(np.abs(y - mean))
+            limit(upper, mean - size, mean + size)
+            limit(lower, -size, size)
     legend_above(panels[0])
     # Not as a title, which the legend would overlap.
     panels[-1].set_xlabel(f"time [s], {title or measured.name}")

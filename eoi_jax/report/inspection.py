@@ -6,21 +6,19 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import printable
-from eoi_jax.data.inspection import Channel, Inspection
+from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
 
-_ROWS = 40  # columns of the file in the table
-_PANELS = 6  # signals in the figure
 _COLOURS = {"input": "#D55E00", "output": "#0072B2"}
-_SPECTRUM_SAMPLES = 1 << 17
 
 
-def inspection_text(inspection: Inspection) -> str:
+def inspection_text(inspection: Inspection, max_rows: int = 40) -> str:
     """The time axis, a line for each column, how the file was read, and advice.
 
     Args:
         inspection: of `inspect`.
+        max_rows: columns of the file in the table.
 
     Returns:
         Several lines of at most about 100 characters.
@@ -30,10 +28,10 @@ def inspection_text(inspection: Inspection) -> str:
     rows = [("column", "looks like", "unit", "min", "max", "missing", "noise", "step", "band")]
     ranks = ("time", "input", "output", "other", "constant", "text")
     ordered = sorted(inspection.channels, key=lambda channel: ranks.index(channel.role))
-    rows += [_row(channel) for channel in ordered[:_ROWS]]
+    rows += [_row(channel) for channel in ordered[:max_rows]]
     table = columns(rows, "<<<>>>>>>")
-    if len(ordered) > _ROWS:
-        table += f"\nand {len(ordered) - _ROWS} more columns: --json lists all"
+    if len(ordered) > max_rows:
+        table += f"\nand {len(ordered) - max_rows} more columns: --json lists all"
     blocks.append(table)
     guesses = [channel for channel in ordered if channel.role in ("input", "output")][:12]
     if guesses:
@@ -77,11 +75,12 @@ def _row(channel: Channel) -> tuple[str, ...]:
     return (name, role, channel.unit, *limits, str(channel.missing or ""), noise, step, band)
 
 
-def inspection_figure(inspection: Inspection) -> Any:
+def inspection_figure(inspection: Inspection, max_signals: int = 6) -> Any:
     """Signals over time with their spectra, and the intervals between time stamps.
 
     Args:
         inspection: of `inspect`.
+        max_signals: signals that are drawn, outputs first.
 
     Returns:
         A `matplotlib.figure.Figure`.
@@ -94,7 +93,7 @@ def inspection_figure(inspection: Inspection) -> Any:
         for channel in inspection.channels
         if channel.role == "other" and channel.name in inspection.signals
     ]
-    channels = sorted(channels, key=lambda channel: channel.role != "output")[:_PANELS]
+    channels = sorted(channels, key=lambda channel: channel.role != "output")[:max_signals]
     clock, count, signals = inspection.clock, len(channels), inspection.signals
     stamped = clock.column is not None
     seconds = clock.sample_period is not None
@@ -152,7 +151,7 @@ def _draw_spectrum(
     axes: Any, values: Float[np.ndarray, " time"], period: float, channel: Channel
 ) -> None:
     """Amplitude over frequency, with lines at the noise level and at the bandwidth."""
-    part = values[:_SPECTRUM_SAMPLES]
+    part = values[: InspectionSettings.spectrum_samples]
     part = np.where(np.isfinite(part), part, np.nanmean(part) if np.isfinite(part).any() else 0.0)
     window = np.hanning(len(part))
     amplitudes = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] * 2 / max(window.sum(), 1.0)

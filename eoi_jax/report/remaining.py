@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.refinement.remaining import Remaining
+from eoi_jax.refinement.score_test import Candidate
 from eoi_jax.report.style import (
     ACCENT,
     WIDTH,
@@ -17,21 +18,19 @@ from eoi_jax.report.style import (
     themed,
 )
 
-_SINGLE, _PAIRS = 8, 4  # candidates that are listed and drawn
-_FAINT = 0.35  # opacity of candidates that are not significant
-
 
 @themed()
-def remaining_figure(result: Remaining) -> Any:
+def remaining_figure(result: Remaining, opacity: float = 0.35) -> Any:
     """Share of the free-run error that each effect, and each pair, explains.
 
     Args:
         result: of `remaining`.
+        opacity: of candidates that are not significant.
 
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    candidates = [*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]]
+    candidates = _first_candidates(result)
     figure = new_figure(WIDTH, 1.1 + 0.26 * len(candidates))
     axes = figure.add_subplot()
     for significant in (True, False):
@@ -45,7 +44,7 @@ def remaining_figure(result: Remaining) -> Any:
             [100.0 * candidates[i].share for i in rows],
             height=0.65,
             color=series(ACCENT) if significant else text_colour(),
-            alpha=1.0 if significant else _FAINT,
+            alpha=1.0 if significant else opacity,
             label="significant" if significant else "not significant",
         )
     names = [" + ".join(candidate.names).replace("_", " ") for candidate in candidates]
@@ -57,10 +56,15 @@ def remaining_figure(result: Remaining) -> Any:
     return fix_theme(figure)
 
 
+def _first_candidates(result: Remaining, effects: int = 8, pairs: int = 4) -> list[Candidate]:
+    """The first effects and pairs of the ranking: as many as a table shows at a glance."""
+    return [*result.ranking[:effects], *result.pairs[:pairs]]
+
+
 def remaining_text(result: Remaining) -> str:
     """The first effects and pairs of the ranking, and the errors on held-out records."""
     rows = [f"{'effect':<42} {'share':>8} {'by chance':>10}  values"]
-    for candidate in (*result.ranking[:_SINGLE], *result.pairs[:_PAIRS]):
+    for candidate in _first_candidates(result):
         values = ", ".join(f"{name} {value:.4g}" for name, value in candidate.values.items())
         label = " + ".join(candidate.names)
         share, significance = 100 * candidate.share, candidate.significance

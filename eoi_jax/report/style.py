@@ -15,8 +15,6 @@ import numpy as np
 
 from eoi_jax.models.plant import Plant, derivative_unit
 
-_MAX_LENGTH = 34  # characters of a name in a figure
-_DARK = 0.5  # mean of red, green and blue of a background below which it is dark
 _SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 WIDTH = 5.4  # [inch] of a figure of the report: fits a phone, and two side by side a desktop
@@ -44,12 +42,16 @@ def sheet(dark: bool) -> Any:
 
 
 @contextmanager
-def themed() -> Iterator[None]:
-    """Apply the sheet of the current theme; ``@themed()`` decorates functions that draw."""
+def themed(threshold: float = 0.5) -> Iterator[None]:
+    """Apply the sheet of the current theme; ``@themed()`` decorates functions that draw.
+
+    Args:
+        threshold: mean of red, green and blue of a background below which it is dark.
+    """
     from matplotlib import rc_context, rcParams
     from matplotlib.colors import to_rgb
 
-    dark = float(np.mean(to_rgb(rcParams["figure.facecolor"]))) < _DARK
+    dark = float(np.mean(to_rgb(rcParams["figure.facecolor"]))) < threshold
     with rc_context(sheet(dark)):
         yield
 
@@ -153,9 +155,9 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{shortened(name)} [{shortened(unit)}]"
 
 
-def shortened(name: str) -> str:
-    """A name that fits beside a panel: a long one ends in an ellipsis."""
-    return name if len(name) <= _MAX_LENGTH else f"{name[: _MAX_LENGTH - 1]}…"
+def shortened(name: str, length: int = 34) -> str:
+    """A name of as many characters as fit beside a panel; a longer one ends in an ellipsis."""
+    return name if len(name) <= length else f"{name[: length - 1]}…"
 
 
 def injection_unit(unit: str | None, degree: int) -> str:

@@ -7,7 +7,6 @@ from typing import Any
 
 from eoi_jax.report.style import power, sheet
 
-_DECIMALS = 2  # of coordinates, in units of about a pixel
 _COLOUR_SETTINGS = ("text.color", "axes.edgecolor", "grid.color", "figure.facecolor")
 _COLOUR_NAMES = ("ink", "edge", "grid", "page")
 
@@ -71,8 +70,10 @@ def _factor(offset: re.Match[str]) -> str:
     return f">×{power(float('1e' + offset[1].replace('−', '-')))}<"
 
 
-def _rounded(attribute: re.Match[str]) -> str:
+def _rounded(attribute: re.Match[str], decimals: int = 2) -> str:
+    """Coordinates of an attribute, in units of about a pixel, with so many decimals."""
+
     def shorten(number: re.Match[str]) -> str:
-        return f"{float(number[0]):.{_DECIMALS}f}".rstrip("0").rstrip(".")
+        return f"{float(number[0]):.{decimals}f}".rstrip("0").rstrip(".")
 
     return re.sub(r"-?\d+\.\d{3,}", shorten, attribute[0])

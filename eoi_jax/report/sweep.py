@@ -8,8 +8,6 @@ from eoi_jax.report.style import ACCENT, fix_theme, logarithmic, new_figure, ser
 from eoi_jax.report.tables import columns
 
 _LABELS = {"cutoff": "cut-off [rad/s]"}
-_MAX_GAINS = 5  # gains in the figure
-_MAX_TICKS = 6  # values up to which each has its own tick
 
 
 def statuses(sweep: Any) -> dict[str, int]:
@@ -73,12 +71,13 @@ def _estimates(best: Any) -> str:
 
 
 @themed()
-def sweep_figure(sweep: Any, best: Any = None) -> Any:
+def sweep_figure(sweep: Any, best: Any = None, max_gains: int = 5) -> Any:
     """The common index of every lane against each gain that varies, one panel each.
 
     Args:
         sweep: of `eoi_jax.sweep`.
         best: of `eoi_jax.best`; its lane is marked.
+        max_gains: gains in the figure; each has a panel of 3.2 inch.
 
     Returns:
         A `matplotlib.figure.Figure`.
@@ -87,7 +86,7 @@ def sweep_figure(sweep: Any, best: Any = None) -> Any:
     index = lanes["common_index"].where(lanes["ok"])
     varying = [name for name in gain_names(sweep) if len(_finite(sweep[name].values)) > 1]
     varying += ["cutoff"] if "cutoff" in sweep.coords and sweep.sizes["lowpass"] > 1 else []
-    names = varying[:_MAX_GAINS] or ["observer"]
+    names = varying[:max_gains] or ["observer"]
     rows = sweep.sizes["output"]
     figure = new_figure(3.2 * len(names) + 1.2, 3.0 * rows + 0.6)
     panels = figure.subplots(rows, len(names), squeeze=False, sharey="row")
@@ -122,7 +121,8 @@ def _mark(panel: Any, best: Any, name: str, j: int) -> None:
     panel.plot(x, y, "o", **ring)
 
 
-def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int) -> Any:
+def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int, max_ticks: int = 6) -> Any:
+    """The lanes in one panel; up to `max_ticks` values have a tick each."""
     gain = sweep[name].isel(output=j) if "output" in sweep[name].dims else sweep[name]
     filters = sweep["cutoff" if "cutoff" in sweep.coords else "lowpass"]
     x, y, colour = (
@@ -133,7 +133,7 @@ def _scatter(panel: Any, sweep: Any, index: Any, name: str, j: int) -> Any:
     if name != "observer":
         logarithmic(panel.xaxis)
     ticks = _finite(x)
-    if len(ticks) <= _MAX_TICKS:
+    if len(ticks) <= max_ticks:
         panel.set_xticks(ticks, [f"{value:.3g}" for value in ticks])
         panel.set_xticks([], minor=True)
     logarithmic(panel.yaxis)

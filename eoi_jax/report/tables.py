@@ -240,8 +240,6 @@ def columns(rows: Sequence[Sequence[str]], alignments: str) -> str:
     return "\n".join(lines)
 
 
-_SMALL = 1e-5  # an error below this is printed with an exponent
-
 # Units that take a prefix, and the prefixes with their factors.
 _PREFIXED = ("m", "s", "V", "A", "N", "rad", "N m", "N·m", "Pa", "W")
 _PREFIXES = ((1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
@@ -262,12 +260,14 @@ def quantity(value: float, unit: str) -> str:
     return f"{value / factor:.3g} {prefix}{unit}"
 
 
-def with_error(value: float, error: float) -> str:
+def with_error(value: float, error: float, exponent_below: float = 1e-5) -> str:
     """``20.42 ± 0.08``: digits that are significant with the error, five at most.
 
     Args:
         value: the estimate.
         error: its standard error; NaN or 0, where it is not known, is not printed.
+        exponent_below: an error below this is printed with an exponent; "9.3e-05" is hard to
+            compare with the number before it.
     """
     if not (np.isfinite(error) and error > 0 and np.isfinite(value)):
         return f"{value:.5g}"
@@ -276,7 +276,7 @@ def with_error(value: float, error: float) -> str:
     if digits < 0 or digits > 8:
         return f"{value:.4g} ± {error:.2g}"
     rounded_error = f"{error:.2g}"
-    if error >= _SMALL:  # "9.3e-05" is hard to compare with the number before it
+    if error >= exponent_below:
         rounded_error = np.format_float_positional(float(rounded_error), trim="-")
     return f"{value:.{digits}f} ± {rounded_error}"
 

@@ -105,11 +105,10 @@ def test_a_new_folder_is_its_owners_alone(tmp_path):
     assert (tmp_path / "cache" / "native").stat().st_mode & 0o077 == 0
 
 
-def test_the_folder_does_not_grow_without_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(code_cache, "_MAX_FILES", 6)
+def test_the_folder_does_not_grow_without_end(tmp_path):
     for i in range(20):
         path = tmp_path / f"{i}.o"
-        code_cache.keep(path, bytes([i]))
+        code_cache.keep(path, bytes([i]), max_files=6)
         os.utime(path, (i, i))
     left = {int(path.stem) for path in tmp_path.glob("*.o")}
     assert len(left) <= 6

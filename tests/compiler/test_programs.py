@@ -11,7 +11,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.compiler import programs as compilation
-from eoi_jax.compiler.programs import fingerprint, jit
+from eoi_jax.compiler.programs import MemorySettings, fingerprint, jit
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +70,7 @@ def test_memory_that_compilation_freed_is_given_back_every_so_often(monkeypatch)
     applied(polynomial(0.0, 1.0), np.ones(3), "")
     given_back = []
     monkeypatch.setattr(compilation, "_give_back", lambda: given_back.append(compilation.count()))
-    monkeypatch.setattr(compilation, "_RELEASE_INTERVAL", 3)
+    monkeypatch.setattr(compilation, "_SETTINGS", MemorySettings(release_interval=3))
     monkeypatch.setattr(compilation, "_compiled_count", 0)
     for i in range(7):  # each takes the place of the one before
         applied(polynomial(float(i), 2.0), np.ones(3), "")

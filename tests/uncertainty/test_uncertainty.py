@@ -9,8 +9,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax._status import Status
 from eoi_jax.refinement.result import Refinement, Start
-from eoi_jax.report import estimate_figures
-from eoi_jax.report.estimate_figures import refinement_figure
+from eoi_jax.report.estimate_figures import EstimateLayout, refinement_figure, uncertainty_figure
 from eoi_jax.uncertainty.uncertainty import (
     Uncertainty,
     _groups,
@@ -325,17 +324,21 @@ def test_figure_shows_runs_residuals_and_a_panel_for_each_parameter(tmp_path):
     assert figure.get_size_inches()[0] * figure.dpi == 1000
 
 
-@pytest.mark.parametrize("figure", [refinement_figure, lambda one: uncertainty(one).plot()])
-def test_panels_in_several_rows_are_as_high_as_in_one(figure, monkeypatch):
-    def height():
-        drawn = figure(refined())
+@pytest.mark.parametrize(
+    "figure",
+    [
+        refinement_figure,
+        lambda one, layout: uncertainty_figure(uncertainty(one), layout=layout),
+    ],
+)
+def test_panels_in_several_rows_are_as_high_as_in_one(figure):
+    def height(per_row):
+        drawn = figure(refined(), layout=EstimateLayout(per_row=per_row))
         drawn.draw_without_rendering()
         (axes,) = [axes for axes in drawn.axes if axes.get_title(loc="left").startswith("mass")]
         return axes.get_window_extent().height
 
-    in_one = height()
-    monkeypatch.setattr(estimate_figures, "_PER_ROW", 1)
-    assert height() > 0.8 * in_one
+    assert height(1) > 0.8 * height(6)
 
 
 def test_figure_of_a_result_that_kept_less_shows_what_there_is():

@@ -11,7 +11,7 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -19,11 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.data.readers.limits import Allowance
+from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.table import Columns, Table
 
-_HEAD_LINES = 200  # lines from which the layout is detected
-_PIECE = 1 << 20  # bytes that are unpacked at a time to measure the size
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
 _EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
@@ -83,7 +81,7 @@ def read_text(path: Path, allowance: Allowance) -> Table:
         )
     encoding = _encoding(first)
     with _open_text(path, encoding) as stream:
-        return _read(path, list(islice(stream, _HEAD_LINES)), encoding)
+        return _read(path, _head(stream), encoding)
 
 
 def line_of(path: Path, row: int) -> int:
@@ -94,7 +92,7 @@ def line_of(path: Path, row: int) -> int:
         row: counted from 0.
     """
     with _open_text(path, _encoding(_first_bytes(path))) as stream:
-        head = list(islice(stream, _HEAD_LINES))
+        head = _head(stream)
         layout = _layout([line.rstrip("\r\n") for line in head])
         blanks = " \r\n" if layout.separator == "\t" else None
         numbered = islice(enumerate(chain(head, stream), 1), layout.start, None)
@@ -114,7 +112,7 @@ def _open_text(path: Path, encoding: str) -> Any:
 
 def _check_size(path: Path, allowance: Allowance) -> None:
     with gzip.open(path, "rb") as stream:
-        while piece := stream.read(_PIECE):
+        while piece := stream.read(PIECE):
             allowance.take(len(piece))
 
 
@@ -128,7 +126,12 @@ def read_lines(text: str) -> Table:
     Args:
         text: the table.
     """
-    return _read(io.StringIO(text), list(islice(io.StringIO(text), _HEAD_LINES)), "utf-8")
+    return _read(io.StringIO(text), _head(io.StringIO(text)), "utf-8")
+
+
+def _head(stream: Iterable[str], lines: int = 200) -> list[str]:
+    """The first lines, from which the layout is detected."""
+    return list(islice(stream, lines))
 
 
 def _encoding(first: bytes) -> str:

@@ -10,8 +10,6 @@ from eoi_jax.data.readers.delimited import read_lines
 from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.table import Table
 
-_CELL = 64  # bytes that a cell takes in memory, filled or not
-
 
 def read_excel(path: Path, allowance: Allowance) -> Table:
     """The table of a sheet; names and units are detected as in a text table.
@@ -42,14 +40,17 @@ def read_excel(path: Path, allowance: Allowance) -> Table:
     return replace(table, notes=(f"Read from the sheet `{name}`{choice}.", *table.notes))
 
 
-def _check_extent(path: Path, allowance: Allowance) -> None:
-    """Count the memory of the sheets: each is the rectangle up to its last row and column."""
+def _check_extent(path: Path, allowance: Allowance, cell_size: int = 64) -> None:
+    """Count the memory of the sheets: each is the rectangle up to its last row and column.
+
+    A cell takes `cell_size` bytes in memory, filled or not.
+    """
     with ZipFile(path) as archive:
         for member in archive.namelist():
             if member.endswith(".xml"):
                 with archive.open(member) as stream:
                     rows, columns = _extent(stream)
-                allowance.take(float(_CELL) * rows * columns)
+                allowance.take(float(cell_size) * rows * columns)
 
 
 def _extent(stream: Any) -> tuple[int, int]:

@@ -14,8 +14,6 @@ import numpy as np
 from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 
-_PIECE = 100  # texts that are read at a time
-
 
 def read_hdf5(path: Path, allowance: Allowance) -> Table:
     """The datasets of a file by their paths in it.
@@ -134,14 +132,17 @@ class Walk:
             return self._texts(name, item)
         return np.asarray(item[()])
 
-    def _texts(self, name: str, item: Any) -> np.ndarray | None:
-        """Texts of any length; each is counted, as many may refer to the same long text."""
+    def _texts(self, name: str, item: Any, piece: int = 100) -> np.ndarray | None:
+        """Texts of any length; each is counted, as many may refer to the same long text.
+
+        `piece` texts are read at a time, before they are counted.
+        """
         if item.ndim != 1:
             self._notes.append(f"`{name}` holds texts in {item.ndim} axes: left out.")
             return None
         entries: list[Any] = []
-        for first in range(0, len(item), _PIECE):
-            part = item[first : first + _PIECE].tolist()
+        for first in range(0, len(item), piece):
+            part = item[first : first + piece].tolist()
             self._allowance.take(
                 sum(np.size(entry) + len(entry) for entry in part if np.ndim(entry) < 2)
             )

@@ -4,10 +4,10 @@ from pathlib import Path
 from zipfile import ZipFile
 
 from eoi_jax._checks import check_positive
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.data.resampling import Real
 
-MAX_GIGABYTES = 4.0
-_GIGABYTE = 1e9
+PIECE = 1 << 20  # bytes that are unpacked at a time, to be counted
 
 
 class Allowance:
@@ -24,7 +24,7 @@ class Allowance:
         if gigabytes != float("inf"):
             check_positive("max_gigabytes", gigabytes)
         self._limit = float(gigabytes)
-        self._remaining = float(gigabytes) * _GIGABYTE
+        self._remaining = 1e9 * self._limit
 
     def take(self, size: Real) -> None:
         """Count bytes that are about to be unpacked.

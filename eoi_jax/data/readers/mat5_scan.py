@@ -8,6 +8,7 @@ what the dimensions of a matrix say, so these are counted.
 Source: MathWorks, MAT-File Format, R2024a, chapter 1.
 """
 
+import enum
 import struct
 import zlib
 from collections.abc import Callable
@@ -16,19 +17,23 @@ from typing import BinaryIO
 
 import numpy as np
 
-from eoi_jax.data.readers.limits import Allowance
+from eoi_jax.data.readers.limits import PIECE, Allowance
 
-_INT32, _MATRIX, _COMPRESSED = 5, 14, 15
 _KINDS = {
     *range(1, 8),
     9,
     *range(12, 19),
 }  # a reader may index its table of kinds out of range with others
-_MAX_DEPTH = 100  # matrices within matrices
-_PIECE = 1 << 20  # bytes
-_MAX_AXES = 64
 
 Read = Callable[[int], bytes]
+
+
+class _Kind(enum.IntEnum):
+    """Kinds of elements that are looked into."""
+
+    INT32 = 5
+    MATRIX = 14
+    COMPRESSED = 15
 
 
 def check_sizes(path: Path, allowance: Allowance) -> None:
@@ -50,11 +55,11 @@ def check_sizes(path: Path, allowance: Allowance) -> None:
         while len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             end = file.tell() + size
-            if kind == _COMPRESSED:
+            if kind == _Kind.COMPRESSED:
                 stream = _Unpacked(file, size, allowance)
                 _scan(stream.read, order, allowance)
                 stream.skip_remaining()
-            elif kind == _MATRIX:
+            elif kind == _Kind.MATRIX:
                 _matrix(file.read, order, size, allowance)
             file.seek(end)
 
@@ -63,12 +68,23 @@ def _scan(read: Read, order: str, allowance: Allowance) -> None:
     tag = read(8)
     if len(tag) == 8:
         kind, size = struct.unpack(f"{order}II", tag)
-        if kind == _MATRIX:
+        if kind == _Kind.MATRIX:
             _matrix(read, order, size, allowance)
 
 
-def _matrix(read: Read, order: str, size: int, allowance: Allowance) -> None:
-    """Scan the elements of a matrix and of the matrices within it."""
+def _matrix(
+    read: Read,
+    order: str,
+    size: int,
+    allowance: Allowance,
+    max_depth: int = 100,
+    max_axes: int = 64,
+) -> None:
+    """Scan the elements of a matrix and of the matrices within it.
+
+    At most `max_depth` of them are nested, so that no reader runs out of stack, and the dimensions
+    have at most `max_axes` axes, as in NumPy.
+    """
     ends = [size]  # of the open matrices [bytes from the start of the outermost]
     place = 0
     number = 0  # of the element within its matrix
@@ -78,17 +94,17 @@ def _matrix(read: Read, order: str, size: int, allowance: Allowance) -> None:
         inline = b""
         if kind >> 16:  # a short element, within its tag
             inline, kind, length = tag[4 : 4 + (kind >> 16)], kind & 0xFFFF, 0
-        if kind == _MATRIX and length:
+        if kind == _Kind.MATRIX and length:
             ends.append(place + length)
             number = 0
-            if len(ends) > _MAX_DEPTH:
+            if len(ends) > max_depth:
                 raise ValueError("its structures or cells are nested too deeply")
             continue
         if kind not in _KINDS:
             raise ValueError("it holds an element of an unknown type")
         number += 1
         padded = length + -length % 8
-        if kind == _INT32 and number == 2 and length <= 4 * _MAX_AXES:
+        if kind == _Kind.INT32 and number == 2 and length <= 4 * max_axes:
             content = inline or read(padded)[:length]
             axes = np.frombuffer(content[: len(content) // 4 * 4], f"{order}i4").astype(float)
             allowance.take(8.0 * float(np.prod(np.maximum(axes, 0.0))))
@@ -100,7 +116,7 @@ def _matrix(read: Read, order: str, size: int, allowance: Allowance) -> None:
 
 
 def _skip(read: Read, size: int) -> None:
-    while size > 0 and (piece := read(min(size, _PIECE))):
+    while size > 0 and (piece := read(min(size, PIECE))):
         size -= len(piece)
 
 
@@ -120,11 +136,11 @@ class _Unpacked:
         while len(self._buffer) < size and not self._inflate.eof:
             packed = self._inflate.unconsumed_tail
             if not packed:
-                packed = self._file.read(min(self._packed, _PIECE))
+                packed = self._file.read(min(self._packed, PIECE))
                 self._packed -= len(packed)
                 if not packed:
                     break
-            piece = self._inflate.decompress(packed, _PIECE)
+            piece = self._inflate.decompress(packed, PIECE)
             self._allowance.take(len(piece))
             self._buffer += piece
         part = bytes(self._buffer[:size])
@@ -133,5 +149,5 @@ class _Unpacked:
 
     def skip_remaining(self) -> None:
         """Unpack the remaining bytes to count them."""
-        while self.read(_PIECE):
+        while self.read(PIECE):
             pass

@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
-from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-
-_MESSAGE_LENGTH = 300  # characters quoted of a library's message on a damaged file
 
 
 def read_record(
@@ -294,13 +293,14 @@ def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
     return _printable(table)
 
 
-def _cause(failure: Exception) -> str:
+def _cause(failure: Exception, length: int = 300) -> str:
+    """What a library says of a damaged file: so many characters of its first line."""
     if isinstance(failure, MemoryError):
         return "it needs more memory than there is"
     if isinstance(failure, RecursionError):
         return "it is nested too deeply"
     lines = str(failure).splitlines()
-    return printable(lines[0][:_MESSAGE_LENGTH]) if lines else type(failure).__name__
+    return printable(lines[0][:length]) if lines else type(failure).__name__
 
 
 def _printable(table: Table) -> Table:

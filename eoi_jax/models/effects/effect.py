@@ -27,8 +27,6 @@ from jaxtyping import Float
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
 
-_TURNS = 0.01  # share of the samples of each sign above which a signal goes both ways
-
 Grid = Float[np.ndarray, "grid shapes"]
 
 
@@ -281,9 +279,14 @@ def mechanical(plant: Plant, output: int) -> bool:
     return plant.degrees[output] >= 2
 
 
-def turns(values: Float[np.ndarray, " samples"]) -> bool:
-    """Whether a signal takes both signs, like a speed and unlike a level."""
-    return bool(min(np.mean(values > 0), np.mean(values < 0)) > _TURNS)
+def turns(values: Float[np.ndarray, " samples"], share: float = 0.01) -> bool:
+    """Whether a signal takes both signs, like a speed and unlike a level.
+
+    Args:
+        values: of the signal.
+        share: of the samples that must have each sign; fewer are noise around zero.
+    """
+    return bool(min(np.mean(values > 0), np.mean(values < 0)) > share)
 
 
 def quantiles(values: Float[np.ndarray, " samples"], shares: Any) -> Grid:

@@ -19,8 +19,6 @@ from eoi_jax.models.effects.effect import (
     quantiles,
 )
 
-_INSTANT = 1e-3  # shortest time constant of a lag in steps; it decays by exp(-1000) in a step
-
 
 class InputDeadZone(AbstractInputEffect):
     """sign(u) max(|u| - g, 0)."""
@@ -93,8 +91,7 @@ class ActuatorLag(AbstractActuator):
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Exact for a staircase: z decays towards u in each step; the mean over it is returned.
         period = time[1] - time[0]
-        # The limit keeps the derivative at T = 0: there z settles within each step.
-        decay = jnp.exp(-period / jnp.maximum(shape[0], _INSTANT * period))
+        decay = _decay(shape[0], period, jnp)
         late = (1.0 - decay) * shape[0] / period
 
         def step(z: Any, u: Any) -> tuple[Any, Any]:
@@ -108,7 +105,7 @@ class ActuatorLag(AbstractActuator):
         period = time[1] - time[0]
         signals = []
         for (lag,) in shapes:
-            decay = np.exp(-period / max(lag, _INSTANT * period))
+            decay = _decay(lag, period, np)
             late = (1.0 - decay) * lag / period
             end_of_step = states(
                 np.full((1, 1), decay), np.full(1, 1.0 - decay), u[:, None], u[:1, None]
@@ -116,6 +113,15 @@ class ActuatorLag(AbstractActuator):
             start_of_step = np.concatenate([u[:1], end_of_step[:-1, 0, 0]])
             signals.append(u + (start_of_step - u) * late)
         return np.stack(signals)
+
+
+def _decay(lag: Any, period: Any, xp: Any, shortest: float = 1e-3) -> Any:
+    """exp(-h/T) of a lag with time constant T.
+
+    A T below `shortest` steps settles within each, by exp(-1000); the limit keeps the derivative at
+    T = 0.
+    """
+    return xp.exp(-period / xp.maximum(lag, shortest * period))
 
 
 class InputDelay(AbstractActuator):

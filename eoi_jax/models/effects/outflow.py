@@ -18,8 +18,13 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.plant import Plant
 
-# Shares of the samples below the levels of the grid.
-_LEVELS = [0.2, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985]
+
+def _levels(
+    seen: Seen,
+    shares: tuple[float, ...] = (0.2, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985),
+) -> Grid:
+    """Levels below which these shares of the samples lie: close together where tanks overflow."""
+    return quantiles(seen.y, shares)
 
 
 class Leak(AbstractTerm):
@@ -56,7 +61,7 @@ class Overflow(AbstractTerm):
         return seen.is_level
 
     def grid(self, seen: Seen) -> Grid:
-        return quantiles(seen.y, _LEVELS)
+        return _levels(seen)
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.maximum(at.y - shape[0], 0.0)
@@ -92,7 +97,7 @@ class InternalOverflow(AbstractInternalEffect):
 
     def grid(self, seen: Seen) -> Grid:
         rates = seen.band * np.array([0.6, 2.0, 7.0])
-        levels = quantiles(seen.y, _LEVELS)[:, 0]
+        levels = _levels(seen)[:, 0]
         return np.stack([np.repeat(rates, len(levels)), np.tile(levels, len(rates))], axis=1)
 
     def change(self, at: At, shape: Any) -> Any:

@@ -17,7 +17,8 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.plant import Plant
 
-_SMALL_ANGLE = 0.8  # [rad]
+# At angles below this [rad] sin(y) is y - y³/6 to within one per cent: a spring.
+_SMALL_ANGLE = 0.8
 _DEGREES = ("deg", "degree", "degrees", "°")
 
 
@@ -93,7 +94,6 @@ class Gravity(AbstractTerm):
         return mechanical(plant, output) and in_degrees == self.degrees
 
     def grid(self, seen: Seen) -> Grid:
-        # At smaller angles sin(y) is y - y³/6 to within one per cent: a spring.
         return np.zeros((1 if np.max(np.abs(self._angle(seen.y))) > _SMALL_ANGLE else 0, 0))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:

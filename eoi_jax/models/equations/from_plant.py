@@ -6,6 +6,7 @@ power, a guarded root, a clip.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -19,10 +20,17 @@ from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
 from eoi_jax.models.plant import Plant, State
 
-# Levels of a formula in a file; deeper ones are hard to read, and to parse.
-_DEEPEST = 25
-# Of a formula that is shown: levels, and parts.
-_DEEPEST_TO_READ, _LONGEST_TO_READ = 100, 400
+
+@dataclass(frozen=True)
+class FormulaSettings:
+    """How long a formula may be."""
+
+    stored_depth: int = 25  # levels in a file; deeper ones are hard to read, and to parse
+    shown_depth: int = 100  # levels of one that is shown
+    shown_size: int = 400  # parts of one that is shown
+
+
+_SETTINGS = FormulaSettings()
 
 
 class SymbolicPlant:
@@ -175,7 +183,7 @@ class _Forms:
     def is_long(self, node: Node) -> bool:
         """Whether a node's tree is too long to be read."""
         size, depth = self.size[node.order], self.depth[node.order]
-        return size > _LONGEST_TO_READ or depth > _DEEPEST_TO_READ
+        return size > _SETTINGS.shown_size or depth > _SETTINGS.shown_depth
 
     def trees(self, names: Iterator[str] | None = None) -> list[Expression]:
         """Trees of the roots; with names for what they share."""
@@ -189,7 +197,8 @@ class _Forms:
             depth = 1 + max((self.depth[arg.order] for arg in args), default=0)
             simple = not args or (kind in _SHORT and not self._form(args[0])[1])
             shared = uses[node.order] > 1 and not simple
-            if names is not None and (shared or depth > _DEEPEST) and not node.is_bool:
+            named = shared or depth > _SETTINGS.stored_depth
+            if names is not None and named and not node.is_bool:
                 self.definitions.append((Symbol(next(names)), tree))
                 tree, depth = self.definitions[-1][0], 1
             trees[node.order], self.depth[node.order] = tree, depth

@@ -253,11 +253,20 @@ class _Reader:
             raise self.unknown(node, "declared names", name, tuple(self.names))
         return self.names[name]
 
-    def unknown(self, node: ast.expr, kind: str, name: str, names: Sequence[str]) -> ValueError:
+    def unknown(
+        self,
+        node: ast.expr,
+        kind: str,
+        name: str,
+        names: Sequence[str],
+        max_names: int = 30,
+        max_length: int = 40,
+    ) -> ValueError:
+        """The error at a name that is not known; lists so many names, and so many characters."""
         close = difflib.get_close_matches(name, names, n=1)
         hint = f"Did you mean {close[0]}? " if close else ""
-        listed = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
-        shortened = name if len(name) <= _MAX_NAME_LENGTH else name[:_MAX_NAME_LENGTH] + "…"
+        listed = ", ".join(names[:max_names]) + (", …" if len(names) > max_names else "")
+        shortened = name if len(name) <= max_length else name[:max_length] + "…"
         return self.wrong(
             node, f"must use {kind}, got {shortened}", f"{hint}Known: {listed or 'none'}."
         )
@@ -320,6 +329,3 @@ class _Reader:
         if not abs(value) <= LARGEST:
             raise self.wrong(node, f"must have constants that are real and at most {LARGEST:g}")
         return Number(value)
-
-
-_LISTED, _MAX_NAME_LENGTH = 30, 40  # names in a message, characters of one

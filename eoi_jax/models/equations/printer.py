@@ -279,18 +279,26 @@ def _comparisons(signs: Mapping[str, str]) -> dict[str, Infix]:
 
 # -- numbers to read --------------------------------------------------------------------------
 
-_DENOMINATORS = (1, 2, 3, 4, 6, 180)
-_LARGEST_MULTIPLE = 6
-_PI_TOLERANCE = 1e-7  # relative: single precision
 
+def _multiple_of_pi(
+    value: float,
+    denominators: tuple[int, ...] = (1, 2, 3, 4, 6, 180),
+    max_numerator: int = 6,
+    tolerance: float = 1e-7,
+) -> tuple[int, int] | None:
+    """Numerator and denominator of a value that is a simple multiple of π.
 
-def _multiple_of_pi(value: float) -> tuple[int, int] | None:
-    """Numerator and denominator of a value that is a simple multiple of π."""
-    for denominator in _DENOMINATORS:
+    Args:
+        value: any number.
+        denominators: those of angles that are written as fractions, and of one degree.
+        max_numerator: largest one that is easier to read than digits.
+        tolerance: relative; that of single precision.
+    """
+    for denominator in denominators:
         count = value / math.pi * denominator
         numerator = round(count)
-        is_close = abs(count - numerator) <= _PI_TOLERANCE * abs(count)
-        if is_close and 1 <= numerator <= _LARGEST_MULTIPLE:
+        is_close = abs(count - numerator) <= tolerance * abs(count)
+        if is_close and 1 <= numerator <= max_numerator:
             return numerator, denominator
     return None
 

@@ -28,7 +28,6 @@ from eoi_jax.models.equations.parser import good_name, parse, words
 from eoi_jax.models.plant import State
 
 MOST_TEXT = 40_000  # characters of all equations together
-_LONGEST_SHOWN = 200  # parts of an equation with its definitions put in
 
 Items = tuple[tuple[str, str], ...]
 
@@ -137,15 +136,21 @@ class Equations:
         """Rates of the internal states."""
         return tuple(self.rates[name] for name in self.states)
 
-    def written_out(self, expression: Expression) -> Expression | None:
-        """A formula with the definitions put in; None where that would be too long to read."""
+    def written_out(self, expression: Expression, max_size: int = 200) -> Expression | None:
+        """A formula with the definitions put in; None where that would be too long to read.
+
+        Args:
+            expression: of the system.
+            max_size: parts of a formula that can be read.
+        """
         trees: dict[str, Expression] = {}
         sizes: dict[str, int] = {}
         for name, tree in self.defined.items():
-            sizes[name] = _size(tree, sizes)
-            if sizes[name] <= _LONGEST_SHOWN:
+            sizes[name] = _size(tree, sizes, max_size)
+            if sizes[name] <= max_size:
                 trees[name] = _put_in(tree, trees)
-        return _put_in(expression, trees) if _size(expression, sizes) <= _LONGEST_SHOWN else None
+        size = _size(expression, sizes, max_size)
+        return _put_in(expression, trees) if size <= max_size else None
 
     # -- checks ---------------------------------------------------------------------------
 
@@ -298,11 +303,11 @@ def _in_order(texts: Mapping[str, str]) -> list[str]:
     raise ValueError(f"`model.definitions` must not go in a circle, got {ring}.")
 
 
-def _size(expression: Expression, sizes: Mapping[str, int]) -> int:
-    """Number of parts of a formula, those of definitions included."""
+def _size(expression: Expression, sizes: Mapping[str, int], max_size: int) -> int:
+    """Number of parts of a formula, those of definitions included; counted to `max_size` + 1."""
     if isinstance(expression, Symbol):
         return sizes.get(expression.name, 1)
-    return min(1 + sum(_size(part, sizes) for part in parts_of(expression)), _LONGEST_SHOWN + 1)
+    return min(1 + sum(_size(part, sizes, max_size) for part in parts_of(expression)), max_size + 1)
 
 
 def _put_in(expression: Expression, trees: Mapping[str, Expression]) -> Expression:

@@ -13,9 +13,6 @@ from eoi_jax.models.equations.expression import Symbol
 from eoi_jax.models.equations.parser import RESERVED
 from eoi_jax.models.export.program import Program, Variable
 
-_LONGEST = 48  # characters; C99 tells 63 apart, MATLAB as many
-_LONGEST_COMMENT = 100
-
 # C, C++ and MATLAB; of their libraries what files of this package call.
 _WORDS = (
     "auto bool break case catch char class const constexpr continue default delete do double "
@@ -33,7 +30,10 @@ _CODE_WORDS = _TEXT_WORDS.union(_WORDS.split())
 
 
 def identifier(
-    name: str, reserved: Collection[str] = (), words: Collection[str] = _CODE_WORDS
+    name: str,
+    reserved: Collection[str] = (),
+    words: Collection[str] = _CODE_WORDS,
+    length: int = 48,
 ) -> str:
     """A name that every language takes: ASCII letters, digits, underscores; no word of theirs.
 
@@ -41,9 +41,10 @@ def identifier(
         name: any text; Greek letters are spelled out.
         reserved: names that are gone; a number is added to differ from them.
         words: of the language; an underscore is added to differ from them.
+        length: characters; C99 and MATLAB tell 63 apart, and some are added.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_spelled(letter) for letter in name))
-    plain = plain.strip("_")[:_LONGEST] or "name"
+    plain = plain.strip("_")[:length] or "name"
     plain = plain if plain[0].isalpha() else f"n{plain}"
     plain = f"{plain}_" if plain in words else plain
     unique, count = plain, 2
@@ -78,15 +79,16 @@ def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
     return names
 
 
-def comment(text: str) -> str:
+def comment(text: str, length: int = 100) -> str:
     """A text that can stand in a comment of any language: one line that ends no comment.
 
     Args:
         text: any.
+        length: characters of a line of code.
     """
     line = "".join(letter if letter.isprintable() else " " for letter in text).replace("\\", "/")
     line = re.sub(r"\*(?=/)|/(?=\*)", lambda sign: sign[0] + " ", line)
-    return line if len(line) <= _LONGEST_COMMENT else line[: _LONGEST_COMMENT - 1] + "…"
+    return line if len(line) <= length else line[: length - 1] + "…"
 
 
 def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], version: str) -> str:

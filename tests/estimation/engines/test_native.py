@@ -1,5 +1,6 @@
 """The compiled engine: the sums of the scan, for every observer and plant, whatever the lanes."""
 
+import functools
 from typing import Any
 
 import jax
@@ -145,7 +146,8 @@ def test_single_precision(swinging):
 def test_a_record_in_pieces(swinging, monkeypatch):
     lanes = lanes_of(PENDULUM, RELAY, 3)
     whole = Native().run(PENDULUM, lanes, LOWPASS, swinging)
-    monkeypatch.setattr(runtime, "_CHUNK_BYTES", 2000)
+    in_pieces = functools.partialmethod(runtime.Run.advance, chunk_size=2000)
+    monkeypatch.setattr(runtime.Run, "advance", in_pieces)
     close(Native().run(PENDULUM, lanes, LOWPASS, swinging), whole)
 
 
