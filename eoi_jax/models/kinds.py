@@ -39,6 +39,7 @@ _OF_NAME = {
     "current": r"current|strom|courant|corriente",
 }
 
+
 def kind_of(name: str, unit: str, degree: int) -> str:
     """The kind of an output that is not declared; ``""`` where neither unit nor name tells.
 
