@@ -17,11 +17,13 @@ from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax._display import Result
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods import AbstractComparator, Estimate, standard
+from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
+from eoi_jax.estimation.hold import decided
 from eoi_jax.estimation.holdout import INITIAL, held_out_records
-from eoi_jax.estimation.identify import estimate
+from eoi_jax.estimation.identify import declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -129,7 +131,8 @@ def compare(
         "must hold at least one record",
         "none",
     )
-    scored = validation_records or checked
+    checked, evidence = decided(plant, checked, declared_index)
+    scored = with_hold(validation_records, checked[0].hold) or checked
     check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:
         check_choice("truth", name, plant.names)
@@ -144,7 +147,7 @@ def compare(
         scorer.truth,
         bool(validation_records),
         scorer.window,
-        scorer.index.reasons,
+        (*evidence, *scorer.index.reasons),
         scorer.notes,
     )
 

@@ -81,6 +81,8 @@ class Record(Result):
         time: (N,) [s]. inputs: (N, nu). outputs: (N, ny). All read-only.
         valid: (N,), False where a sample is missing or not finite in any channel.
         sample_period: step of `time` [s].
+        hold_declared: whether the caller named the hold; else the samples decided it, and an
+            estimate decides again by its fit.
         notes: sentences on the changes made to the record, in order.
         smoothed: cut-off frequencies of the zero-phase low-passes applied so far [rad/s].
 
@@ -107,6 +109,7 @@ class Record(Result):
     _noise: Float[np.ndarray, " ny"] | None
     _quantum: Float[np.ndarray, " ny"] | None
     _middle: Float[np.ndarray, "between nu"] | None  # inputs halfway between the samples
+    hold_declared: bool = True
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -133,6 +136,7 @@ class Record(Result):
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
         good = finite_rows((*u_names, *y_names), np.hstack([u, y]), notes)
+        hold_declared = hold != "auto"
         hold, hold_notes = choose_hold(u[good], hold)
         grid = uniform_grid(stamps)
         noise = quanta = None
@@ -159,6 +163,7 @@ class Record(Result):
             "output_names": y_names,
             "units": dict(units or {}),
             "hold": hold,
+            "hold_declared": hold_declared,
             "burn_in": float(burn_in),
             "notes": (*notes, *hold_notes),
             "smoothed": (),
@@ -260,6 +265,16 @@ class Record(Result):
         new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
         unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle}
         new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
+        return new
+
+    def with_hold(self, hold: str) -> "Record":
+        """The same samples with a declared hold of the inputs: zero, linear or smooth."""
+        check_choice("hold", hold, HOLDS)
+        if hold == self.hold and self.hold_declared:
+            return self
+        new = self._changed(None)
+        middle = self._middle if hold == self.hold else None
+        new._assign({"hold": hold, "hold_declared": True, "_middle": middle})
         return new
 
     def without_inputs(self) -> "Record":

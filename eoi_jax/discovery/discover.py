@@ -13,11 +13,12 @@ r"""Find the effects that a model lacks from its residual, and add them.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_choice, check_count, check_kind, real
 from eoi_jax._status import Status
+from eoi_jax.data.holds import ratios_to, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
@@ -39,8 +40,14 @@ from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
+from eoi_jax.estimation.hold import HoldIndices, hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
-from eoi_jax.estimation.identify import Identification, estimate
+from eoi_jax.estimation.identify import (
+    Identification,
+    declared_index,
+    estimate,
+    mean_index,
+)
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
@@ -53,6 +60,7 @@ from eoi_jax.simulation.validate import FreeRuns
 
 _PASSES = 30  # of the declared model at most: the search starts from its converged fit
 _ROUNDS = 3
+_SAME_INDEX = 0.02  # relative difference of final models of two holds that count as equal
 _STAGES = _ROUNDS + 3
 _RARE_SHARE, _MAX_RARE = 0.95, 2  # least share explained, most effects, with a rare one
 _END_TOLERANCE = 1e-3  # of a range of shapes: distance that counts as its end
@@ -124,31 +132,114 @@ def discover(
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, fit_records, held_out, window)
-    progress = callback or _no_progress
-    progress("fitting the declared model", 0, _STAGES)
-    prepared, fit_records, short_notes = _informative_records(plant, fit_records, lowpass)
-    start = min(float(record.time[0]) for record in fit_records)
-    tried_effects, rare_effects = (
-        tuple(effect.since(start) for effect in group) for group in (tried_effects, rare_effects)
-    )
-    declared = estimate(plant, prepared, passes=_PASSES)
-    if declared.status.code in ("no_data", "diverged"):
-        return _failed(declared, held_out, fit_records)
-    task = Task(
-        plant, prepared, fit_records, held_out, tried_effects, declared, alpha, most, window
-    )
-    resolved = declared.status.code != "undersampled"
-    discovery = _run(task, rare_effects, progress) if resolved else _without_search(task, progress)
-    if discovery.status.code in ("explained", "nothing_missing") and (refine or not resolved):
-        progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
-        discovery = _polished(task, discovery, None if effects is None else tried_effects)
-    if not resolved:
-        discovery = _judged_by_free_runs(task, discovery)
-    discovery = _with_doubts(task, discovery, refine)
+    search = _Search(
+        plant, lowpass, tried_effects, rare_effects, alpha, most, window, refine,
+        effects is not None, callback or _no_progress,
+    )  # fmt: skip
+    indices = hold_indices(plant, fit_records, declared_index, lowpass)
+    if indices is None:
+        discovery = search.on(fit_records, held_out)
+    else:
+        discovery = _with_decided_hold(search, fit_records, held_out, indices)
     unplaced_notes = (
         [] if effects is None else _notes_without_place(tried_effects, fitting, discovery)
     )
-    return replace(discovery, notes=(*short_notes, *discovery.notes, *unplaced_notes, *runs))
+    return replace(discovery, notes=(*discovery.notes, *unplaced_notes, *runs))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What `discover` is asked, without the records.
+
+    Attributes:
+        plant: the declared model, with nominal parameters.
+        lowpass: F; None: chosen from the records.
+        effects: that are tried. rare: that are tried where these leave the residual unexplained.
+        alpha, most, window, refine: arguments of `discover`.
+        named: whether the caller named the effects.
+        progress: callback.
+    """
+
+    plant: Plant
+    lowpass: LowPass | None
+    effects: tuple[AbstractEffect, ...]
+    rare: tuple[AbstractEffect, ...]
+    alpha: float
+    most: int
+    window: float | None
+    refine: bool
+    named: bool
+    progress: Progress
+
+    def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
+        """The answer on these records.
+
+        Args:
+            records: to fit and to search.
+            held_out: that judge.
+        """
+        self.progress("fitting the declared model", 0, _STAGES)
+        prepared, records, short_notes = _informative_records(self.plant, records, self.lowpass)
+        start = min(float(record.time[0]) for record in records)
+        effects, rare_effects = (
+            tuple(effect.since(start) for effect in group) for group in (self.effects, self.rare)
+        )
+        declared = estimate(self.plant, prepared, passes=_PASSES)
+        if declared.status.code in ("no_data", "diverged"):
+            return _failed(declared, held_out, records)
+        task = Task(
+            self.plant, prepared, records, held_out, effects, declared, self.alpha, self.most,
+            self.window,
+        )  # fmt: skip
+        resolved = declared.status.code != "undersampled"
+        if resolved:
+            discovery = _run(task, rare_effects, self.progress)
+        else:
+            discovery = _without_search(task, self.progress)
+        answered_so_far = discovery.status.code in ("explained", "nothing_missing")
+        if answered_so_far and (self.refine or not resolved):
+            self.progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
+            discovery = _polished(task, discovery, effects if self.named else None)
+        if not resolved:
+            discovery = _judged_by_free_runs(task, discovery)
+        discovery = _with_doubts(task, discovery, self.refine)
+        return replace(discovery, notes=(*short_notes, *discovery.notes))
+
+
+def _with_decided_hold(
+    search: _Search,
+    records: tuple[Record, ...],
+    held_out: tuple[Record, ...],
+    indices: HoldIndices,
+) -> Discovery:
+    """The answer with the hold of the inputs under which the final model fits best.
+
+    What the declared model lacks may hide the hold, and a wrong hold looks like a delay. So each
+    hold that the declared model does not refute is searched with, on one filter; the smallest index
+    of the final model decides, of nearly equal ones the answer that explains, with fewest effects.
+    """
+    search = replace(search, lowpass=indices.lowpass)
+    answers = {
+        hold: search.on(with_hold(records, hold), with_hold(held_out, hold))
+        for hold in indices.possible
+    }
+    index = {hold: mean_index(answer.found) for hold, answer in answers.items()}
+    smallest = min(index.values())
+
+    def order(hold: str) -> tuple:
+        answer = answers[hold]
+        return (
+            not index[hold] <= (1.0 + _SAME_INDEX) * smallest,
+            answer.status.code == "unexplained",
+            len(answer.added),
+            hold != indices.best,
+        )
+
+    chosen = min(answers, key=order)
+    note = indices.evidence
+    if len(answers) > 1:
+        note = f"hold {chosen}: the index of the final model is {ratios_to(index, chosen)}"
+    return replace(answers[chosen], notes=(note, *answers[chosen].notes))
 
 
 def _informative_records(

@@ -6,7 +6,7 @@ a record: observer of section 3, filter, normal equations, index).
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,6 +24,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
 from eoi_jax.estimation.engines.single import OnePass, single_pass
+from eoi_jax.estimation.hold import decided
 from eoi_jax.estimation.instrumental_variables import InstrumentalEstimate, correct_bias
 from eoi_jax.estimation.iteration import (
     Iteration,
@@ -188,7 +189,9 @@ def identify(
     if observer is not None:
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
+    checked, evidence = decided(plant, checked, declared_index, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
+    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons))
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
     if instruments is False or (instruments is None and plain_only):
@@ -198,6 +201,17 @@ def identify(
         return correct_bias(estimated, best, checked, prepared, used, bool(instruments))
 
     return estimate(plant, prepared, observer, passes, transient, callback, correction)
+
+
+def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:
+    """Geometric mean over the outputs of the smallest index; infinite without an estimate."""
+    fit = estimate(plant, prepared, passes=passes)
+    return mean_index(fit) if fit.status.ok else np.inf
+
+
+def mean_index(fit: Identification) -> float:
+    """Geometric mean over the outputs of the index of the best pass."""
+    return float(np.exp(np.mean(np.log(np.maximum(fit.index[fit.best_pass], 1e-300)))))
 
 
 BiasCorrection = Callable[

@@ -97,8 +97,8 @@ class Plant(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     fixed: tuple[str, ...] = eqx.field(static=True)
     unit_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    kind_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    kind_items: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
 
     def __init__(
         self,

@@ -19,7 +19,9 @@ from jaxtyping import Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
+from eoi_jax.data.holds import best_hold, ratios_to, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -87,6 +89,9 @@ def refine(
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
+    Where records do not declare the hold of their inputs, the one that fits best is used, and a
+    note gives the evidence.
+
     Args:
         plant: the model with the parameters to start from, or an identification.
         records: one or several; masked samples and a record's burn-in are not scored.
@@ -142,28 +147,82 @@ def refine(
     rounds = check_count("rounds", rounds)
     check(rounds == 1 or len(points) > 0, "rounds", "must be 1 without `starts`", rounds,
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
-    spans = spans_of(records, window)
-    window = used_window(records, spans, window)
+    question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
+                         starts is not None, rounds, huber)  # fmt: skip
+    return _with_best_hold(nominal, records, question)
+
+
+@dataclass(frozen=True)
+class _Question:
+    """Arguments of `refine`, checked.
+
+    Attributes:
+        points: further starts. many_starts: whether the caller asked for any.
+    """
+
+    window: float | None
+    substeps: int | None
+    effort: Effort
+    points: Float[np.ndarray, "starts np"]
+    many_starts: bool
+    rounds: int
+    huber: float | None
+
+
+def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:
+    """The refinement with the hold of the inputs that fits best, where none is declared.
+
+    First with the hold that the samples suggest. From that estimate the others are tried; where one
+    fits clearly better, all begins again with it.
+    """
+    rule = undeclared_hold(records)
+    if rule is None:
+        return _refined(plant, records, question)
+    result = _refined(plant, with_hold(records, rule), question)
+    if not result.status.ok:
+        return result
+    alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
+    errors = {rule: _mean_error(result)}
+    for hold in HOLDS:
+        if hold != rule:
+            other = _refined(result.plant, with_hold(records, hold), alone)
+            errors[hold] = _mean_error(other) if other.status.ok else np.inf
+    best_fitting = best_hold(errors, rule)
+    if best_fitting != rule:
+        result = _refined(plant, with_hold(records, best_fitting), question)
+    note = f"hold {best_fitting}: the error is {ratios_to(errors, best_fitting)}"
+    return replace(result, notes=(*result.notes, note))
+
+
+def _mean_error(result: Refinement) -> float:
+    """Geometric mean over the outputs."""
+    return float(np.exp(np.mean(np.log(np.maximum(result.rmse, 1e-300)))))
+
+
+def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:
+    """The refinement of records whose hold is declared."""
+    substeps, effort, huber = question.substeps, question.effort, question.huber
+    spans = spans_of(records, question.window)
+    window = used_window(records, spans, question.window)
     if not any(np.any(span.use) for span in spans):
         return unanswered(nominal, records, window, Status("no_data", NO_DATA))
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
-    effort = Effort(max_steps, watching(callback, max_steps))
-    if len(points):
+    if len(question.points):
         rough = _rougher(problem, records, spans, unknowns, initial_error)
-        further = best(problem, rough, unknowns, points, rounds)
+        further = best(problem, rough, unknowns, question.points, question.rounds)
         begun += [(point, signals(point, problem)) for point in further]
     fits = [fitted(problem, *start, initial_error, effort, huber) for start in begun]
     if not fits:
-        reason = DIVERGED if starts is None else ALL_DIVERGED.format(len(points))
+        reason = ALL_DIVERGED.format(len(question.points)) if question.many_starts else DIVERGED
         reason += f". {choose_steps(nominal, records).note}".removesuffix(". ")
         return unanswered(nominal, records, window, Status("diverged", reason))
-    if starts is None:
+    if not question.many_starts:
         fits = [_grown(fits[0], begun[0][0], effort, huber)]
     if substeps is None:
         fits = [_finer(fit, records, spans, effort, huber) for fit in fits]
-    if starts is None:
+    if not question.many_starts:
         fits += _search_around(fits[0], records, spans, effort, huber)
     result = refinement_of(lowest(fits, huber), records, spans, window)
     note = choose_steps(result.plant, records).note if substeps is None else ""

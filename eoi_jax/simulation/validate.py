@@ -7,6 +7,7 @@ estimated from the first samples of each run (`initial_state.py`), which are not
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,8 +15,10 @@ from jaxtyping import Bool, Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
+from eoi_jax.data.holds import best_hold, ratios_to, undeclared_hold, with_hold
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import HOLDS
 from eoi_jax.data.windows import joined, late_starts, plan
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -69,6 +72,9 @@ def validate(
 ) -> Validation:
     """Simulate a plant along records and compare.
 
+    Where records do not declare the hold of their inputs, the one with the smallest error is used,
+    and a note gives the evidence.
+
     Masked samples are run through on their interpolated inputs, and are not scored. A run whose
     first samples are masked starts later, as soon as enough are valid, and says so in a note.
 
@@ -93,6 +99,26 @@ def validate(
     records = check_records(plant, records)
     for record in records:
         _check_record(plant, record, initial_samples, window)
+    judge = partial(_judged, plant, initial_samples, window, substeps)
+    rule = undeclared_hold(records)
+    if rule is None:
+        return judge(records)
+    runs = {hold: judge(with_hold(records, hold)) for hold in HOLDS}
+    with np.errstate(divide="ignore"):
+        errors = {hold: float(np.exp(np.mean(np.log(run.rmse)))) for hold, run in runs.items()}
+    best = best_hold(errors, rule)
+    note = f"hold {best}: the error is {ratios_to(errors, best)}"
+    return replace(runs[best], notes=(*runs[best].notes, note))
+
+
+def _judged(
+    plant: Plant,
+    initial_samples: int,
+    window: float | None,
+    substeps: int | None,
+    records: tuple[Record, ...],
+) -> Validation:
+    """The free runs of records whose hold is declared."""
     choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
     run = Run(plant, frictional(plant), initial_samples, choice.count)
     prediction = _Prediction.of(run, records, window)

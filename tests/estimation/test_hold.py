@@ -1,0 +1,112 @@
+"""Holds of inputs that no record declares are decided by the fit."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import eoi_jax as eoi
+from eoi_jax.data.holds import best_hold, undeclared_hold, with_hold
+
+PERIOD = 0.05
+TRUTH = {"k": 40.0, "c": 1.5, "g": 30.0}
+MASS = eoi.Plant(
+    lambda t, x, u, p: -p.k * x.y[0] - p.c * x.y[1] + p.g * u[0],
+    {"k": 35.0, "c": 1.0, "g": 25.0}, 2,
+)  # fmt: skip
+
+
+def every_step_another(count, seed):
+    """A converter that gets a new value at each sample: nothing in it looks held."""
+    steps = np.random.default_rng(seed).standard_normal(count)
+    return np.convolve(steps, np.ones(4) / 4, "same")
+
+
+def held(count=1500, seed=0, noise=1e-3, cubic=0.0, **options):
+    """Driven by a converter: exact over each step, SciPy where the spring is not linear."""
+    u = every_step_another(count, seed)
+    block = np.array([[0.0, 1.0, 0.0], [-TRUTH["k"], -TRUTH["c"], TRUTH["g"]], [0.0, 0.0, 0.0]])
+    step, x, y = expm(PERIOD * block)[:2], np.zeros(2), np.zeros(count)
+    for k in range(count):
+        y[k] = x[0]
+        if cubic:
+            force = lambda t, s, v=u[k]: [  # noqa: E731
+                s[1], -TRUTH["k"] * s[0] - cubic * s[0] ** 3 - TRUTH["c"] * s[1] + TRUTH["g"] * v,
+            ]  # fmt: skip
+            x = solve_ivp(force, (0.0, PERIOD), x, rtol=1e-9, atol=1e-10).y[:, -1]
+        else:
+            x = step @ [*x, u[k]]
+    y += noise * np.std(y) * np.random.default_rng(seed + 100).standard_normal(count)
+    return eoi.Record.from_period(PERIOD, u, y, **options)
+
+
+def continuous(count=1500, seed=0, noise=1e-3):
+    """Driven by a sum of sines that goes on between the samples."""
+    rng = np.random.default_rng(seed)
+    w, phase = rng.uniform(1.0, 20.0, 8), rng.uniform(0.0, 6.0, 8)
+    time = PERIOD * np.arange(count)
+    response = TRUTH["g"] / (TRUTH["k"] - w**2 + 1j * w * TRUTH["c"])
+    u = np.sum(np.sin(np.outer(time, w) + phase), axis=1)
+    y = np.sum(np.imag(response * np.exp(1j * (np.outer(time, w) + phase))), axis=1)
+    y += noise * np.std(y) * rng.standard_normal(count)
+    return eoi.Record.from_period(PERIOD, u, y)
+
+
+def test_the_samples_alone_suggest_the_wrong_hold_here():
+    record = held()
+    assert (record.hold, record.hold_declared) == ("linear", False)
+    assert held(hold="linear").hold_declared
+
+
+def test_a_record_keeps_what_its_caller_declared():
+    declared, undeclared = held(hold="linear"), held()
+    changed = with_hold([declared, undeclared], "zero")
+    assert [record.hold for record in changed] == ["linear", "zero"]
+    assert all(record.hold_declared for record in changed)
+    np.testing.assert_array_equal(changed[1].outputs, undeclared.outputs)
+    assert undeclared_hold([declared]) is None
+    assert undeclared_hold([declared, undeclared]) == "linear"
+    assert undeclared_hold([held().without_inputs()]) is None
+
+
+def test_another_hold_must_be_clearly_better():
+    assert best_hold({"zero": 0.5, "linear": 1.0, "smooth": 0.9}, "linear") == "zero"
+    assert best_hold({"zero": 0.995, "linear": 1.0, "smooth": 1.0}, "linear") == "linear"
+
+
+@pytest.mark.parametrize(("made", "hold"), [(held, "zero"), (continuous, "smooth")])
+def test_identify_finds_how_the_record_was_made(made, hold):
+    found = eoi.identify(MASS, made())
+    assert found.reasons[0].startswith(f"hold {hold}: the index is ")
+    for name, value in TRUTH.items():
+        assert found.parameters[name] == pytest.approx(value, rel=0.01)
+
+
+@pytest.mark.parametrize(("made", "hold"), [(held, "zero"), (continuous, "smooth")])
+def test_refine_and_validate_find_it_too(made, hold):
+    found = eoi.refine(MASS, made())
+    assert any(note.startswith(f"hold {hold}: the error is ") for note in found.notes)
+    for name, value in TRUTH.items():
+        assert abs(found.parameters[name] - value) < 4.0 * found.standard_errors[name]
+    run = eoi.validate(MASS.with_parameters(TRUTH), made(seed=5))
+    assert any(note.startswith(f"hold {hold}: the error is ") for note in run.notes)
+    assert run.nrmse[0] < 1.1e-3
+
+
+def test_half_a_sample_of_delay_is_no_effect():
+    found = eoi.discover(MASS, held(), held(seed=1))
+    assert (found.effects, found.status.code) == ((), "nothing_missing")
+    assert found.notes[0].startswith("hold zero: the index")
+
+
+def test_a_hidden_effect_is_named_though_it_hides_the_hold():
+    found = eoi.discover(MASS, held(cubic=30.0), held(cubic=30.0, seed=1))
+    assert found.effects == ("cubic_stiffness",)
+    assert found.plant.parameters["cubic_stiffness"] == pytest.approx(30.0, rel=0.05)
+    assert found.notes[0].startswith("hold zero: the index of the final model is ")
+
+
+def test_a_declared_hold_is_used_as_declared():
+    found = eoi.identify(MASS, held(hold="linear"), smoothing=False)
+    assert not any(reason.startswith("hold ") for reason in found.reasons)
+    assert {record.hold for record in found.records} == {"linear"}
