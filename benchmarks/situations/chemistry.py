@@ -7,10 +7,10 @@ from benchmarks.situations.situation import (
     Frames,
     Parameters,
     Situation,
+    dated,
     frame,
     levels,
     solve,
-    to_csv,
 )
 
 # -- reactions --------------------------------------------------------------------------------
@@ -278,7 +278,6 @@ def _amplification(p: Parameters) -> Frames:
         "run1.csv": frame(time, signal=growth(1e-7)),
         "run2.csv": frame(time, signal=growth(1e-5)),
         "run3.csv": frame(time, signal=growth(1e-6)),
-        "test.csv": frame(time, signal=growth(3e-6)),
     }
 
 
@@ -359,13 +358,6 @@ def _epidemic(p: Parameters) -> Frames:
     return {"run.csv": frame(86400 * time, active=states[:, 1])}
 
 
-def _reported(table: pd.DataFrame) -> str:
-    dates = pd.Timestamp("2020-02-24 18:00:00") + pd.to_timedelta(table["t"], unit="s")
-    table = table.rename(columns={"t": "data"})
-    table["data"] = dates.dt.strftime("%Y-%m-%dT%H:%M:%S")
-    return to_csv(table)
-
-
 # Daily reports at about the same hour, with dates.
 # "Round times to multiples of the timestep", ECheynet/SEIR #2
 DAILY_REPORTS = Situation(
@@ -377,7 +369,7 @@ DAILY_REPORTS = Situation(
     simulate=_epidemic,
     noise={"active": 60.0},
     step={"active": 1.0},
-    write=_reported,
+    write=dated("2020-02-24T18:00:00", "data", "T"),
     config="""
 [model]
 outputs = ["active"]

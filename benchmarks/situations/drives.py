@@ -332,22 +332,17 @@ files = ["test.csv"]
 )
 
 
-def _drivetrain(sign: float):
-    def simulate(p: Parameters) -> Frames:
-        time = np.arange(2400) * 0.02
-        frames = {}
-        for name, seed in (("run.csv", 161), ("test.csv", 162)):
-            volts = levels(seed, [-9, -7, -4, -2, 2, 4, 7, 9], 40, 60)
+def _drivetrain(p: Parameters) -> Frames:
+    time = np.arange(2400) * 0.02
+    frames = {}
+    for name, seed in (("run.csv", 161), ("test.csv", 162)):
+        volts = levels(seed, [-9, -7, -4, -2, 2, 4, 7, 9], 40, 60)
 
-            def right(_, x, u):
-                push = u[0] - p["kS"] * np.tanh(x[0] / 1e-3) - p["kV"] * x[0]
-                return [push / p["kA"]]
+        def right(_, x, u):
+            return [(u[0] - p["kS"] * np.tanh(x[0] / 1e-3) - p["kV"] * x[0]) / p["kA"]]
 
-            speed = sign * solve(right, [0.0], time, volts)[:, 0]
-            frames[name] = frame(time, volts=volts, speed=speed)
-        return frames
-
-    return simulate
+        frames[name] = frame(time, volts=volts, speed=solve(right, [0.0], time, volts)[:, 0])
+    return frames
 
 
 _DRIVETRAIN = """
@@ -375,7 +370,7 @@ COARSE_TACHOMETER = Situation(
     plant="drivetrain",
     source="github.com/wpilibsuite/sysid/issues/319",
     made={"kS": 0.6, "kV": 2.4, "kA": 0.5},
-    simulate=_drivetrain(1.0),
+    simulate=_drivetrain,
     noise={"speed": 0.01},
     step={"speed": 0.1},
     config=_DRIVETRAIN,
@@ -392,8 +387,8 @@ ENCODER_BACKWARDS = Situation(
     kind="wrong sign",
     plant="drivetrain",
     source="github.com/wpilibsuite/allwpilib/issues/6320",
-    made={"kS": 0.6, "kV": 2.4, "kA": 0.5},
-    simulate=_drivetrain(-1.0),
+    made={"kS": -0.6, "kV": -2.4, "kA": -0.5},
+    simulate=_drivetrain,
     noise={"speed": 0.01},
     step={"speed": 0.002},
     config=_DRIVETRAIN,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,19 @@ Frames = dict[str, pd.DataFrame]
 def to_csv(table: pd.DataFrame) -> str:
     """Eight digits, empty cells where nothing was measured."""
     return table.to_csv(index=False, float_format="%.8g")
+
+
+def dated(start: str, name: str, separator: str) -> Callable[[pd.DataFrame], str]:
+    """A writer of dates, to the second, in a column `name` in the place of the time."""
+
+    def write(table: pd.DataFrame) -> str:
+        seconds = np.round(table["t"].to_numpy(float)).astype("timedelta64[s]")
+        stamps = np.datetime_as_string(np.datetime64(start, "s") + seconds)
+        table = table.rename(columns={"t": name})
+        table[name] = [stamp.replace("T", separator) for stamp in stamps]
+        return to_csv(table)
+
+    return write
 
 
 @dataclass(frozen=True)
@@ -119,7 +132,7 @@ def solve(
     start = np.atleast_1d(np.asarray(start, float))
     options = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-9 * scale}
     if inputs is None or callable(inputs):
-        u = inputs or (lambda _: ())
+        u: Callable[[float], Any] = inputs or (lambda _: ())
         longest = (time[-1] - time[0]) / 100
         right = lambda t, x: f(t, x, np.atleast_1d(u(t)))  # noqa: E731
         span = (time[0], time[-1])
@@ -128,7 +141,7 @@ def solve(
     states = np.empty((len(time), len(start)))
     states[0] = start
     changes = np.flatnonzero(np.any(np.diff(u, axis=0) != 0, axis=1)) + 1
-    for first, last in pairwise(np.unique([0, *changes, len(time) - 1])):
+    for first, last in pairwise([0, *changes.tolist(), len(time) - 1]):
         right = lambda t, x, level=u[first]: f(t, x, level)  # noqa: E731
         stamps = time[first : last + 1]
         span = (stamps[0], stamps[-1])

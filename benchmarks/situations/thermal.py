@@ -7,11 +7,11 @@ from benchmarks.situations.situation import (
     Frames,
     Parameters,
     Situation,
+    dated,
     frame,
     levels,
     sines,
     solve,
-    to_csv,
 )
 
 
@@ -95,7 +95,7 @@ def _irregular(_: str, table: pd.DataFrame, rng: np.random.Generator) -> pd.Data
     kept = rng.random(len(table)) > 0.33
     kept[400:436] = False
     kept[[0, -1]] = True
-    return table[kept]
+    return table.loc[kept]
 
 
 # A house that reports irregularly, with hours missing.
@@ -184,19 +184,16 @@ files = ["test.csv"]
 
 def _envelope(p: Parameters) -> Frames:
     time = np.arange(0, 24 * 6, 0.25)
-    frames = {}
-    for name, seed, start in (("run.csv", 441, p["Te0"]), ("test.csv", 442, 15.0)):
-        outdoor = _weather(seed)(time)
-        power = levels(seed, [0.0, 1.5, 3.0], 72, 8)
-        at = lambda t, table=outdoor: np.interp(t, time, table)  # noqa: E731
+    outdoor = _weather(441)(time)
+    power = levels(441, [0.0, 1.5, 3.0], 72, 8)
 
-        def right(t, x, u, at=at):
-            flow = (x[1] - x[0]) / p["Rie"]
-            return [(flow + u[0]) / p["Ci"], ((at(t) - x[1]) / p["Rea"] - flow) / p["Ce"]]
+    def right(t, x, u):
+        flow = (x[1] - x[0]) / p["Rie"]
+        outside = (np.interp(t, time, outdoor) - x[1]) / p["Rea"]
+        return [(flow + u[0]) / p["Ci"], (outside - flow) / p["Ce"]]
 
-        states = solve(right, [20.0, start], time, power)
-        frames[name] = frame(3600 * time, Ta=outdoor, Ph=power, Ti=states[:, 0])
-    return frames
+    indoor = solve(right, [20.0, p["Te0"]], time, power)[:, 0]
+    return {"run.csv": frame(3600 * time, Ta=outdoor, Ph=power, Ti=indoor)}
 
 
 # The envelope's temperature at the start is a parameter, and comes out absurd.
@@ -384,13 +381,6 @@ def _brewing(p: Parameters) -> Frames:
     return frames
 
 
-def _dated(table: pd.DataFrame) -> str:
-    dates = pd.Timestamp("2018-08-04 00:10:39") + pd.to_timedelta(table["t"], unit="s")
-    table = table.rename(columns={"t": "date"})
-    table["date"] = dates.dt.strftime("%Y-%m-%d %H:%M:%S")
-    return to_csv(table)
-
-
 # A relay keeps a fermenter warm; the log has dates.
 # "PID Autotune", kizniche/Mycodo #508
 FERMENTER_DATES = Situation(
@@ -402,7 +392,7 @@ FERMENTER_DATES = Situation(
     simulate=_brewing,
     noise={"temp": 0.04},
     step={"temp": 0.01},
-    write=_dated,
+    write=dated("2018-08-04T00:10:39", "date", " "),
     config="""
 [model]
 inputs = ["room", "relay"]
