@@ -272,9 +272,7 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"J": 14.0, "b": 0.32, "c": 18.0},
-    tolerance=0.1,
     held_out={"Speed": 1.3},
-    why="b and c trade: 10 % is two standard errors of c",
 )
 
 

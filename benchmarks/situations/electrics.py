@@ -243,8 +243,6 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"R0": 0.02, "R1": 0.012, "C1": 350.0, "R2": 0.02, "C2": 7500.0},
-    tolerance=0.1,
-    why="the fast pair has few samples in each pulse",
 )
 
 

@@ -132,9 +132,9 @@ def solve(
     start = np.atleast_1d(np.asarray(start, float))
     options = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-9 * scale}
     if inputs is None or callable(inputs):
-        u: Callable[[float], Any] = inputs or (lambda _: ())
+        signal: Callable[[float], Any] = inputs or (lambda _: ())
         longest = (time[-1] - time[0]) / 100
-        right = lambda t, x: f(t, x, np.atleast_1d(u(t)))  # noqa: E731
+        right = lambda t, x: f(t, x, np.atleast_1d(signal(t)))  # noqa: E731
         span = (time[0], time[-1])
         return solve_ivp(right, span, start, t_eval=time, max_step=longest, **options).y.T
     u = np.asarray(inputs, float).reshape(len(time), -1)
