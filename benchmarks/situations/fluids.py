@@ -256,21 +256,20 @@ files = ["test.csv"]
 
 
 def _loop(p: Parameters) -> Frames:
-    time = np.arange(3000) * 1.0
+    count = 3000
+    decay = np.exp(-1.0 / p["T"])
     frames = {}
     for name, seed in (("run.csv", 651), ("test.csv", 652)):
         wanted = levels(seed, [40.0, 50.0, 60.0, 70.0], 15, 200)
-
-        def valve(x, goal):
-            return 1.5 * (goal - x[0]) + x[1]
-
-        right = lambda _, x, u: [  # noqa: E731
-            (p["gain"] * (valve(x, u[0]) - 30.0) + p["bias"] - x[0]) / p["T"],
-            0.06 * (u[0] - x[0]),
-        ]
-        states = solve(right, [50.0, 35.0], time, wanted, scale=10.0)
-        opening = np.array([valve(x, goal) for x, goal in zip(states, wanted, strict=True)])
-        frames[name] = frame(time, U=opening, Y=states[:, 0])
+        opening, value = np.empty(count), np.empty(count)
+        y, integral = 50.0, 35.0
+        for step in range(count):
+            # the controller holds its output for a second
+            opening[step], value[step] = 1.5 * (wanted[step] - y) + integral, y
+            integral += 0.06 * (wanted[step] - y)
+            final = p["gain"] * (opening[step] - 30.0) + p["bias"]
+            y = final + (y - final) * decay
+        frames[name] = frame(1.0 * np.arange(count), U=opening, Y=value)
     return frames
 
 

@@ -93,7 +93,7 @@ def judged(situation: Situation, answer: Answer) -> Verdict:
     if situation.refused:
         return _refusal(situation, answer)
     if answer.status != 0 and not (situation.said and _said(situation, answer.summary)):
-        return Verdict(False, "–", f"no answer: {_message(answer.summary)}")
+        return Verdict(False, "–", f"no answer: {_message(answer.summary)[:110]}")
     faults = [
         fault
         for check in (_values, _effects, _sentence, _held_out, _time)

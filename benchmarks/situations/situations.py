@@ -111,6 +111,9 @@ REACHED = 1.2  # mean square of the residual over the noise's
 
 def _checked(situation: Situation) -> bool:
     """Whether a fit of SciPy from a wrong start finds the truth in the noisy files."""
+    if not situation.truth:
+        print(f"{situation.name}: no value is asked", flush=True)
+        return True
     fits = []
     for factor in STARTS:
         fits.append(independent_fit(situation, factor))

@@ -363,21 +363,39 @@ files = ["test.csv"]
 )
 
 
+def _kept_warm(p: Parameters, room: np.ndarray, relay: np.ndarray | float) -> np.ndarray:
+    """Temperature every 20 s: from a relay's record, or with a relay about this set point."""
+    temperature, decay, on = [24.0], np.exp(-20.0 / p["tau"]), True
+    for step, outside in enumerate(room[:-1]):
+        if isinstance(relay, float):
+            on = temperature[-1] < relay + (0.8 if on else -0.8)
+            power = 100.0 * on
+        else:
+            power = relay[step]
+        final = outside + p["K"] * power
+        temperature.append(final + (temperature[-1] - final) * decay)
+    return np.array(temperature)
+
+
+def _relay(temperature: np.ndarray, goal: float) -> np.ndarray:
+    """What the relay did [%]."""
+    states, on = [], True
+    for value in temperature:
+        on = value < goal + (0.8 if on else -0.8)
+        states.append(100.0 * on)
+    return np.array(states)
+
+
+_FERMENTER = {"K": 0.42, "tau": 2700.0}
+
+
 def _brewing(p: Parameters) -> Frames:
     time = np.arange(1080) * 20.0
     frames = {}
     for name, seed, goal in (("run.csv", 471, 35.0), ("test.csv", 472, 40.0)):
-        duty, temperature = np.zeros(len(time)), np.empty(len(time))
-        temperature[0], on = 24.0, True
         room = 20.0 + levels(seed, [-3, -1, 1, 3], 18, 60)
-        decay = np.exp(-20.0 / p["tau"])
-        for step in range(len(time)):
-            on = temperature[step] < goal + (0.8 if on else -0.8)
-            duty[step] = 100.0 if on else 0.0
-            if step + 1 < len(time):
-                final = room[step] + p["K"] * duty[step]
-                temperature[step + 1] = final + (temperature[step] - final) * decay
-        frames[name] = frame(time, room=room, relay=duty, temp=temperature)
+        relay = _relay(_kept_warm(_FERMENTER, room, goal), goal)
+        frames[name] = frame(time, room=room, relay=relay, temp=_kept_warm(p, room, relay))
     return frames
 
 
@@ -388,7 +406,7 @@ FERMENTER_DATES = Situation(
     kind="time format",
     plant="heater",
     source="github.com/kizniche/Mycodo/issues/508",
-    made={"K": 0.42, "tau": 2700.0},
+    made=_FERMENTER,
     simulate=_brewing,
     noise={"temp": 0.04},
     step={"temp": 0.01},
@@ -412,6 +430,45 @@ files = ["test.csv"]
     held_out={"temp": 1.5},
 )
 
+
+def _plateau(p: Parameters) -> Frames:
+    time = np.arange(180) * 60.0
+    outdoor = 66.0 + 0.3 * np.sin(time / 4000.0)
+    return {"run.csv": frame(time, outdoor=outdoor, indoor=np.full(len(time), p["level"]))}
+
+
+# After heating the thermostat shows exactly 70 °F for hours: nothing can be learnt from that.
+# "Thermal model rejects valid observations when post-heat temperature plateaus",
+# gunkl/ClimateAdvisor #118
+PLATEAU = Situation(
+    name="plateau",
+    kind="no information",
+    plant="building",
+    source="github.com/gunkl/ClimateAdvisor/issues/118",
+    made={"level": 70.0},
+    simulate=_plateau,
+    noise={"indoor": 0.05},
+    step={"indoor": 1.0},
+    config="""
+[model]
+inputs = ["outdoor"]
+outputs = ["indoor"]
+parameters = { k = 1e-4 }
+bounds = { k = [0.0, 1.0] }
+[model.units]
+indoor = "°F"
+[model.derivatives]
+indoor = "-k*(indoor - outdoor)"
+[data]
+files = ["run.csv"]
+time = "t"
+inputs = ["outdoor"]
+outputs = ["indoor"]
+""",
+    refused=("indoor", "constant"),
+    why="k = 0 fits, and is no answer: the message names the output that is constant",
+)
+
 SITUATIONS = (
     DEAD_TIME,
     HOUSE,
@@ -421,4 +478,5 @@ SITUATIONS = (
     TEA,
     BOILER_LAG,
     FERMENTER_DATES,
+    PLATEAU,
 )
