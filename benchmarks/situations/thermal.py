@@ -367,11 +367,11 @@ def _kept_warm(p: Parameters, room: np.ndarray, relay: np.ndarray | float) -> np
     """Temperature every 20 s: from a relay's record, or with a relay about this set point."""
     temperature, decay, on = [24.0], np.exp(-20.0 / p["tau"]), True
     for step, outside in enumerate(room[:-1]):
-        if isinstance(relay, float):
+        if isinstance(relay, np.ndarray):
+            power = relay[step]
+        else:
             on = temperature[-1] < relay + (0.8 if on else -0.8)
             power = 100.0 * on
-        else:
-            power = relay[step]
         final = outside + p["K"] * power
         temperature.append(final + (temperature[-1] - final) * decay)
     return np.array(temperature)
