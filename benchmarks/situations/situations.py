@@ -94,7 +94,9 @@ def _report(chosen: list[Situation], write: bool) -> None:
             ", ".join(
                 f"{reason} {count}"
                 for reason, count in Counter(
-                    verdict.reason.split(":")[0] for verdict in verdicts if not verdict.served
+                    verdict.reason.split(":")[0].split(" of ")[0]
+                    for verdict in verdicts
+                    if not verdict.served
                 ).most_common()
             )
             or "none"
