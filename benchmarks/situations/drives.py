@@ -42,7 +42,7 @@ MOTOR_ONE_SINE = Situation(
     kind="poor excitation",
     plant="motor",
     source="scicomp.stackexchange.com/questions/36459",
-    made={"R": 2.0, "L": 8e-3, "K": 0.05, "J": 6e-5, "B": 1.5e-4},
+    parameters={"R": 2.0, "L": 8e-3, "K": 0.05, "J": 6e-5, "B": 1.5e-4},
     simulate=_motor,
     noise={"i": 5e-3, "w": 0.3},
     config="""
@@ -90,7 +90,7 @@ SETPOINT_SERVO = Situation(
     kind="common factor",
     plant="servo",
     source="github.com/leggedrobotics/pace-sim2real/issues/13",
-    made={"J": 0.004, "kp": 1.1, "d": 0.09},
+    parameters={"J": 0.004, "kp": 1.1, "d": 0.09},
     simulate=_setpoint_servo,
     noise={"pos": 1e-3},
     step={"pos": 0.0015},
@@ -113,8 +113,8 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"kp/J": 275.0, "d/J": 22.5},
-    said=("J", "kp", "d"),
-    open=("kp", "d"),
+    inseparable=("J", "kp", "d"),
+    fitted=("kp", "d"),
 )
 
 
@@ -148,7 +148,7 @@ JOINT_IN_LOOP = Situation(
     kind="closed loop",
     plant="servo",
     source="github.com/google-deepmind/mujoco/issues/1131",
-    made={"J": 0.045, "d": 0.22, "c": 0.31},
+    parameters={"J": 0.045, "d": 0.22, "c": 0.31},
     simulate=_joint,
     noise={"q": 2e-4, "torque": 5e-3},
     config="""
@@ -195,7 +195,7 @@ NO_LOAD = Situation(
     kind="effect not declared",
     plant="motor",
     source="github.com/isaac-sim/IsaacLab/issues/3410",
-    made={"J": 0.012, "k": 0.011, "b": 0.07},
+    parameters={"J": 0.012, "k": 0.011, "b": 0.07},
     simulate=_no_load,
     noise={"speed": 0.05},
     config="""
@@ -246,7 +246,7 @@ POWER_AND_SPEED = Situation(
     kind="units",
     plant="motor",
     source="github.com/dynamicslab/pysindy/issues/491",
-    made={"J": 14.0, "b": 0.32, "c": 18.0},
+    parameters={"J": 14.0, "b": 0.32, "c": 18.0},
     simulate=_power,
     noise={"Speed": 3.0},
     step={"Speed": 1.0},
@@ -300,7 +300,7 @@ SOLENOID_FORCE = Situation(
     kind="algebraic output",
     plant="actuator",
     source="github.com/dynamicslab/pysindy/issues/505",
-    made={"R": 7.5, "L": 0.09, "k": 110.0, "a": 0.8},
+    parameters={"R": 7.5, "L": 0.09, "k": 110.0, "a": 0.8},
     simulate=_solenoid,
     noise={"F": 0.2},
     config="""
@@ -325,7 +325,7 @@ outputs = ["F"]
 files = ["test.csv"]
 """,
     truth={"L": 0.09, "k": 110.0, "a": 0.8},
-    open=("L", "k", "a"),
+    fitted=("L", "k", "a"),
     held_out={"F": 1.3},
 )
 
@@ -367,7 +367,7 @@ COARSE_TACHOMETER = Situation(
     kind="coarse sensor",
     plant="drivetrain",
     source="github.com/wpilibsuite/sysid/issues/319",
-    made={"kS": 0.6, "kV": 2.4, "kA": 0.5},
+    parameters={"kS": 0.6, "kV": 2.4, "kA": 0.5},
     simulate=_drivetrain,
     noise={"speed": 0.01},
     step={"speed": 0.1},
@@ -385,13 +385,13 @@ ENCODER_BACKWARDS = Situation(
     kind="wrong sign",
     plant="drivetrain",
     source="github.com/wpilibsuite/allwpilib/issues/6320",
-    made={"kS": -0.6, "kV": -2.4, "kA": -0.5},
+    parameters={"kS": -0.6, "kV": -2.4, "kA": -0.5},
     simulate=_drivetrain,
     noise={"speed": 0.01},
     step={"speed": 0.002},
     config=_DRIVETRAIN,
     truth={"kS": -0.6, "kV": -2.4, "kA": -0.5},
-    why="as recorded, V = -kS sign(v) - kV v - kA v'",
+    reason="as recorded, V = -kS sign(v) - kV v - kA v'",
 )
 
 
@@ -421,7 +421,7 @@ ARM_IN_DEGREES = Situation(
     kind="units",
     plant="drivetrain",
     source="github.com/wpilibsuite/sysid/issues/505",
-    made={"kV": 1.6, "kG": 0.75, "kA": 0.12},
+    parameters={"kV": 1.6, "kG": 0.75, "kA": 0.12},
     simulate=_wheel_arm,
     noise={"angle": 0.03, "volts": 0.01},
     config="""

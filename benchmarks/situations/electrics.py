@@ -35,7 +35,7 @@ RLC_SCOPE = Situation(
     kind="coarse sensor",
     plant="circuit",
     source="reddit.com/r/ElectricalEngineering/comments/1id4m22",
-    made={"R": 2500.0, "L": 1.0, "C": 2e-9},
+    parameters={"R": 2500.0, "L": 1.0, "C": 2e-9},
     simulate=_series_circuit,
     noise={"I": 1e-6},
     step={"I": 4e-6},
@@ -60,7 +60,7 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"R": 2500.0, "C": 2e-9},
-    open=("R", "C"),
+    fitted=("R", "C"),
 )
 
 
@@ -81,7 +81,7 @@ NETWORK_WITH_BOUND = Situation(
     kind="very large or small values",
     plant="circuit",
     source="github.com/lmfit/lmfit-py/issues/278",
-    made={"Rp": 6.8e5, "Cp": 150e-12},
+    parameters={"Rp": 6.8e5, "Cp": 150e-12},
     simulate=_network,
     noise={"v": 2e-3},
     config="""
@@ -125,7 +125,7 @@ NANOAMPERES = Situation(
     kind="very large or small values",
     plant="circuit",
     source="github.com/JuliaNLSolvers/LsqFit.jl/issues/178",
-    made={"S": 1.4e-9, "dark": 6e-11, "Rf": 2.2e9},
+    parameters={"S": 1.4e-9, "dark": 6e-11, "Rf": 2.2e9},
     simulate=_photodiode,
     noise={"V": 3e-3},
     config="""
@@ -164,7 +164,7 @@ CELL_START = Situation(
     kind="unknown start",
     plant="battery",
     source="github.com/pybop-team/PyBOP/issues/424",
-    made={"R0": 0.025, "R1": 0.018, "C1": 1800.0, "soc0": 0.72},
+    parameters={"R0": 0.025, "R1": 0.018, "C1": 1800.0, "soc0": 0.72},
     simulate=_cell,
     noise={"voltage": 1e-3},
     config="""
@@ -214,7 +214,7 @@ TWO_PAIRS = Situation(
     kind="algebraic output",
     plant="battery",
     source="MATLAB Answers, Estimating Battery Parameters Using Curve Fitting",
-    made={"R0": 0.02, "R1": 0.012, "C1": 350.0, "R2": 0.02, "C2": 7500.0},
+    parameters={"R0": 0.02, "R1": 0.012, "C1": 350.0, "R2": 0.02, "C2": 7500.0},
     simulate=_two_pairs,
     noise={"V": 5e-4},
     config="""
@@ -274,7 +274,7 @@ LOUDSPEAKER = Situation(
     kind="long record",
     plant="loudspeaker",
     source="github.com/mbrennwa/mataa/issues/8",
-    made={"Re": 6.2, "Le": 4.5e-4, "Bl": 7.1, "Rms": 1.3, "Kms": 2100.0, "Mms": 0.0165},
+    parameters={"Re": 6.2, "Le": 4.5e-4, "Bl": 7.1, "Rms": 1.3, "Kms": 2100.0, "Mms": 0.0165},
     simulate=_loudspeaker,
     noise={"i": 2e-3, "x": 2e-3},
     config="""
@@ -298,7 +298,7 @@ files = ["test.csv"]
 """,
     truth={"Re": 6.2, "Le": 4.5e-4, "Bl": 7.1, "Rms": 1.3, "Kms": 2100.0, "Mms": 0.0165},
     seconds=120.0,
-    why="two minutes: 192 000 samples of two outputs",
+    reason="two minutes: 192 000 samples of two outputs",
 )
 
 
@@ -323,7 +323,7 @@ VOICE_COIL = Situation(
     kind="hidden state",
     plant="loudspeaker",
     source="github.com/AsahiLinux/linux/issues/53",
-    made={"Rc": 6.0, "Cc": 0.65, "Rm": 9.0, "Cm": 7.8},
+    parameters={"Rc": 6.0, "Cc": 0.65, "Rm": 9.0, "Cm": 7.8},
     simulate=_voice_coil,
     noise={"coil": 0.3},
     config="""

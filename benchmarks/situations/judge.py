@@ -42,7 +42,7 @@ class Verdict:
     """Whether a situation was served; what was got, and why it is not enough."""
 
     served: bool
-    got: str
+    answer: str
     reason: str = ""
 
 
@@ -77,7 +77,7 @@ def run(situation: Situation, folder: Path) -> Answer:
     return Answer(process.returncode, summary, process.stderr, used)
 
 
-def tried(situation: Situation) -> tuple[Answer, Verdict]:
+def trial(situation: Situation) -> tuple[Answer, Verdict]:
     """The answer to a situation in a folder of its own, and the verdict."""
     with tempfile.TemporaryDirectory() as folder:
         answer = run(situation, Path(folder))
@@ -90,27 +90,27 @@ def judged(situation: Situation, answer: Answer) -> Verdict:
         return Verdict(False, "–", f"too slow: stopped after {answer.seconds:.0f} s")
     if "Traceback" in answer.errors or not answer.summary:
         return Verdict(False, "–", f"traceback: {_last_line(answer.errors)}")
-    if situation.refused:
+    if situation.refusal:
         return _refusal(situation, answer)
-    if answer.status != 0 and not (situation.said and _said(situation, answer.summary)):
+    if answer.status != 0 and not (situation.inseparable and _says(situation, answer.summary)):
         return Verdict(False, "–", f"no answer: {_message(answer.summary)[:110]}")
     faults = [
         fault
         for check in (_values, _effects, _sentence, _held_out, _time)
         if (fault := check(situation, answer))
     ]
-    return Verdict(not faults, _got(situation, answer.summary), "; ".join(faults))
+    return Verdict(not faults, _answer_text(situation, answer.summary), "; ".join(faults))
 
 
-def asked(situation: Situation) -> str:
+def question(situation: Situation) -> str:
     """What a right answer has, in a few words."""
     parts = [f"{name} {value:.4g}" for name, value in situation.truth.items()]
     if situation.effects is not None:
         parts.append(", ".join("/".join(names) for names in situation.effects) or "no effect")
-    if situation.said:
-        parts.append(f"says that {', '.join(situation.said)} are not separable")
-    if situation.refused:
-        parts.append("a message with " + ", ".join(situation.refused))
+    if situation.inseparable:
+        parts.append(f"says that {', '.join(situation.inseparable)} are not separable")
+    if situation.refusal:
+        parts.append("a message with " + ", ".join(situation.refusal))
     parts += [f"held out ≤ {bound:g} noise" for bound in situation.held_out.values()]
     return "; ".join(parts)
 
@@ -156,9 +156,9 @@ def _effects(situation: Situation, answer: Answer) -> str:
 
 
 def _sentence(situation: Situation, answer: Answer) -> str:
-    if not situation.said or _said(situation, answer.summary):
+    if not situation.inseparable or _says(situation, answer.summary):
         return ""
-    return f"does not say that {', '.join(situation.said)} cannot be told apart"
+    return f"does not say that {', '.join(situation.inseparable)} cannot be told apart"
 
 
 def _held_out(situation: Situation, answer: Answer) -> str:
@@ -179,7 +179,7 @@ def _time(situation: Situation, answer: Answer) -> str:
 
 def _refusal(situation: Situation, answer: Answer) -> Verdict:
     text = _message(answer.summary)
-    missing = [piece for piece in situation.refused if piece.lower() not in text.lower()]
+    missing = [piece for piece in situation.refusal if piece.lower() not in text.lower()]
     if answer.status == 0 or missing:
         return Verdict(False, text[:80], f"not refused with {', '.join(missing) or 'a message'}")
     return Verdict(True, text[:80])
@@ -188,14 +188,14 @@ def _refusal(situation: Situation, answer: Answer) -> Verdict:
 # -- reading the JSON object ------------------------------------------------------------------
 
 
-def _said(situation: Situation, summary: Mapping) -> bool:
+def _says(situation: Situation, summary: Mapping) -> bool:
     """Whether one sentence on what is unclear names the parameters."""
     sentences = [_message(summary), *(summary.get("unclear") or ())]
     for key in ("notes", "findings"):
         sentences += summary.get(key) or ()
     return any(
         _INSEPARABLE.search(sentence)
-        and all(re.search(rf"\b{name}\b", sentence) for name in situation.said)
+        and all(re.search(rf"\b{name}\b", sentence) for name in situation.inseparable)
         for sentence in sentences
     )
 
@@ -211,7 +211,7 @@ def _message(summary: Mapping) -> str:
     return str(summary.get("error") or status.get("message") or summary.get("answer") or "")
 
 
-def _got(situation: Situation, summary: Mapping) -> str:
+def _answer_text(situation: Situation, summary: Mapping) -> str:
     parameters = summary.get("parameters") or {}
     parts = []
     for name in situation.truth:

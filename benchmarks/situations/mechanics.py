@@ -41,7 +41,7 @@ CART_WITHOUT_FORCE = Situation(
     kind="common factor",
     plant="mass on a spring",
     source="stackoverflow.com/questions/9167819",
-    made={"m": 0.8, "b": 0.5, "k": 60.0},
+    parameters={"m": 0.8, "b": 0.5, "k": 60.0},
     simulate=_cart,
     noise={"x": 2e-4},
     config="""
@@ -61,8 +61,8 @@ outputs = ["x"]
 files = ["test.csv"]
 """,
     truth={"k/m": 75.0, "b/m": 0.625},
-    said=("m", "b", "k"),
-    open=("b", "k"),
+    inseparable=("m", "b", "k"),
+    fitted=("b", "k"),
 )
 
 
@@ -93,7 +93,7 @@ SHAKEN_BASE = Situation(
     kind="algebraic output",
     plant="mass on a spring",
     source="imathworks.com: Fit Damping Coefficient from Acceleration Samples",
-    made={"m": 3.0, "b": 7.0, "k": 100.0},
+    parameters={"m": 3.0, "b": 7.0, "k": 100.0},
     simulate=_base,
     noise={"acc": 0.1},
     config="""
@@ -120,7 +120,7 @@ files = ["test.csv"]
 """,
     truth={"b": 7.0},
     held_out={"acc": 1.2},
-    open=("b",),
+    fitted=("b",),
 )
 
 
@@ -147,7 +147,7 @@ MASS_FROM_FORCE = Situation(
     kind="parameters in denominators",
     plant="mass on a spring",
     source="dsp.stackexchange.com/questions/62705",
-    made={"m": 5.0, "d": 4.0, "c": 120.0},
+    parameters={"m": 5.0, "d": 4.0, "c": 120.0},
     simulate=_mass_from_force,
     noise={"y": 2e-3},
     config="""
@@ -205,7 +205,7 @@ TRIALS = Situation(
     kind="several files",
     plant="mass on a spring",
     source="github.com/csu-hmc/opty/pull/230",
-    made={"k1": 90.0, "k2": 45.0, "c1": 0.8, "c2": 0.4},
+    parameters={"k1": 90.0, "k2": 45.0, "c1": 0.8, "c2": 0.4},
     simulate=_trials,
     noise={"x1": 3e-4, "x2": 3e-4},
     config="""
@@ -249,14 +249,14 @@ def _swinging(p: Parameters) -> Frames:
 
 
 # A pendulum swings out; its damping is not only viscous.
-# "How to measure the damping constant tau of a pendulum", physics.stackexchange.com, as kept at
+# "How to measure the damping constant tau of a pendulum", physics.stackexchange.com, as rows at
 # isolution.pro/hi/q/ps13580854
 PENDULUM_DRAG = Situation(
     name="pendulum_drag",
     kind="free decay",
     plant="pendulum",
-    source="physics.stackexchange.com, kept at isolution.pro/hi/q/ps13580854",
-    made={"w2": 24.5, "d": 0.02, "c": 0.045},
+    source="physics.stackexchange.com, rows at isolution.pro/hi/q/ps13580854",
+    parameters={"w2": 24.5, "d": 0.02, "c": 0.045},
     simulate=_swinging,
     noise={"angle": 2e-4},
     step={"angle": 2 * np.pi / 4096},
@@ -308,7 +308,7 @@ MASS_AND_LENGTH = Situation(
     kind="products of parameters",
     plant="pendulum",
     source="github.com/dfki-ric-underactuated-lab/torque_limited_simple_pendulum/issues/14",
-    made={"m": 0.57, "l": 0.5, "b": 0.05},
+    parameters={"m": 0.57, "l": 0.5, "b": 0.05},
     simulate=_torque_pendulum,
     noise={"q": 1e-3},
     config="""
@@ -330,7 +330,7 @@ files = ["test.csv"]
 """,
     truth={"m": 0.57, "l": 0.5, "b": 0.05},
     held_out={"q": 5.0},
-    why="held out: a free run of the pass's estimate over 15 s; the truth has 1.0",
+    reason="held out: a free run of the pass's estimate over 15 s; the truth has 1.0",
 )
 
 
@@ -362,7 +362,7 @@ BALANCING = Situation(
     kind="unstable plant",
     plant="pendulum",
     source="github.com/csu-hmc/opty/issues/18",
-    made={"I": 70.0, "G": 640.0, "d": 12.0},
+    parameters={"I": 70.0, "G": 640.0, "d": 12.0},
     simulate=_balancing,
     noise={"lean": 1e-4, "ankle": 0.3},
     config="""
@@ -385,7 +385,7 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"I": 70.0, "G": 640.0, "d": 12.0},
-    why="d shows the hold: a fit in windows finds 11.9 with linear, 17.6 with held input",
+    reason="d shows the hold: a fit in windows finds 11.9 with linear, 17.6 with held input",
 )
 
 
@@ -415,7 +415,7 @@ BALL_ON_BEAM = Situation(
     kind="unstable plant",
     plant="pendulum",
     source="baggepinnen.github.io/ControlSystemIdentification.jl, Ball and beam",
-    made={"a": 7.0, "f": 0.25},
+    parameters={"a": 7.0, "f": 0.25},
     simulate=_ball,
     noise={"ball": 1e-3, "beam": 5e-4},
     config="""
@@ -436,7 +436,7 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"a": 7.0},
-    why="f is not asked: it is small beside the noise of the beam's angle",
+    reason="f is not asked: it is small beside the noise of the beam's angle",
 )
 
 
@@ -461,7 +461,7 @@ SINE_OF_DEGREES = Situation(
     kind="units",
     plant="pendulum",
     source="github.com/Kinovarobotics/kinova-ros/pull/254",
-    made={"J": 0.2, "d": 0.3, "G": 3.0},
+    parameters={"J": 0.2, "d": 0.3, "G": 3.0},
     simulate=_hanging,
     noise={"angle": 0.05},
     config="""
@@ -483,8 +483,8 @@ outputs = ["angle"]
 [validation]
 files = ["test.csv"]
 """,
-    refused=("sin", "angle", "deg"),
-    why="a careful expert says that sin takes radians; no value of J, d, G is right",
+    refusal=("sin", "angle", "deg"),
+    reason="a careful expert says that sin takes radians; no value of J, d, G is right",
 )
 
 
@@ -511,7 +511,7 @@ FALLING = Situation(
     kind="short record",
     plant="falling body",
     source="nettally.com/jcarr/Physics/drag/drag6.html",
-    made={"g": 9.81, "k": 0.05, "c": 3.2},
+    parameters={"g": 9.81, "k": 0.05, "c": 3.2},
     simulate=_falling,
     noise={"fallen": 1.5e-3},
     config="""
@@ -535,7 +535,7 @@ files = ["test.csv"]
     command="discover",
     effects=(("quadratic_drag",),),
     held_out={"fallen": 2.0},
-    open=("c",),
+    fitted=("c",),
 )
 
 
@@ -563,7 +563,7 @@ BURSTS = Situation(
     kind="several files",
     plant="linear stage",
     source="github.com/CPCLAB-UNIPI/SIPPY/issues/27",
-    made={"g": 480.0, "d": 9.0},
+    parameters={"g": 480.0, "d": 9.0},
     simulate=_bursts,
     noise={"position": 0.05},
     config="""
@@ -612,7 +612,7 @@ HYDRAULIC_RAM = Situation(
     kind="effect not declared",
     plant="hydraulic drive",
     source="github.com/osrf/mbari_wec_gz/issues/93",
-    made={"M": 650.0, "b": 3800.0, "A": 2e-3, "F": 420.0},
+    parameters={"M": 650.0, "b": 3800.0, "A": 2e-3, "F": 420.0},
     simulate=_ram,
     noise={"speed": 2e-3},
     config="""
@@ -637,7 +637,7 @@ files = ["test.csv"]
     command="discover",
     truth={"M": 650.0, "b": 3800.0},
     effects=(("coulomb_friction",),),
-    open=("M", "b", "F"),
+    fitted=("M", "b", "F"),
 )
 
 SITUATIONS = (

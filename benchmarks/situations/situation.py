@@ -40,7 +40,7 @@ class Situation:
         kind: what makes it difficult.
         plant: sort of plant.
         source: thread where somebody asks about such a situation.
-        made: parameters of the simulation by name; those of the config have the same names.
+        parameters: parameters of the simulation by name; those of the config have the same names.
         simulate: tables of all files without noise, by file name, from these parameters. Files
             whose name begins with "test" are held out.
         config: TOML, as that person would write it.
@@ -52,19 +52,19 @@ class Situation:
         truth: values by parameter, or by expression of parameters where only that is determined.
         tolerance: largest error of these values, relative.
         effects: what must be named, each with the names of the same function; None: not asked.
-        said: parameters of which one sentence must say that they cannot be told apart.
-        refused: pieces of the message where the right answer is a refusal.
+        inseparable: parameters of which one sentence must say that they cannot be told apart.
+        refusal: pieces of the message where the right answer is a refusal.
         held_out: bound of the held-out free-run error over the noise, by output.
         seconds: processor time of the command [s].
-        open: names in `made` that the independent fit varies; default: all.
-        why: reason of a tolerance other than 5 %, or of what is asked.
+        fitted: names in `parameters` that the independent fit varies; default: all.
+        reason: reason of a tolerance other than 5 %, or of what is asked.
     """
 
     name: str
     kind: str
     plant: str
     source: str
-    made: dict[str, float]
+    parameters: dict[str, float]
     simulate: Callable[[Parameters], Frames]
     config: str
     command: Literal["identify", "discover", "refine"] = "identify"
@@ -75,18 +75,18 @@ class Situation:
     truth: dict[str, float] = field(default_factory=dict)
     tolerance: float = 0.05
     effects: tuple[tuple[str, ...], ...] | None = None
-    said: tuple[str, ...] = ()
-    refused: tuple[str, ...] = ()
+    inseparable: tuple[str, ...] = ()
+    refusal: tuple[str, ...] = ()
     held_out: dict[str, float] = field(default_factory=dict)
     seconds: float = 60.0
-    open: tuple[str, ...] = ()
-    why: str = ""
+    fitted: tuple[str, ...] = ()
+    reason: str = ""
 
     def tables(self, rng: np.random.Generator) -> Frames:
         """What the instruments recorded, by file name."""
         return {
             file: self._measured(file, table, rng)
-            for file, table in self.simulate(self.made).items()
+            for file, table in self.simulate(self.parameters).items()
         }
 
     def files(self, rng: np.random.Generator) -> dict[str, str]:

@@ -67,7 +67,7 @@ def _report(chosen: list[Situation], write: bool) -> None:
     report = common.Report("Situations of users")
     rows, verdicts = [], []
     for number, situation in enumerate(chosen, 1):
-        answer, verdict = judge.tried(situation)
+        answer, verdict = judge.trial(situation)
         verdicts.append(verdict)
         served = "yes" if verdict.served else f"no: {verdict.reason}"
         row = (
@@ -75,8 +75,8 @@ def _report(chosen: list[Situation], write: bool) -> None:
             situation.kind,
             situation.plant,
             situation.command,
-            judge.asked(situation),
-            verdict.got,
+            judge.question(situation),
+            verdict.answer,
             served,
             f"{answer.seconds:.0f} s",
         )
@@ -115,7 +115,7 @@ REACHED = 1.2  # mean square of the residual over the noise's
 
 def _checked(situation: Situation) -> bool:
     """Whether a fit of SciPy from a wrong start finds the truth in the noisy files."""
-    if situation.refused:
+    if situation.refusal:
         print(f"{situation.name}: to be refused", flush=True)
         return True
     fits = []
@@ -146,12 +146,12 @@ def independent_fit(
         factor: start over the truth.
     """
     measured = situation.tables(np.random.default_rng(judge.SEED))
-    names = situation.open or tuple(situation.made)
-    start = {name: value * factor for name, value in situation.made.items() if name in names}
+    names = situation.fitted or tuple(situation.parameters)
+    start = {name: value * factor for name, value in situation.parameters.items() if name in names}
 
     def residuals(logs: np.ndarray) -> np.ndarray:
         trial = {name: start[name] * np.exp(x - 1) for name, x in zip(names, logs, strict=True)}
-        simulated = situation.simulate({**situation.made, **trial})
+        simulated = situation.simulate({**situation.parameters, **trial})
         parts = []
         for file, table in measured.items():
             if file.startswith("test"):
@@ -168,7 +168,7 @@ def independent_fit(
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     estimates = {name: start[name] * np.exp(x - 1) for name, x in zip(names, fit.x, strict=True)}
     errors = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
-    return {**situation.made, **estimates}, errors, 2 * fit.cost / len(fit.fun)
+    return {**situation.parameters, **estimates}, errors, 2 * fit.cost / len(fit.fun)
 
 
 def _outputs(situation: Situation) -> list[str]:

@@ -45,7 +45,7 @@ DEAD_TIME = Situation(
     kind="delay",
     plant="heater",
     source="stackoverflow.com/questions/64447427",
-    made={"K": 0.62, "tau": 150.0, "theta": 16.4},
+    parameters={"K": 0.62, "tau": 150.0, "theta": 16.4},
     simulate=_heater,
     noise={"T1": 0.15},
     step={"T1": 0.1},
@@ -92,10 +92,10 @@ def _house(p: Parameters) -> Frames:
 
 def _irregular(_: str, table: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     """A row when the heating changes, else now and then; once nothing for nine hours."""
-    kept = (rng.random(len(table)) > 0.4) | (table["heat"].diff().to_numpy() != 0)
-    kept[400:436] = False
-    kept[[0, -1]] = True
-    return table.loc[kept]
+    rows = (rng.random(len(table)) > 0.4) | (table["heat"].diff().to_numpy() != 0)
+    rows[400:436] = False
+    rows[[0, -1]] = True
+    return table.loc[rows]
 
 
 # A house that reports irregularly, with hours missing.
@@ -105,7 +105,7 @@ HOUSE = Situation(
     kind="irregular sampling",
     plant="building",
     source="github.com/baggepinnen/LowLevelParticleFilters.jl/issues/211",
-    made={"R": 5.5, "C": 9.0},
+    parameters={"R": 5.5, "C": 9.0},
     simulate=_house,
     noise={"indoor": 0.05},
     spoil=_irregular,
@@ -127,7 +127,7 @@ files = ["test.csv"]
 """,
     command="refine",
     truth={"R": 5.5, "C": 9.0},
-    why="R in K/kW, C in kWh/K",
+    reason="R in K/kW, C in kWh/K",
 )
 
 
@@ -155,7 +155,7 @@ HEATING_SYSTEM = Situation(
     kind="hidden state",
     plant="building",
     source="github.com/czagoni/darkgreybox/issues/41",
-    made={"Ria": 5.0, "Ci": 5.0, "Rih": 0.9, "Ch": 1.3},
+    parameters={"Ria": 5.0, "Ci": 5.0, "Rih": 0.9, "Ch": 1.3},
     simulate=_radiators,
     noise={"Ti": 0.03},
     config="""
@@ -203,7 +203,7 @@ ENVELOPE_START = Situation(
     kind="unknown start",
     plant="building",
     source="github.com/czagoni/darkgreybox/issues/29",
-    made={"Ci": 1.6, "Rie": 1.3, "Ce": 9.0, "Rea": 4.5, "Te0": 11.0},
+    parameters={"Ci": 1.6, "Rie": 1.3, "Ce": 9.0, "Rea": 4.5, "Te0": 11.0},
     simulate=_envelope,
     noise={"Ti": 0.03},
     config="""
@@ -248,7 +248,7 @@ HOT_STEEL = Situation(
     kind="effect not declared",
     plant="cooling body",
     source="Newton's Cooling Law and Least Squares Fit, question on scipy.optimize.leastsq",
-    made={"k": 8e-4, "e": 0.38},
+    parameters={"k": 8e-4, "e": 0.38},
     simulate=_hot_steel,
     noise={"temp": 0.5},
     config="""
@@ -289,7 +289,7 @@ TEA = Situation(
     kind="free decay",
     plant="cooling body",
     source="math.stackexchange.com, Fitting curve for Newton's cooling law data programatically",
-    made={"alpha": 9.5e-4, "Ts": 21.5},
+    parameters={"alpha": 9.5e-4, "Ts": 21.5},
     simulate=_tea,
     noise={"T": 0.1},
     step={"T": 0.5},
@@ -335,7 +335,7 @@ BOILER_LAG = Situation(
     kind="effect not declared",
     plant="heater",
     source="github.com/jniebuhr/gaggimate/pull/683",
-    made={"C": 1900.0, "UA": 3.2, "lag": 9.0},
+    parameters={"C": 1900.0, "UA": 3.2, "lag": 9.0},
     simulate=_boiler,
     noise={"boiler": 0.05},
     config="""
@@ -406,7 +406,7 @@ FERMENTER_DATES = Situation(
     kind="time format",
     plant="heater",
     source="github.com/kizniche/Mycodo/issues/508",
-    made=_FERMENTER,
+    parameters=_FERMENTER,
     simulate=_brewing,
     noise={"temp": 0.04},
     step={"temp": 0.01},
@@ -445,7 +445,7 @@ PLATEAU = Situation(
     kind="no information",
     plant="building",
     source="github.com/gunkl/ClimateAdvisor/issues/118",
-    made={"level": 70.0},
+    parameters={"level": 70.0},
     simulate=_plateau,
     noise={"indoor": 0.05},
     step={"indoor": 1.0},
@@ -465,8 +465,8 @@ time = "t"
 inputs = ["outdoor"]
 outputs = ["indoor"]
 """,
-    refused=("indoor", "constant"),
-    why="k = 0 fits, and is no answer: the message names the output that is constant",
+    refusal=("indoor", "constant"),
+    reason="k = 0 fits, and is no answer: the message names the output that is constant",
 )
 
 SITUATIONS = (

@@ -36,13 +36,13 @@ def test_a_situation_is_well_formed(situation):
     config = tomllib.loads(situation.config)
     data, model = config["data"], config["model"]
     assert situation.source
-    assert situation.truth or situation.effects is not None or situation.refused
-    assert situation.tolerance <= 0.05 or situation.why
+    assert situation.truth or situation.effects is not None or situation.refusal
+    assert situation.tolerance <= 0.05 or situation.reason
     if situation.truth:
-        assert set(model["parameters"]) <= set(situation.made) | set(model.get("fixed", ()))
+        assert set(model["parameters"]) <= set(situation.parameters) | set(model.get("fixed", ()))
     assert tuple(data["outputs"]) == tuple(model["outputs"])
     for name in situation.truth:
-        assert judge.evaluated(name, situation.made) is not None
+        assert judge.evaluated(name, situation.parameters) is not None
     if situation.name == SLOW_TO_WRITE:
         return
     tables = situation.tables(_rng())
@@ -129,7 +129,7 @@ def test_what_cannot_be_told_apart_must_be_said():
 
 
 def test_a_refusal_must_say_why():
-    situation = replace(ASKED, refused=("unit", "angle"))
+    situation = replace(ASKED, refusal=("unit", "angle"))
     assert _verdict(situation, {"error": "the unit of `angle` is degrees"}, status=2).served
     assert not _verdict(situation, {"error": "no"}, status=2).served
     assert not _verdict(situation, RIGHT).served
@@ -137,5 +137,5 @@ def test_a_refusal_must_say_why():
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_cheap_situation_is_served_by_the_command(name):
-    answer, verdict = judge.tried(BY_NAME[name])
+    answer, verdict = judge.trial(BY_NAME[name])
     assert verdict.served, (verdict, answer.errors[-500:])
