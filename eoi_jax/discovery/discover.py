@@ -16,13 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from eoi_jax._blas import one_thread
-from eoi_jax._checks import check, check_choice, check_count, check_kind, real
+from eoi_jax._checks import check, check_count, real
 from eoi_jax._status import Status
-from eoi_jax.data.holds import ratios_to, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.hold_choice import with_best_hold
 from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ends, ranking
 from eoi_jax.discovery.refined import polished
@@ -34,25 +34,25 @@ from eoi_jax.discovery.refit import (
     refitted,
     window_of,
 )
+from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
-from eoi_jax.estimation.hold import HoldIndices, hold_indices
+from eoi_jax.estimation.hold import hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
 from eoi_jax.estimation.identify import (
     Identification,
     declared_index,
     estimate,
-    mean_index,
 )
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import rare, standard
+from eoi_jax.models.effects import rare
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -60,7 +60,6 @@ from eoi_jax.simulation.validate import FreeRuns
 
 _PASSES = 30  # of the declared model at most: the search starts from its converged fit
 _ROUNDS = 3
-_SAME_INDEX = 0.02  # relative difference of final models of two holds that count as equal
 _STAGES = _ROUNDS + 3
 _RARE_SHARE, _MAX_RARE = 0.95, 2  # least share explained, most effects, with a rare one
 _END_TOLERANCE = 1e-3  # of a range of shapes: distance that counts as its end
@@ -126,9 +125,9 @@ def discover(
             [record for _, record in parts],
         )
     held_out = held_out_records(plant, fit_records, validation)
-    tried_effects = _effects([effects] if isinstance(effects, str) else effects)
+    tried_effects = requested([effects] if isinstance(effects, str) else effects)
     rare_effects = rare() if effects is None else ()
-    fitting = _names_with_place(plant, tried_effects)
+    fitting = names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, fit_records, held_out, window)
@@ -140,9 +139,10 @@ def discover(
     if indices is None:
         discovery = search.on(fit_records, held_out)
     else:
-        discovery = _with_decided_hold(search, fit_records, held_out, indices)
+        search = replace(search, lowpass=indices.lowpass)
+        discovery = with_best_hold(search.on, fit_records, held_out, indices)
     unplaced_notes = (
-        [] if effects is None else _notes_without_place(tried_effects, fitting, discovery)
+        [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
     return replace(discovery, notes=(*discovery.notes, *unplaced_notes, *runs))
 
@@ -204,42 +204,6 @@ class _Search:
             discovery = _judged_by_free_runs(task, discovery)
         discovery = _with_doubts(task, discovery, self.refine)
         return replace(discovery, notes=(*short_notes, *discovery.notes))
-
-
-def _with_decided_hold(
-    search: _Search,
-    records: tuple[Record, ...],
-    held_out: tuple[Record, ...],
-    indices: HoldIndices,
-) -> Discovery:
-    """The answer with the hold of the inputs under which the final model fits best.
-
-    What the declared model lacks may hide the hold, and a wrong hold looks like a delay. So each
-    hold that the declared model does not refute is searched with, on one filter; the smallest index
-    of the final model decides, of nearly equal ones the answer that explains, with fewest effects.
-    """
-    search = replace(search, lowpass=indices.lowpass)
-    answers = {
-        hold: search.on(with_hold(records, hold), with_hold(held_out, hold))
-        for hold in indices.possible
-    }
-    index = {hold: mean_index(answer.found) for hold, answer in answers.items()}
-    smallest = min(index.values())
-
-    def order(hold: str) -> tuple:
-        answer = answers[hold]
-        return (
-            not index[hold] <= (1.0 + _SAME_INDEX) * smallest,
-            answer.status.code == "unexplained",
-            len(answer.added),
-            hold != indices.best,
-        )
-
-    chosen = min(answers, key=order)
-    note = indices.evidence
-    if len(answers) > 1:
-        note = f"hold {chosen}: the index of the final model is {ratios_to(index, chosen)}"
-    return replace(answers[chosen], notes=(note, *answers[chosen].notes))
 
 
 def _informative_records(
@@ -406,50 +370,6 @@ def _plainest(
     return placed, fit, runs
 
 
-def _effects(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
-    library = standard()
-    if effects is None:
-        return library
-    check_kind("effects", effects, Sequence, "a list of names or effects")
-    check(len(effects) > 0, "effects", "must name at least one effect", "none")
-    chosen: list[AbstractEffect] = []
-    names = sorted({effect.name for effect in library})
-    for effect in effects:
-        if isinstance(effect, str):
-            check_choice("effects", effect, names)
-            chosen += [candidate for candidate in library if candidate.name == effect]
-        else:
-            check_kind("effects", effect, AbstractEffect, "names or effects")
-            chosen.append(effect)
-    return tuple(chosen)
-
-
-def _names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str]:
-    """Names of the effects that can act on a plant."""
-    names = dict.fromkeys(effect.name for effect in effects)
-    fitting = {placed.effect.name for placed in placements(plant, effects)}
-    degrees = ", ".join(
-        f"{output} of relative degree {degree}"
-        for output, degree in zip(plant.outputs, plant.degrees, strict=True)
-    )
-    check(len(fitting) > 0, "effects", f"must hold one that fits {plant.name}", ", ".join(names),
-          f"It has {degrees}. Leave `effects` out to try all that fit.")  # fmt: skip
-    return fitting
-
-
-def _notes_without_place(
-    effects: Sequence[AbstractEffect], fitting: set[str], discovery: Discovery
-) -> list[str]:
-    """A note for each requested effect that was not tried."""
-    looked = {evidence.effect for evidence in discovery.ranking} or fitting
-    notes = []
-    for name in dict.fromkeys(effect.name for effect in effects):
-        if name not in looked:
-            reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
-            notes.append(reason.format(name, discovery.declared.nominal.name))
-    return notes
-
-
 # -- the answer -------------------------------------------------------------------------------
 
 
@@ -577,8 +497,6 @@ _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
-_NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
-_NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"
 _REFIT_STATUS = "the refit of the augmented model ended as"
 _UNCERTAIN = "the records hardly tell the size of"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"

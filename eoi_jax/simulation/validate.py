@@ -190,11 +190,12 @@ class _Prediction:
     """Free runs along all records, one or one a window.
 
     Attributes:
-        outputs: of each record. scored: which samples count. notes: sentences on each record.
+        outputs: of each record, shape (N, ny). scored: which samples count, shape (N,).
+        notes: sentences on each record.
     """
 
-    outputs: tuple[Samples, ...]
-    scored: tuple[Bool[np.ndarray, " time"], ...]
+    outputs: tuple[np.ndarray, ...]
+    scored: tuple[np.ndarray, ...]
     notes: tuple[list[str], ...]
 
     @classmethod

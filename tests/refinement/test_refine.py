@@ -158,7 +158,7 @@ def lagged():
     true = LAGGED.with_parameters({"actuator_lag": 0.03})
     start = true.with_parameters({**{key: 0.7 * value for key, value in MASS.parameters.items()},
                                   "actuator_lag": 0.02})  # fmt: skip
-    return true, refine(start, run(true, [0.02, -0.1]), window=1.0)
+    return true, refine(start, run(true, [0.02, -0.1]), window=1.0, substeps=4)
 
 
 def test_lag_of_an_actuator_is_refined_to_the_truth(lagged):

@@ -1,0 +1,59 @@
+"""Effects that the caller of `discover` asked for, and which of them have no place in the plant."""
+
+from collections.abc import Sequence
+
+from eoi_jax._checks import check, check_choice, check_kind
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.models.effects import standard
+from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
+
+
+def requested(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
+    """The effects by name or as objects; the standard ones for None."""
+    library = standard()
+    if effects is None:
+        return library
+    check_kind("effects", effects, Sequence, "a list of names or effects")
+    check(len(effects) > 0, "effects", "must name at least one effect", "none")
+    chosen: list[AbstractEffect] = []
+    names = sorted({effect.name for effect in library})
+    for effect in effects:
+        if isinstance(effect, str):
+            check_choice("effects", effect, names)
+            chosen += [candidate for candidate in library if candidate.name == effect]
+        else:
+            check_kind("effects", effect, AbstractEffect, "names or effects")
+            chosen.append(effect)
+    return tuple(chosen)
+
+
+def names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str]:
+    """Names of the effects that can act on a plant."""
+    names = dict.fromkeys(effect.name for effect in effects)
+    fitting = {placed.effect.name for placed in placements(plant, effects)}
+    degrees = ", ".join(
+        f"{output} of relative degree {degree}"
+        for output, degree in zip(plant.outputs, plant.degrees, strict=True)
+    )
+    check(len(fitting) > 0, "effects", f"must hold one that fits {plant.name}", ", ".join(names),
+          f"It has {degrees}. Leave `effects` out to try all that fit.")  # fmt: skip
+    return fitting
+
+
+def notes_without_place(
+    effects: Sequence[AbstractEffect], fitting: set[str], discovery: Discovery
+) -> list[str]:
+    """A note for each requested effect that was not tried."""
+    looked = {evidence.effect for evidence in discovery.ranking} or fitting
+    notes = []
+    for name in dict.fromkeys(effect.name for effect in effects):
+        if name not in looked:
+            reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
+            notes.append(reason.format(name, discovery.declared.nominal.name))
+    return notes
+
+
+_NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
+_NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"
