@@ -6,7 +6,8 @@ thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the po
 that the plant's dynamics stay inside, and at most the one below which 99 % of it lies. Spectral
 lines that no input has (hum, vibration) are not part of y^(r) here. One pole more than the number
 of derivatives bounds the noise at any sampling rate. Records that are much shorter than others are
-not used: their spectra show mainly their length.
+not used: their spectra show mainly their length. Outputs of relative degree 0 are not
+differentiated and ask for no filter: where there are no others, F passes all that it can.
 
 **Relay.** It is set well above the largest injection that it may need, so that the implicit
 observer stays in sliding mode; in the implicit form a large relay does not chatter, and the filter
@@ -26,7 +27,13 @@ from eoi_jax.data.masks import longest_run
 from eoi_jax.data.record import Record
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
+from eoi_jax.estimation.observers import (
+    FirstOrder,
+    HighOrder,
+    Measurement,
+    PerOutput,
+    SecondOrder,
+)
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.jacobians import derivatives
 from eoi_jax.models.plant import Plant
@@ -45,10 +52,16 @@ _RELAY = 2.0  # relay over the largest injection foreseen
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
     """The filter (19) for these records, and the reason for its cut-off."""
     order = plant.relative_degree + 1
+    if not any(plant.degrees):
+        cutoff = 0.2 * np.pi / max(record.sample_period for record in records)
+        return LowPass(
+            cutoff, order
+        ), f"cut-off {cutoff:.4g} rad/s, order {order}: {_NO_DERIVATIVE}"
 
     @functools.cache
     def spectra_of(i: int) -> list[Spectrum]:
-        return [spectrum(records[i], j, degree) for j, degree in enumerate(plant.degrees)]
+        pairs = enumerate(plant.degrees)
+        return [spectrum(records[i], j, degree) for j, degree in pairs if degree]
 
     def choose_cutoff(is_short: Sequence[bool]) -> tuple[float, str]:
         used = [i for i, excluded in enumerate(is_short) if not excluded]
@@ -61,6 +74,9 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
     if is_short != shortest:
         cutoff, reason = choose_cutoff(is_short)
     return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
+
+
+_NO_DERIVATIVE = "a tenth of the sampling rate, as no output is differentiated"
 
 
 def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
@@ -182,6 +198,9 @@ def default_observer(
     injection = _largest_injection(plant, records, inputs)
     gains, reasons = [], []
     for j, degree in enumerate(plant.degrees):
+        if degree == 0:
+            gains.append(0.0)
+            continue
         relay = _RELAY * float(injection[j])
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
@@ -206,6 +225,8 @@ def default_smoothing(
     The model reads the velocity before the filter F: sign(ẏ) or ẏ|ẏ| of a noisy velocity has a
     bias that no filter behind it can remove.
     """
+    if plant.has_algebraic:  # smoothed beside its input, a jump of y is no jump of u any more
+        return False, []
     smoothing = _SMOOTH_BAND * cutoff
     is_short = too_short(records, cutoff)
     used_records = [
@@ -291,6 +312,8 @@ def _build(
     degrees: tuple[int, ...], gains: Float[np.ndarray, " ny"], cutoff: float
 ) -> AbstractObserver:
     def build_observer(degree: int, value: Any) -> AbstractObserver:
+        if degree == 0:
+            return Measurement()
         if degree == 1:
             return FirstOrder(delta=value)
         if degree == 2:
@@ -325,7 +348,7 @@ def _model_values(
     plant: Plant, record: Record, inputs: Float[np.ndarray, "steps nu"]
 ) -> Float[np.ndarray, "steps ny"]:
     """f at the nominal parameters, with differences of the measured outputs as derivatives."""
-    h, r = record.sample_period, plant.relative_degree
+    h, r = record.sample_period, plant.rows
     rows = [0.5 * (record.outputs[1:] + record.outputs[:-1])]
     for degree in range(1, r):
         rate = np.diff(record.outputs, degree, axis=0) / h**degree

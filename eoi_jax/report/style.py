@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.models.plant import Plant, derivative_unit
+from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import derivative_unit
 
 _MAX_LENGTH = 34  # characters of a name in a figure
 _DARK = 0.5  # mean of red, green and blue of a background below which it is dark
