@@ -1,5 +1,6 @@
 """Passes over outputs that are functions of the states: injection, regressors, estimate."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -19,8 +20,9 @@ from output_cases import (
 )
 
 from eoi_jax import plants
+from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.engines import Lanes, Native, Scan
+from eoi_jax.estimation.engines import Lanes, Native, OneKernel, Scan
 from eoi_jax.estimation.engines.single import single_pass
 from eoi_jax.estimation.identify import identify
 from eoi_jax.estimation.kernel import run_pass
@@ -28,6 +30,8 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, Measurement, PerOutput, SecondOrder
 from eoi_jax.estimation.preparation import prepare_steps, step_inputs
 from eoi_jax.estimation.sweep.sweep import sweep
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import InputDelay
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.storage import load
 
@@ -261,10 +265,17 @@ def test_all_engines_give_the_same_sums(name):
     lanes = Lanes(gains, spread * plant.theta, 0.01 * spread * plant.theta,
                   np.ones((count, len(plant.outputs))))  # fmt: skip
     discrete = lowpass.discretise(record.sample_period)
-    native = Native().run(plant, lanes, discrete, steps, "scores")
-    scan = Scan().run(plant, lanes, discrete, steps, "scores")
-    for one, other in zip(jax.tree.leaves(native), jax.tree.leaves(scan), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * np.max(np.abs(other)))
+    blocks = int(np.sum(steps.block_end))
+    drawn = np.random.default_rng(0).integers(0, 3, (count, blocks)).astype(float)
+    resampled = replace(lanes, emphasis=drawn)
+    for some in (lanes, resampled):
+        scan = Scan().run(plant, some, discrete, steps, "scores")
+        engines = (Native(), OneKernel(tile=4)) if name == "cell" else (Native(),)
+        for engine in engines:
+            sums = engine.run(plant, some, discrete, steps, "scores")
+            for one, other in zip(jax.tree.leaves(sums), jax.tree.leaves(scan), strict=True):
+                np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * np.max(np.abs(other)))
+    native = Native().run(plant, lanes, discrete, steps)
     filters = jax.tree.map(lambda leaf: np.asarray(leaf)[None], discrete)
     single = single_pass(plant, observer, filters, batch)
     assert single.used.name == "native"
@@ -286,6 +297,19 @@ def test_an_estimate_is_saved_with_its_measurement(tmp_path):
     assert isinstance(again.observer, Measurement)
     assert again.parameters == result.parameters
     assert "voltage" in str(again)
+
+
+def test_one_kernel_says_that_it_does_not_run_such_a_plant_behind_an_actuator():
+    late = augmented(battery(), [place(battery(), InputDelay(), 0)], {"input_delay": 1.0})
+    record, observer = battery_record(samples=120), Measurement()
+    batch = prepare_steps(
+        late, [record], [step_inputs(record, False)], 1, 0.0, 0.1, [np.zeros(1)], False, 0.0
+    )
+    lanes = Lanes(observer, np.asarray(late.theta)[None], np.zeros((1, 5)), np.ones((1, 1)))
+    steps = jax.tree.map(lambda leaf: leaf[0], batch)
+    with pytest.raises(Untranslatable, match="relative degree 0 with inputs behind an actuator"):
+        OneKernel(tile=1).run(late, lanes, LowPass(0.5).discretise(1.0), steps)
+    assert Scan().run(late, lanes, LowPass(0.5).discretise(1.0), steps).count[0, 0] == 119
 
 
 # -- what is refused ----------------------------------------------------------------------------
