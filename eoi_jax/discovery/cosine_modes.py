@@ -36,7 +36,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
-from eoi_jax.estimation.defaults import velocity_noise
+from eoi_jax.estimation.defaults import output_noise, velocity_noise
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
@@ -346,10 +346,10 @@ def _noise(
     gain = np.sinc(omega * factor * h / (2.0 * np.pi)) ** 8
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     s = 1j * 2.0 * np.sin(0.5 * omega * h) / h
-    noise = np.zeros((len(omega), len(plant.outputs)))
+    noise, sigma = np.zeros((len(omega), len(plant.outputs))), output_noise(plant, record)
     for j, degree in enumerate(plant.degrees):
         for k in range(len(plant.outputs)):
-            density = record.sample_period * record.noise[k] ** 2
+            density = record.sample_period * sigma[k] ** 2
             mean, scatter = slopes[:, j, :, k].mean(axis=0), slopes[:, j, :, k].var(axis=0)
             derivative = s**degree if j == k else 0.0 * s
             filtered = derivative - sum(mean[m] * s**m for m in range(len(mean)))
@@ -357,7 +357,7 @@ def _noise(
             noise[:, j] += density * (np.abs(filtered) ** 2 + spread)
         noise[:, j] *= np.mean(weight[j] ** 2)
         # Leakage through the edges of the weights: n times their derivatives (partial integration).
-        density = record.sample_period * record.noise[j] ** 2
+        density = record.sample_period * sigma[j] ** 2
         for k in range(1, degree + 1):
             edge = np.mean(np.diff(weight[j], k) ** 2) / h ** (2 * k)
             noise[:, j] += density * comb(degree, k) ** 2 * edge * np.abs(s) ** (2 * (degree - k))

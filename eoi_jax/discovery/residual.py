@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.data.recursion import states
-from eoi_jax.estimation.defaults import default_substeps, velocity_noise
+from eoi_jax.estimation.defaults import default_substeps, output_noise, velocity_noise
 from eoi_jax.estimation.engines.single import single_pass
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import DiscreteFilter
@@ -83,7 +83,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         time, states, inputs = _measured_signals(plant, record)
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
-            raw_noise(record),
+            raw_noise(plant, record),
             _gain(lowpass, record, substeps, thin),
             thin,
         )
@@ -217,9 +217,9 @@ def _late(
     return np.stack(blocks, axis=2) if blocks else empty
 
 
-def raw_noise(record: Record) -> PerOutput:
+def raw_noise(plant: Plant, record: Record) -> PerOutput:
     """Standard deviation of the white noise, before any smoothing [unit of y]."""
-    return record.noise / record.noise_left
+    return output_noise(plant, record) / record.noise_left
 
 
 def _noise_moments(

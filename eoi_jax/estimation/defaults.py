@@ -24,7 +24,9 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.masks import longest_run
+from eoi_jax.data.noise import white_noise
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import (
@@ -249,6 +251,30 @@ def default_smoothing(
         f"the velocity falls from {raw_noise:.2g} to {smoothed_noise:.2g}"
     )
     return smoothing, [reason]
+
+
+def output_noise(
+    plant: Plant, record: Record, fewest: int = 200, shortest: int = 12
+) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the white noise of each output [unit of y].
+
+    An output of relative degree 0 may jump with a held input, and jumps are no noise: differences
+    are taken between them where that leaves enough samples.
+
+    Args:
+        plant: with its relative degrees.
+        record: measured.
+        fewest: samples in all stretches with a constant input.
+        shortest: samples of such a stretch.
+    """
+    if not plant.has_algebraic or record.hold != "zero":
+        return record.noise
+    still = np.all(record.inputs[1:] == record.inputs[:-1], axis=1)
+    stretches = [(i, j) for i, j in runs(record.valid, still) if j - i >= shortest]
+    if sum(stop - start for start, stop in stretches) < fewest:
+        return record.noise
+    steady = np.maximum(white_noise(record.outputs, stretches), record.quantum / np.sqrt(12.0))
+    return np.where(plant.algebraic, np.minimum(steady, record.noise), record.noise)
 
 
 def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " ny"]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from output_cases import BATTERY, accelerometer, battery, current, mixed, shaken
+from output_cases import BATTERY, accelerometer, battery, battery_record, current, mixed, shaken
 from scipy.linalg import expm
 
 from eoi_jax.comparators import (
@@ -16,6 +16,7 @@ from eoi_jax.comparators import (
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.discover import discover
+from eoi_jax.estimation.defaults import output_noise
 from eoi_jax.estimation.identify import identify
 from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
 from eoi_jax.models.effects.library import standard
@@ -154,6 +155,15 @@ def test_the_residual_of_a_right_model_is_noise_and_of_a_wrong_one_is_not():
     assert not any(diagnose(right).more_than_noise)
     wrong = identify(battery(**START), cell_record(1, extra=lambda t: 0.01 * np.sin(0.2 * t)))
     assert all(diagnose(wrong).more_than_noise)
+
+
+def test_jumps_of_a_held_input_are_no_noise():
+    record = battery_record()
+    assert record.noise[0] > 2e-3
+    np.testing.assert_allclose(output_noise(battery(), record), 1e-3, rtol=0.1)
+    assert output_noise(battery(), cell_record(1)) == cell_record(1).noise  # it is never still
+    found = diagnose(identify(battery(**START), record))
+    np.testing.assert_allclose(found.noise, 1e-3, rtol=0.1)
 
 
 def test_what_free_runs_lack_is_not_asked_of_such_a_plant():
