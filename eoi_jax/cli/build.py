@@ -361,7 +361,7 @@ def _forms(field: str, name: str) -> list[AbstractEffect]:
 
 def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
     """Outputs and their derivatives at the start, shape (r, ny)."""
-    start = np.zeros((model.relative_degree, len(model.outputs)))
+    start = np.zeros((model.rows, len(model.outputs)))
     for name, value in table.initial.items():
         check_choice("simulate.initial", name, model.outputs)
         values = np.atleast_1d(value)
@@ -371,6 +371,7 @@ def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
             f"simulate.initial.{name}",
             f"must have at most {model.degrees[j]} value(s): the output and its derivatives",
             list(values),
+            "" if model.degrees[j] else "It is a function of the states; these start in [model].",
         )
         start[: len(values), j] = values
     return start

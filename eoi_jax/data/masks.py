@@ -95,8 +95,12 @@ def usable_steps(
 
     Returns:
         Usable steps of each output, and the steps at which the observer starts: the first one, and
-        the first one after a gap.
+        the first one after a gap. Outputs that all have relative degree 0 need no observer: a step
+        is usable if the sample at its start is valid.
     """
+    if not any(degrees):  # a sample stands for itself, whether the next one is valid or not
+        restart = np.arange(len(record) - 1) == 0
+        return np.repeat(record.valid[:-1, None], len(degrees), axis=1), restart
     valid = valid_steps(record)
     restart = valid & ~np.concatenate([[False], valid[:-1]])
     restart[0] = True
@@ -104,7 +108,7 @@ def usable_steps(
     if np.any(jumps):
         resting = ~moving(degrees, record.outputs, record.sample_period, noise)
         good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
-    good &= ~constant(record)
+    good &= ~constant(record) | (np.asarray(degrees) == 0)
     use = consecutive(good, taps)  # every step of the moving average must be good
     return use & beyond_starts(restart, taps + settling)[:, None], restart
 

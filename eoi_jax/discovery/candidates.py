@@ -68,7 +68,7 @@ def seen_at(
 ) -> Seen:
     """The signals and scales of the records at the channel of an effect."""
     input_index = placed.channel if placed.on_input else 0
-    row = min(placed.row, plant.relative_degree - 1)
+    row = min(placed.row, plant.rows - 1)
     outputs = [placed.output, *([] if placed.against is None else [placed.against])]
     levels = [placed.coordinate(record.y[:, 0]) for record in stretches]
     if placed.on_state:
@@ -120,7 +120,7 @@ def atoms(
         ]
     elif placed.on_input:
         inputs = [_changed_inputs(placed, shapes, record) for record in stretches]
-        target, slopes = model_rows(plant, stretches, inputs)
+        target, slopes = model_rows(plant, stretches, inputs, _smoothed(placed))
         no_gains = np.zeros((target.shape[1], 0))
         candidates = [
             CandidateColumns(placed, value, no_gains, target[i], slopes[i])
@@ -146,10 +146,17 @@ def _with_shorter_delay(
     theta[i] = np.clip(theta[i] - shape[0], plant.lower[i], plant.upper[i])
     shapes = np.reshape(shape, (1, -1))
     inputs = [_changed_inputs(placed, shapes, record) for record in stretches]
-    target, slopes = model_rows(plant.with_parameters(theta), stretches, inputs)
+    target, slopes = model_rows(plant.with_parameters(theta), stretches, inputs, _smoothed(placed))
     # f(θ) = f(θ') + ∂f/∂θ (θ - θ'): increments are relative to θ, as those of all atoms.
     target = target[0] - slopes[0] @ (np.asarray(plant.theta) - theta)
     return CandidateColumns(placed, shape, np.zeros((len(target), 0)), target, slopes[0])
+
+
+def _smoothed(placed: Placed) -> int | None:
+    """The input that does not stay held behind an effect."""
+    effect = placed.effect
+    is_smooth = isinstance(effect, AbstractActuator) and not effect.keeps_steps
+    return placed.channel if is_smooth else None
 
 
 def _finite(candidate: CandidateColumns) -> bool:
@@ -196,14 +203,23 @@ def _term_rows(
         for k, degree in enumerate(plant.degrees):
             push = pushes[:, k]
             if np.any(push):
+                rows = (signals if degree else _at_start(signals, change, placed, record)), push
                 terms = [
-                    _thinned_term(effect, (signals, push), *batch, degree, record, k)
+                    _thinned_term(effect, rows, *batch, degree, record, k)
                     for batch in _batches(shapes, z)
                 ]
                 parts.append(record.rows(np.concatenate(terms)))
             else:
                 parts.append(np.zeros((len(shapes), len(effect.gains), len(record.omega))))
     return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)
+
+
+def _at_start(signals: Signals, change: Signals, placed: Placed, record: ModalRecord) -> Signals:
+    """Signals at the start of each step, where an output of relative degree 0 is evaluated."""
+    t, y, v, _ = (signal - 0.5 * moved for signal, moved in zip(signals, change, strict=True))
+    channel = placed.channel if placed.on_input else 0
+    u = record.at(0)[2]
+    return t, y, v, u[:, channel] if u.shape[1] else 0.0 * t
 
 
 def _batches(shapes: Grid, z: Float[np.ndarray, "grid S states"]) -> Iterator[tuple[Grid, Any]]:

@@ -14,6 +14,9 @@ power σ²h ω^2r in mode k. m is the weight of a sample: 0 in gaps and where th
 The average of f over a step is taken to fourth order in h, so that no fine sub-steps are needed.
 States of the model are taken from a smoothed copy of the outputs (the noise in φ, not that in
 y^(r), biases least squares); y^(r) itself is taken from the outputs as measured.
+
+An output of relative degree 0 belongs to a sample: the model is evaluated at the start of a step,
+with the input that holds from there on (as in `kernel.py`), and only samples have a weight.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,7 +36,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
-from eoi_jax.estimation.defaults import velocity_noise
+from eoi_jax.estimation.defaults import output_noise, velocity_noise
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
@@ -79,6 +82,8 @@ class ModalRecord:
         state_noise: standard deviation of the remaining noise of the smoothed outputs, shape (ny,).
         duration: duration of the record [s].
         original_period: sample period of the record before sub-steps [s].
+        u_start: inputs that hold from the start of each step on, shape (S, nu); None if no output
+            has relative degree 0.
     """
 
     time: Float[np.ndarray, " S"]
@@ -96,6 +101,35 @@ class ModalRecord:
     state_noise: Float[np.ndarray, " ny"]
     duration: float
     original_period: float
+    u_start: Float[np.ndarray, "S nu"] | None = None
+
+    def at(self, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Time, outputs and inputs at which an output of this degree is evaluated, step by step."""
+        if degree > 0:
+            return self.time, self.y, self.u
+        assert self.u_start is not None
+        time, y, _ = self.change
+        return self.time - 0.5 * time, self.y - 0.5 * y, self.u_start
+
+    def at_starts(
+        self, inputs: Float[np.ndarray, "grid S nu"], smoothed: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Means over each step, and values at its start, of others than the recorded inputs.
+
+        Args:
+            inputs: in the middle of each step; over it, if they are held.
+            smoothed: the one that is not held any more, though the record's is.
+        """
+        if self.u_start is None:
+            return None
+        change = inputs - self.u
+        before = np.concatenate([change[:, :1], change[:, :-1]], axis=1)
+        start = self.u_start + 0.5 * (before + change)
+        if self.staircase:
+            is_smooth = np.arange(inputs.shape[2]) == smoothed
+            earlier = np.concatenate([inputs[:, :1], inputs[:, :-1]], axis=1)
+            start = np.where(is_smooth, 0.5 * (earlier + inputs), inputs)
+        return inputs, start
 
     def rows(self, thin: Float[np.ndarray, "*batch nodes"]) -> Rows:
         """Modes of signals that are weighted and thinned, in the unit of y^(r) times √s."""
@@ -115,7 +149,7 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     """
     band = min(band, 0.5 * np.pi / record.sample_period)
     substeps = int(np.ceil(band * record.sample_period / _FINE))
-    substeps = max(1, min(substeps, _MOST_SUBSTEPS))
+    substeps = max(1, min(substeps, _MOST_SUBSTEPS)) if any(plant.degrees) else 1
     cutoff = smoothing_cutoff(plant, record)
     raw = record.resample(substeps)
     smoothed = record if cutoff is None else record.without_inputs().smooth(cutoff)
@@ -125,6 +159,8 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     slopes = state_slopes(plant, time, y, u)
     good = _usable(plant, raw, smooth, velocity_noise(plant.degrees, record, cutoff or False), band)
     weight = _weights(plant, record, smooth, good, h, band)
+    if plant.has_algebraic:
+        weight = _at_samples(plant, weight, substeps)
     kernel = thinning(band * h)
     highest = tuple(
         thinned(np.diff(raw.outputs[:, j], degree)[1:-1] / h**degree, weight[j], kernel)
@@ -132,10 +168,11 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     )
     indices, omega = _modes(min(len(signal) for signal in highest), len(kernel) * h, band)
     staircase = record.hold == "zero"
+    rise = np.diff(raw.inputs, axis=0) if plant.has_algebraic else np.gradient(u, axis=0)
     change = (
         np.full_like(time, h),
         np.gradient(y, axis=0),
-        np.zeros_like(u) if staircase else np.gradient(u, axis=0),
+        np.zeros_like(u) if staircase else rise,
     )
     return ModalRecord(
         time,
@@ -153,6 +190,17 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
         smoothed.noise,
         h * len(raw),
         record.sample_period,
+        raw.inputs[:-1] if plant.has_algebraic else None,
+    )
+
+
+def _at_samples(
+    plant: Plant, weight: tuple[np.ndarray, ...], substeps: int
+) -> tuple[np.ndarray, ...]:
+    """Weights of outputs of relative degree 0 at samples only, of the same sum."""
+    return tuple(
+        part if degree else part * substeps * ((np.arange(len(part)) + 1) % substeps == 0)
+        for part, degree in zip(weight, plant.degrees, strict=True)
     )
 
 
@@ -182,12 +230,14 @@ def smoothing_cutoff(plant: Plant, record: Record) -> float | None:
     """
     cutoffs = []
     for j, degree in enumerate(plant.degrees):
+        if degree == 0:
+            continue
         density = spectrum(record, j, degree - 1)
         positive = density.motion > 0.0
         allowed = density.noise[positive] / density.motion[positive] + _LOST**2
         unchanged = density.omega[positive] * allowed ** (-0.5 / _SLOPE)
         cutoffs += [_QUIET * _crossing(density), float(np.max(unchanged, initial=0.0))]
-    cutoff = max(cutoffs)
+    cutoff = max(cutoffs, default=0.0)
     return cutoff if 0.0 < cutoff < 0.8 * np.pi / record.sample_period else None
 
 
@@ -201,6 +251,7 @@ def _usable(
     """
     good = np.repeat(valid_steps(raw)[:, None], len(plant.outputs), axis=1)
     resting = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
+    resting &= ~plant.algebraic
     shortest = int(_SHORTEST_REST / (band * raw.sample_period))
     resting_long = np.stack([_long_runs(flags, shortest) for flags in resting.T], axis=1)
     coupled = plant.coupled
@@ -264,7 +315,7 @@ def _states(plant: Plant, record: Record) -> Float[np.ndarray, "S r ny"]:
         rows.append((27.0 * (wide[2:-1] - wide[1:-2]) - wide[3:] + wide[:-3]) / (24.0 * h))
     while len(rows) < plant.relative_degree:
         rows.append(np.gradient(rows[-1], h, axis=0))
-    owned = np.arange(plant.relative_degree)[:, None] < np.asarray(plant.degrees)
+    owned = np.arange(plant.rows)[:, None] < np.asarray(plant.degrees)
     return np.stack(rows, axis=1) * owned
 
 
@@ -295,10 +346,10 @@ def _noise(
     gain = np.sinc(omega * factor * h / (2.0 * np.pi)) ** 8
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     s = 1j * 2.0 * np.sin(0.5 * omega * h) / h
-    noise = np.zeros((len(omega), len(plant.outputs)))
+    noise, sigma = np.zeros((len(omega), len(plant.outputs))), output_noise(plant, record)
     for j, degree in enumerate(plant.degrees):
         for k in range(len(plant.outputs)):
-            density = record.sample_period * record.noise[k] ** 2
+            density = record.sample_period * sigma[k] ** 2
             mean, scatter = slopes[:, j, :, k].mean(axis=0), slopes[:, j, :, k].var(axis=0)
             derivative = s**degree if j == k else 0.0 * s
             filtered = derivative - sum(mean[m] * s**m for m in range(len(mean)))
@@ -306,7 +357,7 @@ def _noise(
             noise[:, j] += density * (np.abs(filtered) ** 2 + spread)
         noise[:, j] *= np.mean(weight[j] ** 2)
         # Leakage through the edges of the weights: n times their derivatives (partial integration).
-        density = record.sample_period * record.noise[j] ** 2
+        density = record.sample_period * sigma[j] ** 2
         for k in range(1, degree + 1):
             edge = np.mean(np.diff(weight[j], k) ** 2) / h ** (2 * k)
             noise[:, j] += density * comb(degree, k) ** 2 * edge * np.abs(s) ** (2 * (degree - k))
@@ -322,14 +373,15 @@ def model_along(
     plant: Plant,
     theta: Float[Values, " np"],
     signals: tuple,
-    inputs: Values,
+    inputs: tuple,
     change: tuple,
     thin: tuple,
     h: Float[Values, ""],
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """f and ∂f/∂θ along a record (`time`, `y`), thinned, for several inputs (grid, S, nu).
 
-    `change` is that of the `ModalRecord`, `thin` its weights and kernel.
+    `change` is that of the `ModalRecord`, `thin` its weights and kernel, `inputs` are those in the
+    middle of each step and those of `ModalRecord.at_starts`.
 
     Returns:
         For each output f, shape (grid, nodes), and ∂f/∂θ, shape (grid, np, nodes). Derivatives
@@ -337,18 +389,23 @@ def model_along(
     """
     (time, y), (weights, kernel) = signals, thin
 
-    def f(theta: Array, u: Array) -> tuple[Array, ...]:
+    def f(theta: Array, drives: tuple[Array, tuple[Array, Array] | None]) -> tuple[Array, ...]:
+        u, at_starts = drives
         u = plant.driven(time, u, theta)
-        z = _internal(plant, theta, (time, y, u), change, h)
-        values = jax.vmap(lambda t, y, z, u: plant.derivative(t, State(y, z), u, theta))(
-            time, y, z, u
-        )
+        z_start, z = _internal(plant, theta, (time, y, u), change, h)
+        along = jax.vmap(lambda t, y, z, u: plant.derivative(t, State(y, z), u, theta))
+        values = along(time, y, z, u)
+        if at_starts is not None:
+            start, y_start = time - 0.5 * change[0], y - 0.5 * change[1]
+            u_start = plant.driven_at_starts(time, *at_starts, theta)
+            at_start = along(start, y_start, z_start, u_start)
+            values = jnp.where(plant.algebraic, at_start, values)
         return tuple(
             thinned(averaged(r, values[:, j]), weights[j], kernel)
             for j, r in enumerate(plant.degrees)
         )
 
-    def value_and_slopes(u: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    def value_and_slopes(u: Any) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         def value_twice(theta: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
             value = f(theta, u)
             return value, value
@@ -357,27 +414,30 @@ def model_along(
         return value, tuple(part.T for part in jacobian)
 
     recursive = plant.internal is not None or plant.actuator is not None
-    return map_inputs(value_and_slopes, jnp.asarray(inputs), recursive)
+    return map_inputs(value_and_slopes, jax.tree.map(jnp.asarray, inputs), recursive)
 
 
-def _recursive_along(plant: Plant, record: ModalRecord, inputs: np.ndarray) -> tuple[Any, Any]:
+def _recursive_along(
+    plant: Plant, record: ModalRecord, inputs: tuple[np.ndarray, Any]
+) -> tuple[Any, Any]:
     """`model_along` of a plant with internal states, or behind an actuator."""
     h, thin = np.asarray(record.sample_period), (record.weight, record.kernel)
     return model_along(plant, plant.theta, (record.time, record.y), inputs, record.change, thin, h)
 
 
 def _static_along(
-    plant: Plant, record: ModalRecord, inputs: Float[np.ndarray, "grid S nu"]
+    plant: Plant, record: ModalRecord, inputs: tuple[np.ndarray, Any]
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """`model_along` of a plant without internal states: each instant is evaluated separately."""
     f, phi = [], []
     for j, degree in enumerate(plant.degrees):
-        row = Along(_Output(j), _AXES, plant, (record.time, record.y), inputs)
+        u = inputs[0] if degree else inputs[1][1]
+        row = Along(_Output(j), _AXES, plant, record.at(degree)[:2], u)
 
         def values(part: slice, row: Along = row) -> Float[np.ndarray, "grid values part"]:
             return np.moveaxis(row(part), 2, 1)
 
-        batch = len(inputs), 1 + len(plant.names)
+        batch = len(inputs[0]), 1 + len(plant.names)
         nodes = averaged_and_thinned(values, batch, degree, record.weight[j], record.kernel)
         f.append(nodes[:, 0])
         phi.append(nodes[:, 1:])
@@ -401,7 +461,7 @@ class _Output:
         return jnp.concatenate([f[None], slopes])
 
 
-def map_inputs(function: Callable[[Array], Any], inputs: Array, recursive: bool) -> Any:
+def map_inputs(function: Callable[[Any], Any], inputs: Any, recursive: bool) -> Any:
     """A function of each of several inputs (leading axis), evaluated one after the other.
 
     Under `vmap` XLA would evaluate for each input what is the same for all. But a recursion over
@@ -410,17 +470,24 @@ def map_inputs(function: Callable[[Array], Any], inputs: Array, recursive: bool)
     return jax.vmap(function)(inputs) if recursive else jax.lax.map(function, inputs)
 
 
-def _internal(plant: Plant, theta: Array, rows: tuple, change: tuple, h: Any) -> Array:
-    """Internal states in the middle of each step, driven by the measured signals."""
+def _internal(
+    plant: Plant, theta: Array, rows: tuple, change: tuple, h: Any
+) -> tuple[Array, Array]:
+    """Internal states at the start and in the middle of each step, driven by the measurement."""
     start = plant.internal_start(theta)
     if plant.internal is None:
-        return jnp.zeros((rows[0].shape[0], 0), theta.dtype)
+        none = jnp.zeros((rows[0].shape[0], 0), theta.dtype)
+        return none, none
 
     def rate(z: Array, row: tuple) -> Array:
         t, y, u = row
         return plant.internal_rate(t, State(y, z), u, theta)
 
-    return integrated(rate, start, rows, change, h)
+    def step(z: Array, row: tuple) -> tuple[Array, tuple[Array, Array]]:
+        end, middle = moved_through(rate, z, row, h)
+        return end, (z, middle)
+
+    return jax.lax.scan(step, start, (rows, change))[1]
 
 
 def internal_along(plant: Plant, record: ModalRecord) -> Float[np.ndarray, "S nz"]:
@@ -428,7 +495,7 @@ def internal_along(plant: Plant, record: ModalRecord) -> Float[np.ndarray, "S nz
     theta = jnp.asarray(plant.theta)
     h = jnp.asarray(record.sample_period)
     u = plant.driven(jnp.asarray(record.time), jnp.asarray(record.u), theta)
-    return np.asarray(_internal(plant, theta, (record.time, record.y, u), record.change, h))
+    return np.asarray(_internal(plant, theta, (record.time, record.y, u), record.change, h)[1])
 
 
 def integrated(
@@ -465,7 +532,10 @@ def moved_through(
 
 
 def model_rows(
-    plant: Plant, stretches: Sequence[ModalRecord], inputs: Sequence[np.ndarray] | None = None
+    plant: Plant,
+    stretches: Sequence[ModalRecord],
+    inputs: Sequence[np.ndarray] | None = None,
+    smoothed: int | None = None,
 ) -> tuple[Float[np.ndarray, "grid rows"], Float[np.ndarray, "grid rows np"]]:
     """y^(r) - f and ∂f/∂θ as modes, concatenated over all records and outputs.
 
@@ -473,13 +543,16 @@ def model_rows(
         plant: evaluated at its parameters.
         stretches: the prepared records.
         inputs: for each record several inputs, shape (grid, S, nu), instead of the recorded one.
+        smoothed: the input among them that is not held any more, though the record's is.
     """
     errors, slopes = [], []
     recursive = plant.internal is not None or plant.actuator is not None
     for i, record in enumerate(stretches):
         u = record.u[None] if inputs is None else inputs[i]
-        u = _as_averaged(u, max(plant.degrees)) if record.staircase else u
-        f, phi = (_recursive_along if recursive else _static_along)(plant, record, u)
+        at_starts = record.at_starts(u, smoothed)
+        if record.staircase and any(plant.degrees):
+            u = _as_averaged(u, max(plant.degrees))
+        f, phi = (_recursive_along if recursive else _static_along)(plant, record, (u, at_starts))
         for j in range(len(plant.outputs)):
             errors.append(record.rows(record.highest[j] - np.asarray(f[j])))
             slopes.append(record.rows(np.asarray(phi[j])))

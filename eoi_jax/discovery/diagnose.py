@@ -103,7 +103,7 @@ def diagnose(
         worst_combination=_worst_combination(plant, solution),
         sliding_fraction=identification.sliding_fraction,
         saturation=tuple(event for record in measured for event in saturations(record)),
-        noise=np.max([raw_noise(record) for record in measured], axis=0),
+        noise=np.max([raw_noise(plant, record) for record in measured], axis=0),
         quantum=np.max([record.quantum for record in measured], axis=0),
         lines=tuple(_foreign_lines(plant, views)),
     )

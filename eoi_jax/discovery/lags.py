@@ -76,10 +76,14 @@ def _record_lags(
     """Lags [s] of one record."""
     spacing, length = len(record.kernel) * record.sample_period, len(record.highest[0])
     size = 2 ** int(np.ceil(np.log2(2 * length)))
-    push = np.asarray(input_slopes(plant, record.time, record.y, record.u, channel))
+    push = {
+        at_start: np.asarray(input_slopes(plant, *record.at(int(not at_start)), channel))
+        for at_start in {degree == 0 for degree in plant.degrees}
+    }
     product, scale = np.zeros(size), 0.0
     for j, degree in enumerate(plant.degrees):
-        driven = averaged(degree, push[:, j] * record.u[:, channel])
+        u = record.at(degree)[2][:, channel]
+        driven = averaged(degree, push[degree == 0][:, j] * u)
         driven = record.rows(thinned(driven, record.weight[j], record.kernel))
         rows = slice(j * len(record.omega), (j + 1) * len(record.omega))
         late, early = (

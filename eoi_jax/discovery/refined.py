@@ -112,9 +112,8 @@ def _over_whole_runs(
             best = Polished(refinement, placed, runs)
         elif placed:  # the addition does not improve the held-out free runs
             break
-        if (
-            iteration == _MAX_ADDITIONS or plant.actuator is not None
-        ):  # `remaining` knows no actuators
+        # `remaining` knows no actuators, and no outputs that are functions of the states.
+        if iteration == _MAX_ADDITIONS or plant.actuator is not None or plant.has_algebraic:
             break
         missing = remaining(refinement, effects).best
         if missing is None:

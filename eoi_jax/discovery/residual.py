@@ -20,11 +20,11 @@ from jaxtyping import Float, Int
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.data.recursion import states
-from eoi_jax.estimation.defaults import default_substeps, velocity_noise
+from eoi_jax.estimation.defaults import default_substeps, output_noise, velocity_noise
 from eoi_jax.estimation.engines.single import single_pass
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import DiscreteFilter
-from eoi_jax.estimation.preparation import prepare_steps, step_inputs
+from eoi_jax.estimation.preparation import at_samples, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
 from eoi_jax.models.jacobians import driven, state_slopes
 from eoi_jax.models.plant import Plant, State
@@ -71,7 +71,8 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
     plant, lowpass = identification.plant, identification.lowpass
     explicit = identification.observer.scheme == "explicit"
     records = identification.records
-    substeps = 1 if explicit else default_substeps(records, lowpass.cutoff)[0]
+    single = explicit or not any(plant.degrees)
+    substeps = 1 if single else default_substeps(records, lowpass.cutoff)[0]
     sums, Phi = _regressors(identification, substeps)
     observed = np.sqrt(sums.observed_square / np.maximum(sums.weight, 1e-300))
     step = lowpass.cutoff * max(record.sample_period for record in records) / substeps
@@ -82,7 +83,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         time, states, inputs = _measured_signals(plant, record)
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
-            raw_noise(record),
+            raw_noise(plant, record),
             _gain(lowpass, record, substeps, thin),
             thin,
         )
@@ -105,7 +106,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
                 samples_per_independent,
             )
         )
-    return views, step**2 / 6.0 * observed
+    return views, np.where(plant.algebraic, 0.0, step**2 / 6.0 * observed)
 
 
 def _regressors(
@@ -131,6 +132,7 @@ def _regressors(
         noise,
         explicit,
         2.0 / lowpass.cutoff,
+        substeps=substeps,
     )
     sampled = [lowpass.discretise(record.sample_period) for record in fine]
     filters = jax.tree.map(lambda *leaves: np.stack(leaves), *sampled)
@@ -141,8 +143,7 @@ def _regressors(
     for i, record in enumerate(records):
         ends = slice(substeps - 1, (len(record) - 1) * substeps, substeps)
         assert trace is not None
-        Phi = np.asarray(trace.Phi)[i, ends]
-        arrays.append(np.concatenate([np.full_like(Phi[:1], np.nan), Phi]))
+        arrays.append(at_samples(plant, np.asarray(trace.Phi)[i, ends]))
     return sums, arrays
 
 
@@ -216,9 +217,9 @@ def _late(
     return np.stack(blocks, axis=2) if blocks else empty
 
 
-def raw_noise(record: Record) -> PerOutput:
+def raw_noise(plant: Plant, record: Record) -> PerOutput:
     """Standard deviation of the white noise, before any smoothing [unit of y]."""
-    return record.noise / record.noise_left
+    return output_noise(plant, record) / record.noise_left
 
 
 def _noise_moments(
@@ -233,7 +234,7 @@ def _noise_moments(
     """
     picked = np.linspace(0, len(time) - 1, min(len(time), _SLOPES)).astype(int)
     slopes = np.asarray(state_slopes(plant, time[picked], states[picked], inputs[picked]))
-    ny, r = len(plant.outputs), plant.relative_degree
+    ny, r = len(plant.outputs), plant.rows
     c = np.zeros((len(picked), ny, ny, r + 1))
     c[..., :r] = -np.swapaxes(np.nan_to_num(slopes, posinf=0.0, neginf=0.0), 2, 3)
     c[:, np.arange(ny), np.arange(ny), np.asarray(plant.degrees)] += 1.0

@@ -319,7 +319,9 @@ class Round:
             power(extended.residual) for extended in [fit, *search.extended(fit)[:_EXTENSIONS]]
         )
         products = {
-            product: atom.placed for atom in reversed(fit.atoms) for product in _products(atom)
+            product: atom.placed
+            for atom in reversed(fit.atoms)
+            for product in _products(self.model, atom)
         }
         for (product, shape), placed in products.items():
             product_atoms = self._make(product, np.reshape(shape, (1, -1)))
@@ -391,12 +393,14 @@ def _effect_names(effects: Iterable[Placed]) -> str:
     return " and ".join(sorted({placed.effect.name for placed in effects}))
 
 
-def _products(atom: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
+def _products(model: Plant, atom: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
     """The products of signals that can refute an effect, with their shape parameters."""
-    pairs = (("u", "y"), ("u", "v"), ("y", "v"))
+    has_states = model.degrees[atom.placed.output] > 0
+    pairs = (("u", "y"), ("u", "v"), ("y", "v")) if has_states else ()
     terms: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
     if isinstance(atom.placed.effect, SinusoidalDisturbance):
-        terms += [(ModulatedSinusoid(signal), atom.shape) for signal in ("y", "v", "u")]
+        factors = ("y", "v", "u") if has_states else ("u",)
+        terms += [(ModulatedSinusoid(signal), atom.shape) for signal in factors]
     location = atom.placed.output, atom.placed.through
     return [(Placed(term, location[0], (), through=location[1]), shape) for term, shape in terms]
 

@@ -30,7 +30,7 @@ def waits(plant: Plant) -> bool:
         x, t = State(y, plant.internal_start(theta)), jnp.zeros(())
         return plant.derivative(t, x, u, theta), plant.internal_rate(t, x, u, theta)
 
-    y, u = (plant.relative_degree, len(plant.outputs)), (len(plant.inputs),)
+    y, u = (plant.rows, len(plant.outputs)), (len(plant.inputs),)
     shapes = (jax.ShapeDtypeStruct((2, *shape), jnp.result_type(float)) for shape in (y, u))
     text = jax.jit(jax.vmap(rates)).lower(*shapes).as_text()
     return any(operation in text for operation in _WAITS)

@@ -83,8 +83,12 @@ def averaging(degree: int) -> Float[np.ndarray, " taps"]:
     """Weights with which the r-th difference of y averages f at the middles of steps.
 
     The B-spline of order r has the variance r/12 (in steps); binomial weights corrected to that
-    variance are exact to fourth order in h.
+    variance are exact to fourth order in h. An output of relative degree 0 is not averaged: it is
+    that at the start of a step, here of the second one, so that all degrees leave out one step more
+    than the difference needs.
     """
+    if degree == 0:
+        return np.array([0.0, 1.0])
     binomial = np.ones(1)
     for _ in range(degree - 1):
         binomial = np.convolve(binomial, [0.5, 0.5])
@@ -95,6 +99,8 @@ def averaging(degree: int) -> Float[np.ndarray, " taps"]:
 def averaged(degree: int, values: Array | np.ndarray) -> Any:
     """Moving average of signals (last axis: steps) that corresponds to the r-th difference."""
     taps = averaging(degree)
+    if degree == 0:
+        return values[..., 1:]
     size = values.shape[-1] - len(taps) + 1
     last, middle = len(taps) - 1, len(taps) // 2
 

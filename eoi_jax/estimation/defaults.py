@@ -6,7 +6,8 @@ thousandth of F[y^(r)] (both rms), yet at least the frequency that halves the po
 that the plant's dynamics stay inside, and at most the one below which 99 % of it lies. Spectral
 lines that no input has (hum, vibration) are not part of y^(r) here. One pole more than the number
 of derivatives bounds the noise at any sampling rate. Records that are much shorter than others are
-not used: their spectra show mainly their length.
+not used: their spectra show mainly their length. Outputs of relative degree 0 are not
+differentiated and ask for no filter: where there are no others, F passes all that it can.
 
 **Relay.** It is set well above the largest injection that it may need, so that the implicit
 observer stays in sliding mode; in the implicit form a large relay does not chatter, and the filter
@@ -24,10 +25,18 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.masks import longest_run
+from eoi_jax.data.noise import white_noise
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
+from eoi_jax.estimation.observers import (
+    FirstOrder,
+    HighOrder,
+    Measurement,
+    PerOutput,
+    SecondOrder,
+)
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.jacobians import derivatives
 from eoi_jax.models.plant import Plant
@@ -55,10 +64,16 @@ _RULES = DefaultRules()
 def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, str]:
     """The filter (19) for these records, and the reason for its cut-off."""
     order = plant.relative_degree + 1
+    if not any(plant.degrees):
+        cutoff = 0.2 * np.pi / max(record.sample_period for record in records)
+        return LowPass(
+            cutoff, order
+        ), f"cut-off {cutoff:.4g} rad/s, order {order}: {_NO_DERIVATIVE}"
 
     @functools.cache
     def spectra_of(i: int) -> list[Spectrum]:
-        return [spectrum(records[i], j, degree) for j, degree in enumerate(plant.degrees)]
+        pairs = enumerate(plant.degrees)
+        return [spectrum(records[i], j, degree) for j, degree in pairs if degree]
 
     def choose_cutoff(is_short: Sequence[bool]) -> tuple[float, str]:
         used = [i for i, excluded in enumerate(is_short) if not excluded]
@@ -71,6 +86,9 @@ def default_lowpass(plant: Plant, records: Sequence[Record]) -> tuple[LowPass, s
     if is_short != shortest:
         cutoff, reason = choose_cutoff(is_short)
     return LowPass(cutoff, order), f"cut-off {cutoff:.4g} rad/s, order {order}: {reason}"
+
+
+_NO_DERIVATIVE = "a tenth of the sampling rate, as no output is differentiated"
 
 
 def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
@@ -194,6 +212,9 @@ def default_observer(
     injection = _largest_injection(plant, records, inputs)
     gains, reasons, relay_ratio = [], [], _RULES.relay_ratio
     for j, degree in enumerate(plant.degrees):
+        if degree == 0:
+            gains.append(0.0)
+            continue
         relay = relay_ratio * float(injection[j])
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
@@ -218,6 +239,8 @@ def default_smoothing(
     The model reads the velocity before the filter F: sign(ẏ) or ẏ|ẏ| of a noisy velocity has a
     bias that no filter behind it can remove.
     """
+    if plant.has_algebraic:  # smoothed beside its input, a jump of y is no jump of u any more
+        return False, []
     smoothing = _RULES.smoothing_ratio * cutoff
     is_short = too_short(records, cutoff)
     used_records = [
@@ -241,6 +264,30 @@ def default_smoothing(
         f"the velocity falls from {raw_noise:.2g} to {smoothed_noise:.2g}"
     )
     return smoothing, [reason]
+
+
+def output_noise(
+    plant: Plant, record: Record, fewest: int = 200, shortest: int = 12
+) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the white noise of each output [unit of y].
+
+    An output of relative degree 0 may jump with a held input, and jumps are no noise: differences
+    are taken between them where that leaves enough samples.
+
+    Args:
+        plant: with its relative degrees.
+        record: measured.
+        fewest: samples in all stretches with a constant input.
+        shortest: samples of such a stretch.
+    """
+    if not plant.has_algebraic or record.hold != "zero":
+        return record.noise
+    still = np.all(record.inputs[1:] == record.inputs[:-1], axis=1)
+    stretches = [(i, j) for i, j in runs(record.valid, still) if j - i >= shortest]
+    if sum(stop - start for start, stop in stretches) < fewest:
+        return record.noise
+    steady = np.maximum(white_noise(record.outputs, stretches), record.quantum / np.sqrt(12.0))
+    return np.where(plant.algebraic, np.minimum(steady, record.noise), record.noise)
 
 
 def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " ny"]:
@@ -304,6 +351,8 @@ def _build(
     degrees: tuple[int, ...], gains: Float[np.ndarray, " ny"], cutoff: float
 ) -> AbstractObserver:
     def build_observer(degree: int, value: Any) -> AbstractObserver:
+        if degree == 0:
+            return Measurement()
         if degree == 1:
             return FirstOrder(delta=value)
         if degree == 2:
@@ -338,7 +387,7 @@ def _model_values(
     plant: Plant, record: Record, inputs: Float[np.ndarray, "steps nu"]
 ) -> Float[np.ndarray, "steps ny"]:
     """f at the nominal parameters, with differences of the measured outputs as derivatives."""
-    h, r = record.sample_period, plant.relative_degree
+    h, r = record.sample_period, plant.rows
     rows = [0.5 * (record.outputs[1:] + record.outputs[:-1])]
     for degree in range(1, r):
         rate = np.diff(record.outputs, degree, axis=0) / h**degree

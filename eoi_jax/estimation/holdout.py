@@ -95,7 +95,7 @@ def check_scored_records(
     subject = "its free run" if window is None else f"each free run of {window:.4g} s"
     notes = []
     for record in records:
-        runs = plan(record, INITIAL, window, plant.relative_degree)
+        runs = plan(record, INITIAL, window, plant.rows)
         burn_in = f" and a burn-in of {record.burn_in:g} s" if record.burn_in else ""
         check(
             bool(np.any(runs.score & record.valid)),

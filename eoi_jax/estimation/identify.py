@@ -40,6 +40,7 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import (
     TAPER,
     PreparedRecords,
+    at_samples,
     check_observer,
     check_preparation,
     prepare_records,
@@ -261,6 +262,7 @@ def estimate(
         prepared.velocity_noise,
         explicit,
         TAPER / lowpass.cutoff,
+        substeps=prepared.substeps,
     )
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
@@ -404,18 +406,13 @@ class _Driver:
         """F[m·]/F[m] as (N, ny) per record; NaN where not scored or where F[m] is small."""
         arrays = []
         for i, record in enumerate(records):
-            # A step belongs to the sample that ends it, the last of its sub-steps.
             stops = slice(self.substeps - 1, (len(record) - 1) * self.substeps, self.substeps)
             share = np.asarray(weight)[i, stops]
             scored = (np.asarray(self.steps.score)[i, stops] > 0) & (
                 share > self.settings.min_weight
             )
             average = np.asarray(values)[i, stops] / np.where(scored, share, 1.0)
-            arrays.append(
-                np.concatenate(
-                    [np.full((1, average.shape[1]), np.nan), np.where(scored, average, np.nan)]
-                )
-            )
+            arrays.append(at_samples(self.plant, np.where(scored, average, np.nan)))
         return arrays
 
     def _status(self, history: IterationHistory, records: tuple[Record, ...]) -> Status:

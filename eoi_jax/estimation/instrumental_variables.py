@@ -159,6 +159,9 @@ def correct_bias(
     Returns:
         The estimate, or None; and what was chosen and why.
     """
+    if plant.has_algebraic:
+        unbiased = not (requested or any(plant.degrees))  # regressors of the model's own states
+        return None, () if unbiased else (f"no instrumental variables: {_ALGEBRAIC}",)
     records, prepared = _long_enough(records, prepared)
     reason = "requested"
     if not requested:
@@ -203,6 +206,11 @@ def _spread(records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
         np.mean([np.var(record.outputs[record.valid], axis=0) for record in records], axis=0)
     )
 
+
+_ALGEBRAIC = (
+    "an output of relative degree 0 has no differential equation whose inverse makes its noise "
+    "white; `refine` is not biased"
+)
 
 # -- the simulated records --------------------------------------------------------------------
 

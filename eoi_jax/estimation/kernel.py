@@ -8,12 +8,25 @@ For each step k → k+1 of the record (sections 3 and 4 of the paper):
 4. the sums Σ φᵀφ and Σ φᵀu_eq of (11), the sum of squares of the index (14), and the number of
    samples in sliding mode.
 
+An output of relative degree 0 is no derivative, and no mean over a step: an input that jumps at a
+sample (the drop R i of a battery) would be averaged over the jump. It is, at a sample,
+
+    y[k] = f(t_k, x_k, u(t_k⁺); θ)
+
+where t_k⁺ is just after the jump of a held input: what a logger records that sets the input and
+reads the outputs in one turn. So the step k → k+1 compares y[k] with f at its start. There z is the
+kernel's z_k, other outputs are the y[k] measured, and their rates the means of those in the middles
+of both steps around it, ẏ(t_k) = (ẏ[k-½] + ẏ[k+½])/2 + O(h²). The injection is y - f, the regressor
+the total derivative φ = ∂f/∂θ + (∂f/∂z)(∂z/∂θ). Between samples, at sub-steps, there is nothing to
+compare: these have the weight zero on both sides.
+
 No sample is stored unless asked for. A step that must not count (a gap, dry friction at rest)
 enters F on *both* sides with weight zero: F[m u_eq] = F[m φ] Δθ holds for any mask m, so that no
 margin is needed around it.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -43,6 +56,8 @@ class Steps(eqx.Module):
         block_weight: weight of each step's scores in its block, for the covariance.
         block_end: whether a step is the last of its block.
         sample_period: h [s].
+        u_start: inputs that hold from the start of each step on, shape (S, nu); None if no output
+            has relative degree 0.
     """
 
     time: Float[Array | np.ndarray, "*batch S"]
@@ -55,6 +70,7 @@ class Steps(eqx.Module):
     block_weight: Float[Array | np.ndarray, "*batch S"]
     block_end: Bool[Array | np.ndarray, "*batch S"]
     sample_period: Float[Array | np.ndarray, "*batch"]
+    u_start: Float[Array | np.ndarray, "*batch S nu"] | None = None
 
 
 class Sums(eqx.Module):
@@ -101,6 +117,7 @@ class Step(eqx.Module):
     Attributes:
         u: inputs behind the actuators, shape (nu,).
         slope: their derivative with θ, shape (nu, np); None without actuators.
+        u_start, slope_start: as in `Steps`, and the derivative with θ.
         emphasis: factor on `score`, such as how often a bootstrap drew the step.
     """
 
@@ -114,11 +131,23 @@ class Step(eqx.Module):
     restart: Bool[Array, "*steps"]
     block_weight: Float[Array, "*steps"]
     block_end: Bool[Array, "*steps"]
+    u_start: Float[Array, "*steps nu"] | None = None
+    slope_start: Float[Array, "*steps nu np"] | None = None
     emphasis: Float[Array, "*steps"] | None = None
 
 
 class Carry(eqx.Module):
-    """State of the loop between two steps."""
+    """State of the loop between two steps.
+
+    Attributes:
+        observer: its state.
+        z, sensitivity: internal states and ∂z/∂θ.
+        history: f and φ of the last steps, for the moving average.
+        filtered: state of F.
+        block: scores of the block so far.
+        sums: so far.
+        rates: in the middle of the last step; None if no output of relative degree 0 needs them.
+    """
 
     observer: Any
     z: Float[Array, " nz"]
@@ -127,6 +156,7 @@ class Carry(eqx.Module):
     filtered: Float[Array, "order ny columns"]
     block: Float[Array, " np"]
     sums: Sums
+    rates: Float[Array, "rates ny"] | None = None
 
 
 Shift = Float[Array, " directions"]
@@ -169,7 +199,14 @@ def run_pass(
     return jax.vmap(run_record)(lowpass, steps)
 
 
-def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | None = None) -> Step:
+def step_rows(
+    steps: Steps,
+    u: Array,
+    slope: Array | None,
+    emphasis: Array | None = None,
+    u_start: Array | None = None,
+    slope_start: Array | None = None,
+) -> Step:
     """All steps of a record, with the inputs behind the actuators; arguments as in `Step`."""
     return Step(
         u=u,
@@ -183,6 +220,8 @@ def step_rows(steps: Steps, u: Array, slope: Array | None, emphasis: Array | Non
         block_weight=jnp.asarray(steps.block_weight),
         block_end=jnp.asarray(steps.block_end),
         emphasis=emphasis,
+        u_start=u_start,
+        slope_start=slope_start,
     )
 
 
@@ -224,16 +263,32 @@ class Kernel(eqx.Module):
         if emphasis is not None:
             ends = jnp.asarray(steps.block_end)
             factors = emphasis[jnp.cumsum(ends) - ends]
-        return step_rows(steps, *self.inputs(steps), factors)
+        return step_rows(steps, *self.inputs(steps), factors, *self._inputs_at_starts(steps))
 
     def inputs(self, steps: Steps) -> tuple[Array, Array | None]:
         """Inputs behind the actuators, (S, nu), and their derivative with θ, (S, nu, np)."""
-        time, u = jnp.asarray(steps.time), jnp.asarray(steps.u)
-        if self.plant.actuator is None:
-            return u, None
-        return self._value_and_jacobian(
-            lambda shift: self.plant.driven(time, u, self._theta_at(shift))
+        return self._behind_actuators(
+            self.plant.driven, jnp.asarray(steps.time), jnp.asarray(steps.u)
         )
+
+    def _inputs_at_starts(self, steps: Steps) -> tuple[Array | None, Array | None]:
+        """The same at the start of each step; None if no output has relative degree 0."""
+        if steps.u_start is None:
+            return None, None
+        arrays = (jnp.asarray(part) for part in (steps.time, steps.u, steps.u_start))
+        return self._behind_actuators(self.plant.driven_at_starts, *arrays)
+
+    def _half_step(self, h: Scalar) -> Any:
+        """From the start of a step to the instant at which the model is evaluated [s]."""
+        return 0.0 if self.observer.scheme == "explicit" else 0.5 * h
+
+    def _behind_actuators(
+        self, driven: Callable[..., Array], *signals: Array
+    ) -> tuple[Array, Array | None]:
+        """A function of signals, the last of them the inputs, and θ; with its derivative."""
+        if self.plant.actuator is None:
+            return signals[-1], None
+        return self._value_and_jacobian(lambda shift: driven(*signals, self._theta_at(shift)))
 
     def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
         """Carry before the first step.
@@ -269,11 +324,18 @@ class Kernel(eqx.Module):
             zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
             zeros(size, dtype),
             sums,
+            zeros((self.plant.rows - 1, ny), dtype) if self._keeps_rates else None,
         )
+
+    @property
+    def _keeps_rates(self) -> bool:
+        """Whether an output of relative degree 0 may depend on rates of the others."""
+        implicit = self.observer.scheme == "implicit"
+        return self.plant.has_algebraic and self.plant.relative_degree > 1 and implicit
 
     def _start(self, y: Any, y_next: Any, h: Scalar) -> Any:
         """Observer state at the measurement, with its first increment as velocity."""
-        rows = self.plant.relative_degree - 1
+        rows = self.plant.rows - 1
         rates = jnp.zeros((rows, y.shape[0]), self.theta.dtype)
         if rows:
             rates = rates.at[0].set((y_next - y) / h)
@@ -295,20 +357,27 @@ class Kernel(eqx.Module):
         def inputs_at(shift: Shift) -> Array:
             return u if row.slope is None else u + row.slope @ shift
 
+        if self.plant.has_algebraic:  # no state: the model does not read it
+            y, y_next = (jnp.where(self.plant.algebraic, 0.0, value) for value in (y, y_next))
         state = jax.tree.map(
             lambda new, previous: jnp.where(row.restart, new, previous),
-            self._start(y, y_next, h),
+            self._start(row.y, row.y_next, h),
             carry.observer,
         )
         explicit = self.observer.scheme == "explicit"
         position = y if explicit else 0.5 * (y + y_next)
         z, sensitivity, z_next, sensitivity_next = self._internal(
-            carry, t, position, inputs_at, state, h
+            carry, row, position, inputs_at, state, h
         )
         predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
         drift = self.plant.derivative(t, predicted, u, self.theta)
-        state, observation = self.observer.step(state, y, y_next, drift, h)
-        f, phi = self._model(t, position, observation, z, sensitivity, inputs_at)
+        state, observation = self.observer.step(state, row.y, row.y_next, drift, h)
+        f, phi = self._model(t, position, observation.rates, z, sensitivity, inputs_at)
+        if self.plant.has_algebraic:
+            at_start = self._model_at_start(carry, row, y, observation.rates, h)
+            algebraic = self.plant.algebraic
+            f = jnp.where(algebraic, at_start[0], f)
+            phi = jnp.where(algebraic[:, None], at_start[1], phi)
         history = ((f, phi), *carry.history)
         f, phi = self._moving_average(history)
         signals = jnp.concatenate(
@@ -326,42 +395,92 @@ class Kernel(eqx.Module):
         filtered = self.lowpass.step(carry.filtered, signals)
         sums, block, trace = self._accumulate(carry, filtered[0], observation, row)
         new = Carry(
-            state, z_next, sensitivity_next, history[: len(carry.history)], filtered, block, sums
+            state,
+            z_next,
+            sensitivity_next,
+            history[: len(carry.history)],
+            filtered,
+            block,
+            sums,
+            observation.rates if self._keeps_rates else None,
         )
         return new, trace
 
+    def _model_at_start(
+        self, carry: Carry, row: Step, y: Output, rates: Array, h: Scalar
+    ) -> tuple[Output, Regressor]:
+        """f and φ of outputs of relative degree 0, at the start of a step.
+
+        Args:
+            carry: state before the step.
+            row: the step.
+            y: outputs at its start, zero where they are no states.
+            rates: of the observer, in the middle of the step.
+            h: sample period [s].
+        """
+        if carry.rates is not None:
+            before = jnp.where(row.restart, rates, carry.rates)
+            rates = 0.5 * (before + rates)
+        t = row.time - self._half_step(h)
+        return self._model(t, y, rates, carry.z, carry.sensitivity, partial(_moved_start, row))
+
     def _internal(
-        self, carry: Carry, t: Scalar, position: Output, u: Shifted, state: Any, h: Scalar
+        self, carry: Carry, row: Step, position: Output, u: Shifted, state: Any, h: Scalar
     ) -> tuple[Array, Array, Array, Array]:
-        """z in the middle and at the end of a Runge–Kutta step, with ∂z/∂θ."""
+        """z in the middle and at the end of a Runge–Kutta step, with ∂z/∂θ.
+
+        Where an output of relative degree 0 shows z at the samples, the input rises or falls over
+        the step, from its value at the start through that in the middle: steps are as long as
+        samples then, and its mean alone would cost an error of h²/12 ü.
+        """
         if self.plant.internal is None:
             return carry.z, carry.sensitivity, carry.z, carry.sensitivity
         y = jnp.concatenate([position[None], self.observer.rates(state)])
+        instants = self._instants(row, y, u, h)
 
         def middle_and_end(shift: Shift) -> tuple[Array, Array]:
             theta = self._theta_at(shift)
             z = carry.z + carry.sensitivity @ shift
 
-            def rate(z: Array, _: None) -> Array:
-                return self.plant.internal_rate(t, State(y, z), u(shift), theta)
+            def rate(z: Array, instant: tuple[Scalar, Array, Shifted]) -> Array:
+                t, y, inputs = instant
+                return self.plant.internal_rate(t, State(y, z), inputs(shift), theta)
 
-            end, slopes = runge_kutta_step(rate, z, h, (None, None, None))
+            end, slopes = runge_kutta_step(rate, z, h, instants)
             return middle_of_step(z, end, slopes, h), end
 
         (middle, end), jacobian = self._value_and_jacobian(middle_and_end)
         return middle, jacobian[0], end, jacobian[1]
 
+    def _instants(self, row: Step, y: Array, u: Shifted, h: Scalar) -> tuple[Any, Any, Any]:
+        """Time, outputs and inputs at the start, the middle and the end of a step, for z."""
+        middle = (row.time, y, u)
+        if not self.plant.has_algebraic or self.observer.scheme == "explicit":
+            return middle, middle, middle
+        start = partial(_moved_start, row)
+
+        def end(shift: Shift) -> Array:
+            return 2.0 * u(shift) - start(shift)
+
+        ends = []
+        for t, outputs, inputs in (
+            (row.time - 0.5 * h, row.y, start),
+            (row.time + 0.5 * h, row.y_next, end),
+        ):
+            ends.append((t, y.at[0].set(jnp.where(self.plant.algebraic, 0.0, outputs)), inputs))
+        return ends[0], middle, ends[1]
+
     def _model(
         self,
         t: Scalar,
         position: Output,
-        observation: Observation,
+        rates: Array,
         z: Array,
         sensitivity: Array,
         u: Shifted,
     ) -> tuple[Output, Regressor]:
         """f and φ = df/dθ, total: through the internal states too."""
-        y = jnp.concatenate([position[None], observation.rates])
+        y = jnp.concatenate([position[None], rates])
 
         def model_at(shift: Shift) -> Output:
             x = State(y, z + sensitivity @ shift)
@@ -430,6 +549,12 @@ class Kernel(eqx.Module):
         zeros = jnp.zeros(self._directions, self.theta.dtype)
         jacobian, value = jax.jacfwd(value_twice, has_aux=True)(zeros)
         return value, jacobian
+
+
+def _moved_start(row: Step, shift: Shift) -> Array:
+    """Inputs at the start of a step, as a function of a shift of θ."""
+    assert row.u_start is not None
+    return row.u_start if row.slope_start is None else row.u_start + row.slope_start @ shift
 
 
 def _kernel_weights(observer: AbstractObserver, ny: int) -> Float[np.ndarray, "taps ny"]:

@@ -82,8 +82,8 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
         observer: with its gains.
 
     Raises:
-        ValueError: not an observer, another relative degree, a gain that is neither one number nor
-            one per output.
+        ValueError: not an observer, one for an output of relative degree 0, another relative
+            degree, a gain that is neither one number nor one per output.
     """
     description = "an observer with its gains, such as `SecondOrder(c1, c2, c3)`"
     check_kind("observer", observer, AbstractObserver, description)
@@ -93,6 +93,15 @@ def check_observer(plant: Plant, observer: AbstractObserver) -> None:
         if len(observer_degrees) == 1
         else observer_degrees
     )
+    for name, degree, of_observer in zip(plant.outputs, plant.degrees, degrees, strict=False):
+        check(
+            degree > 0 or of_observer == 0,
+            "observer",
+            f"must be left out for {name}, a function of the states (relative degree 0), which "
+            "takes none",
+            type(observer).__name__,
+            "Put `Measurement()` in its place in `PerOutput`, or leave the observer out.",
+        )
     check(
         tuple(degrees) == plant.degrees,
         "observer",
@@ -180,6 +189,13 @@ def prepare_records(
         explicit: whether for an observer in explicit form.
     """
     reasons: list[str] = []
+    check(
+        not (smoothing and plant.has_algebraic),
+        "smoothing",
+        "must be False where an output is a function of the states (relative degree 0): smoothed, "
+        "it no longer belongs to the input at the same instant",
+        smoothing,
+    )
     check_kind("lowpass", lowpass, (LowPass, NoneType), "a filter `LowPass(cutoff, order)`")
     check_runs_of_samples(records)
     if lowpass is None:
@@ -192,7 +208,8 @@ def prepare_records(
     if smoothing:
         records = tuple(record.smooth(smoothing) for record in records)
     if substeps is None:
-        substeps, reason = (1, []) if explicit else default_substeps(records, lowpass.cutoff)
+        single = explicit or not any(plant.degrees)
+        substeps, reason = (1, []) if single else default_substeps(records, lowpass.cutoff)
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)
@@ -217,6 +234,7 @@ def prepare_steps(
     explicit: bool,
     taper: float,
     duration: float | None = None,
+    substeps: int = 1,
 ) -> Steps:
     """The batch of steps for `run_pass`, padded to the longest record.
 
@@ -231,6 +249,7 @@ def prepare_steps(
         explicit: whether the observer reaches sliding slowly (then each gap costs a transient).
         taper: time over which weights rise from zero next to a step that does not count [s].
         duration: of all records of the estimate [s], if these are only part of them.
+        substeps: steps per sample; outputs of relative degree 0 count at samples only.
     """
     length = max(len(record) for record in records) - 1
     jumps = plant.jumps  # probed once, however many records there are
@@ -241,6 +260,10 @@ def prepare_steps(
         h = record.sample_period
         usable, restart = usable_steps(record, taps, plant.degrees, jumps, noise)
         use = tapered(usable.astype(float), taper / h)
+        if plant.has_algebraic and substeps > 1:
+            # As much weight in all as the steps of other outputs.
+            at_sample = substeps * (np.arange(len(use)) % substeps == 0)[:, None]
+            use = np.where(plant.algebraic, at_sample * use, use)
         usable[: transient_samples(record, transient)] = False
         if explicit:
             usable &= beyond_starts(restart, round(transient / h))[:, None]
@@ -250,6 +273,7 @@ def prepare_steps(
             record.outputs[:-1],
             record.outputs[1:],
             u,
+            *([record.inputs[:-1]] if plant.has_algebraic else []),
         )
         weights = use, score, restart, *_blocks(len(use), max(round(block / h), 1))
         arrays = *signals, *weights
@@ -261,7 +285,28 @@ def prepare_steps(
         for target, values in zip(batch, signals, strict=False):
             target[i, len(values) :] = values[-1]
     periods = np.asarray([record.sample_period for record in records])
-    return Steps(*batch, periods)  # type: ignore[call-arg]
+    u_start = batch.pop(4) if plant.has_algebraic else None
+    return Steps(*batch, periods, u_start)  # type: ignore[call-arg]
+
+
+def at_samples(
+    plant: Plant, values: Float[np.ndarray, "steps ny *columns"]
+) -> Float[np.ndarray, "time ny *columns"]:
+    """Values of steps at the samples that they belong to, NaN at the one that is left over.
+
+    A step belongs to the sample that ends it; of an output of relative degree 0, to the one that
+    begins it.
+
+    Args:
+        plant: with its relative degrees.
+        values: of the last sub-step of every sample but the first.
+    """
+    missing = np.full_like(values[:1], np.nan)
+    at_ends = np.concatenate([missing, values])
+    if plant.has_algebraic:
+        at_starts = np.concatenate([values, missing])
+        at_ends[:, plant.algebraic] = at_starts[:, plant.algebraic]
+    return at_ends
 
 
 def _block_duration(

@@ -23,16 +23,10 @@ from eoi_jax.models.effects.effect import (
     AbstractTerm,
     At,
 )
-from eoi_jax.models.plant import (
-    Actuator,
-    Dynamics,
-    Plant,
-    State,
-    derivative_unit,
-    parameter_type,
-    quotient_unit,
-    velocity_rows,
-)
+from eoi_jax.models.parameters import parameter_type
+from eoi_jax.models.plant import Actuator, Dynamics, Plant, State, keeps_steps
+from eoi_jax.models.units import derivative_unit, quotient_unit
+from eoi_jax.models.velocities import velocity_rows
 
 
 @dataclass(frozen=True)
@@ -307,6 +301,16 @@ class _Actuator:
     base: Actuator | None
     names: tuple[str, ...]
     placed: tuple[Placed, ...]
+
+    def keeps_steps(self, count: int) -> tuple[bool, ...]:
+        """Which of the inputs, if held, come out held."""
+        base = keeps_steps(self.base, count)
+        smoothed = {
+            placement.channel
+            for placement in self.placed
+            if isinstance(placement.effect, AbstractActuator) and not placement.effect.keeps_steps
+        }
+        return tuple(flag and i not in smoothed for i, flag in enumerate(base))
 
     def __call__(self, t: Any, u: Any, p: Any) -> Any:
         for placement in self.placed:

@@ -25,10 +25,21 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
         else:
             inner = isinstance(effect, AbstractInternalEffect)
             count = own_states(plant) if inner else len(plant.outputs)
-            placed += [place(plant, effect, j) for j in range(count) if effect.fits(plant, j)]
+            placed += [place(plant, effect, j) for j in range(count) if _fits(plant, effect, j)]
             placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
             placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
     return placed
+
+
+def _fits(plant: Plant, effect: AbstractEffect, channel: int) -> bool:
+    """Whether an effect may act at an output or an internal state.
+
+    An output of relative degree 0 is no state and has no velocity: what depends on them is an
+    effect of a state, which it shows, and not of the output.
+    """
+    on_output = isinstance(effect, AbstractTerm)
+    stateless = on_output and plant.degrees[channel] == 0 and effect.depends_on in ("y", "v")
+    return not stateless and effect.fits(plant, channel)
 
 
 def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
@@ -45,7 +56,7 @@ def _joints(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int]]:
     return [
         (i, j)
         for i, j in itertools.permutations(range(len(kinds)), 2)
-        if kinds[i] == kinds[j] and effect.fits(plant, i)
+        if kinds[i] == kinds[j] and _fits(plant, effect, i)
     ]
 
 

@@ -2,13 +2,12 @@
 
     y^(r) = f(t, y, ẏ, …, y^(r−1), z, u; θ)        ż = g(t, y, …, z, u; θ)
 
-The paper's eq. (1)–(3) in chain form; z are internal states, which are not measured.
+The paper's eq. (1)–(3) in chain form; z are internal states, which are not measured. With r = 0 an
+output is an algebraic function of the states: y = f(t, …, z, u; θ).
 """
 
 import functools
-import keyword
 import re
-from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, SupportsFloat
 
@@ -22,7 +21,10 @@ from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax._types import Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
 from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.algebraic_outputs import check_algebraic
 from eoi_jax.models.kinds import checked_kinds, kind_of
+from eoi_jax.models.parameters import check_names, limits_of, parameter_type
+from eoi_jax.models.velocities import velocity_rows
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
 # differs between the two only by a jump; its square is representable in single precision.
@@ -33,8 +35,9 @@ class State(eqx.Module):
     """The state of a model: outputs with their derivatives, and internal states.
 
     Attributes:
-        y: row i is the i-th derivative of the outputs, shape (r, ny). An output of lower
-            relative degree than the plant's highest has zeros in the remaining rows.
+        y: row i is the i-th derivative of the outputs, shape (r, ny), one row at least. An output
+            of lower relative degree than the plant's highest has zeros in the remaining rows, one
+            of relative degree 0 in all: it is no state.
         z: internal states, shape (nz,).
 
     Several states stand side by side on leading axes.
@@ -61,9 +64,12 @@ class Plant(eqx.Module):
     simulation sticks, and estimation omits samples at which the plant sticks.
 
     Args:
-        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,), or a scalar for a single output.
+        dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,), or a scalar for a single output. Where
+            r = 0, y itself at the instant t, with the input that holds from t on: what a logger
+            records if the input changes at the instant of a sample.
         parameters: names and nominal values θ_0, in the order of every array of parameters.
-        relative_degree: r ≥ 1, a number or a sequence with a number for each output.
+        relative_degree: r ≥ 0, a number or a sequence with a number for each output. 0: the output
+            is a function of the internal states, of the other outputs and of the inputs.
         inputs, outputs: names.
         internal: ``g(t, x, u, p)`` → dz/dt, shape (nz,), or None.
         internal_initial: z at the start of a record, shape (nz,), or a function of p, so that
@@ -81,7 +87,9 @@ class Plant(eqx.Module):
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
-            r < 1, a kind that contradicts the unit, an `internal` without `internal_initial`.
+            r < 0, a kind that contradicts the unit, an `internal` without `internal_initial`, a
+            function that reads an output of relative degree 0, or such an output that depends on
+            no state and no parameter.
     """
 
     dynamics: Dynamics = eqx.field(static=True)
@@ -128,13 +136,13 @@ class Plant(eqx.Module):
         self.fixed = _name_tuple("fixed", fixed)
         function_name = getattr(dynamics, "__name__", "<lambda>")
         self.name = name or ("model" if function_name == "<lambda>" else function_name)
-        _check_names(self.names, self.fixed, bounds or {})
+        check_names(self.names, self.fixed, bounds or {})
         for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
             check(len(set(channels)) == len(channels), kind, "must have different names", channels)
         self.theta = np.asarray([real(parameters[key]) for key in self.names])
         finite = bool(np.all(np.isfinite(self.theta)))
         check(finite, "parameters", "must be finite numbers", parameters)
-        limits = [_limits(key, (bounds or {}).get(key, (-np.inf, np.inf))) for key in self.names]
+        limits = [limits_of(key, (bounds or {}).get(key, (-np.inf, np.inf))) for key in self.names]
         self.lower, self.upper = np.asarray(limits, dtype=float).T.copy()
         for key, low, value, high in zip(
             self.names, self.lower, self.theta, self.upper, strict=True
@@ -158,6 +166,8 @@ class Plant(eqx.Module):
         self._check_units()
         self.kind_items = checked_kinds(kinds or {}, self.outputs, self.units)
         self._check_shapes()
+        if self.has_algebraic:
+            self._check_algebraic()
 
     # -- parameters -----------------------------------------------------------------------
 
@@ -184,6 +194,21 @@ class Plant(eqx.Module):
     def relative_degree(self) -> int:
         """The highest relative degree r of the outputs."""
         return max(self.degrees)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of `State.y`."""
+        return max(self.relative_degree, 1)
+
+    @property
+    def algebraic(self) -> Bool[np.ndarray, " ny"]:
+        """Which outputs are algebraic functions of the states (relative degree 0)."""
+        return np.asarray(self.degrees) == 0
+
+    @property
+    def has_algebraic(self) -> bool:
+        """Whether any output is an algebraic function of the states."""
+        return 0 in self.degrees
 
     @property
     def free(self) -> Float[np.ndarray, " np"]:
@@ -258,6 +283,20 @@ class Plant(eqx.Module):
         value = jnp.asarray(self.dynamics(t, x, u, self.named(theta)))
         return jnp.reshape(value, (len(self.outputs),))
 
+    def output(self, t: Scalar, x: State, u: Input | None, theta: Float[Array, " np"]) -> Output:
+        """The outputs at an instant: y of the state, or f where the relative degree is 0.
+
+        Args:
+            t: the instant [s].
+            x: state there.
+            u: inputs that hold from `t` on; None where no output depends on them.
+            theta: parameter values.
+        """
+        if not self.has_algebraic:
+            return x.y[0]
+        assert u is not None
+        return jnp.where(self.algebraic, self.derivative(t, x, u, theta), x.y[0])
+
     def internal_rate(
         self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]
     ) -> Float[Array, " nz"]:
@@ -272,6 +311,34 @@ class Plant(eqx.Module):
     ) -> Float[Array, "S nu"]:
         """The inputs of f and g along a record, behind the actuators."""
         return u if self.actuator is None else self.actuator(t, u, self.named(theta))
+
+    def driven_at_starts(
+        self,
+        t: Float[Array, " S"],
+        u: Float[Array, "S nu"],
+        u_start: Float[Array, "S nu"],
+        theta: Float[Array, " np"],
+    ) -> Float[Array, "S nu"]:
+        """The inputs that f gets at the start of each step of a record, behind the actuators.
+
+        A held input stays held behind a delay, and is continuous behind a lag: there it is the mean
+        of those over both steps around the instant.
+
+        Args:
+            t: middles of the steps [s].
+            u: means of the inputs over the steps.
+            u_start: inputs at the starts of the steps; of a held input equal to `u`.
+            theta: parameter values.
+        """
+        if self.actuator is None:
+            return u_start
+        held = self.driven(t, u, theta)
+        if not all(keeps_steps(self.actuator, len(self.inputs))):
+            before = jnp.concatenate([held[:1], held[:-1]])
+            kept = np.asarray(keeps_steps(self.actuator, len(self.inputs)))
+            held = jnp.where(kept, held, 0.5 * (before + held))
+        moving = self.driven(t - 0.5 * (t[1] - t[0]), u_start, theta)
+        return jnp.where(jnp.all(u == u_start, axis=0), held, moving)
 
     def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
         """z at the start of a record."""
@@ -328,7 +395,7 @@ class Plant(eqx.Module):
         """
         if self.internal is not None or self.actuator is not None:
             return False
-        shape = self.relative_degree, len(self.outputs)
+        shape = self.rows, len(self.outputs)
         return _affine(self.dynamics, self.names, shape, len(self.inputs))
 
     @property
@@ -369,7 +436,7 @@ class Plant(eqx.Module):
         """Evaluate the shapes of f and g, so that a wrong shape is reported here, not in a scan."""
         theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
         start = jax.eval_shape(self.internal_start, theta)
-        r, ny, nu = self.relative_degree, len(self.outputs), len(self.inputs)
+        r, ny, nu = self.rows, len(self.outputs), len(self.inputs)
 
         def shapes(function: Dynamics) -> tuple[int, ...]:
             def call(theta, z):
@@ -406,76 +473,22 @@ class Plant(eqx.Module):
                 f"shape {shape}",
             )
 
+    def _check_algebraic(self) -> None:
+        """Check what outputs of relative degree 0 depend on, at some of the probes."""
 
-def velocity_rows(degrees: Sequence[int]) -> tuple[int, ...]:
-    """Row of `State.y` that holds the velocity of each output.
+        def evaluate(t: Any, y: Any, z: Any, u: Any, theta: Any) -> tuple[Array, Array]:
+            x = State(y, z)
+            return self.derivative(t, x, u, theta), self.internal_rate(t, x, u, theta)
 
-    It is the first derivative of a position; for dry friction an output of relative degree one
-    counts as a speed.
-    """
-    return tuple(min(degree - 1, 1) for degree in degrees)
-
-
-def velocity_of(y: Float[Array, "r ny"], degrees: Sequence[int]) -> Output:
-    """The velocity of each output, out of `State.y`."""
-    rows = np.asarray(velocity_rows(degrees))
-    return y[rows[0]] if np.all(rows == rows[0]) else jnp.where(rows == 1, y[1], y[0])
+        t, y, u, theta = (jnp.asarray(part[::8]) for part in _probes(self))
+        z = jax.vmap(self.internal_start)(theta)
+        check_algebraic(self.outputs, self.algebraic, jax.vmap(evaluate), (t, y, z, u, theta))
 
 
-def with_velocity(
-    y: Float[Array, "r ny"], velocity: Output, degrees: Sequence[int]
-) -> Float[Array, "r ny"]:
-    """`State.y` with the velocities replaced."""
-    rows = np.asarray(velocity_rows(degrees))
-    if np.all(rows == rows[0]):
-        return y.at[rows[0]].set(velocity)
-    return jnp.where(np.arange(len(y))[:, None] == rows, velocity, y)
-
-
-_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
-
-
-def derivative_unit(unit: str | None, order: int) -> str:
-    """The unit of a time derivative: m/s² for m and order 2, or m/s and order 1; "" for none."""
-    if not unit:
-        return ""
-    present = next((n for n, raised in _RAISED.items() if unit.endswith(f"/s{raised}")), 0)
-    order += present
-    base = unit.removesuffix(f"/s{_RAISED[present]}") if present else unit
-    return f"{base}/s{_RAISED.get(order, f'^{order}')}" if order else unit
-
-
-def quotient_unit(unit: str, divisor: str) -> str:
-    """Quotient of two units: a power of 1/s if `unit` is a derivative of `divisor`; "" for none."""
-    if not unit or not divisor:
-        return ""
-    orders = (n for n in range(5) if derivative_unit(divisor, n) == unit)
-    plain = f"{unit}/({divisor})" if "/" in divisor else f"{unit}/{divisor}"
-    return next((derivative_unit("1", n) for n in orders), plain)
-
-
-_TYPES: dict[tuple[str, ...], Any] = {}
-
-
-class UnknownParameterError(AttributeError, ValueError):
-    """A model reads a parameter that its plant does not declare."""
-
-
-def parameter_type(names: tuple[str, ...]) -> Any:
-    """The type of `p` for these names: attributes in order."""
-    # A single class for a tuple of names, as jit compares pytree types by identity.
-    if names not in _TYPES:
-        kind: Any = namedtuple("Parameters", names)
-        kind.__getattr__ = _unknown
-        _TYPES[names] = kind
-    return _TYPES[names]
-
-
-def _unknown(p: Any, name: str) -> Any:
-    try:
-        check_choice(f"p.{name}", name, p._fields)
-    except ValueError as error:
-        raise UnknownParameterError(str(error), name=name, obj=p) from None
+def keeps_steps(actuator: Actuator | None, count: int) -> tuple[bool, ...]:
+    """Which of `count` inputs come out of an actuator held if they were; None keeps them all."""
+    known = getattr(actuator, "keeps_steps", None)
+    return (actuator is None,) * count if known is None else known(count)
 
 
 def _name_tuple(kind: str, names: Any) -> tuple[str, ...]:
@@ -487,46 +500,16 @@ def _name_tuple(kind: str, names: Any) -> tuple[str, ...]:
     return tuple(name_list)
 
 
-def _limits(name: str, pair: Any) -> tuple[float, float]:
-    """Check and convert the bounds of a parameter."""
-    values = [real(limit) for limit in pair] if np.iterable(pair) else []
-    good = len(values) == 2 and not np.any(np.isnan(values))
-    check(good, f"bounds[{name}]", "must be (lower, upper)", pair, "Use ±inf where there is none.")
-    return values[0], values[1]
-
-
-def _check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]) -> None:
-    check(len(names) > 0, "parameters", "must name at least one parameter", "none")
-    for key in names:
-        good = key.isidentifier() and not keyword.iskeyword(key) and not key.startswith("_")
-        check(
-            good,
-            "parameters",
-            "must have names that are Python identifiers",
-            repr(key),
-            "The model reads them as `p.name`.",
-        )
-    for key in fixed:
-        check_choice("fixed", key, names)
-    for key in bounds:
-        check_choice("bounds", key, names)
-    check(
-        len(set(fixed)) < len(names),
-        "fixed",
-        "must leave a parameter to estimate",
-        ", ".join(fixed),
-    )
-
-
 def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
     is_sequence = isinstance(relative_degree, Sequence)
     degrees = tuple(relative_degree) if is_sequence else (relative_degree,) * ny  # type: ignore[arg-type]
-    good = len(degrees) == ny and all(is_whole(r) and r >= 1 for r in degrees)
+    good = len(degrees) == ny and all(is_whole(r) and r >= 0 for r in degrees)
     check(
         good,
         "relative_degree",
-        f"must be an integer ≥ 1, or {ny} of them, one an output",
+        f"must be an integer ≥ 0, or {ny} of them, one an output",
         relative_degree,
+        "0 is an output that is a function of the states.",
     )
     return tuple(int(degree) for degree in degrees)
 
@@ -552,7 +535,7 @@ _MAGNITUDES = np.geomspace(1e-4, 1e3, 64)
 
 def _probes(plant: Plant) -> tuple[Any, ...]:
     """Fixed pseudo-random points (seed 0) at which the structure is probed: t, y, u, θ."""
-    r, ny, nu = plant.relative_degree, len(plant.outputs), len(plant.inputs)
+    r, ny, nu = plant.rows, len(plant.outputs), len(plant.inputs)
     points, factors = _points(r * ny + nu, len(plant.names))
     # Shifted from the nominal values, so that friction with the nominal level 0 shows its jump.
     theta = np.asarray(plant.theta) * factors + 0.1
@@ -597,6 +580,7 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     # A change of another output where an output of degree one changes sign is no friction.
     diagonal = np.eye(len(plant.outputs), dtype=bool)
     jumps = np.any(jumps, axis=0) & (diagonal | (np.asarray(plant.degrees) >= 2))
+    jumps &= ~plant.algebraic  # without a velocity
     jumps.flags.writeable = False
     return jumps
 

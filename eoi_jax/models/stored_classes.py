@@ -46,6 +46,7 @@ CLASSES: Mapping[str, str] = {
     "HighOrder": "estimation.observers.high_order",
     "SuperTwisting": "estimation.observers.super_twisting",
     "PerOutput": "estimation.observers.per_output",
+    "Measurement": "estimation.observers.measurement",
     "LowPass": "estimation.lowpass",
     "Status": "_status",
     "EngineUsed": "_status",

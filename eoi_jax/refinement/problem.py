@@ -199,7 +199,7 @@ def problem_of(
         counts=np.asarray([substeps * span.count + 1 for span in spans]),
         steps=np.asarray([float(drives[span.record].step) for span in spans]),
         record_drives=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
-        places=_places(drives, spans) if acting else None,
+        places=_places(drives, spans, int(plant.has_algebraic)) if acting else None,
         declared=np.asarray([float(span.first == 0) for span in spans]),
         squares=np.sum(y**2, axis=1),
         faintest=_faintest(kernel, spread, min(record.sample_period for record in records)),
@@ -273,19 +273,28 @@ def _tables(
         rows[:, time] = record_drive.time[steps, None]
         rows[:, inputs] = np.reshape(record_drive.inputs[steps], (count, 3 * nu))
         table[count:, time] = record_drive.time[last] if last == first + count else record.time[-1]
-        table[count:, inputs] = np.ravel(record_drive.inputs[last])
+        after = record_drive.inputs[last] if last == first + count else (record_drive.last,) * 3
+        table[count:, inputs] = np.ravel(after)
         samples, part = table[: count + 1 : n], slice(span.first, span.first + span.count + 1)
         samples[:, y] = np.where(span.use[:, None], record.outputs[part], 0.0)
         samples[:, use] = span.use[:, None]
     return tables
 
 
-def _places(drives: Sequence[Drive], spans: Sequence[Span]) -> Int[np.ndarray, "runs rows"]:
-    """Rows of each run among those of all records; beyond the end of a record its last one."""
-    ends = np.cumsum([len(record_drive.time) for record_drive in drives])
+def _places(
+    drives: Sequence[Drive], spans: Sequence[Span], beyond: int
+) -> Int[np.ndarray, "runs rows"]:
+    """Rows of each run among those of all records; beyond the end of a record its last one.
+
+    Args:
+        drives: of the records.
+        spans: runs.
+        beyond: rows that `actuated` gives beyond the steps of a record.
+    """
+    ends = np.cumsum([len(record_drive.time) + beyond for record_drive in drives])
     longest, rows = max(span.count for span in spans), []
     for span in spans:
-        n, length = drives[span.record].substeps, len(drives[span.record].time)
+        n, length = drives[span.record].substeps, len(drives[span.record].time) + beyond
         index = np.minimum(n * span.first + np.arange(n * longest + 1), length - 1)
         rows.append(ends[span.record] - length + index)
     return np.stack(rows)
@@ -308,7 +317,8 @@ def guessed_starts(
 
 def _heads(problem: Problem, count: int) -> Drive:
     """What drives the beginning of each run, runs first."""
-    plant, rows = problem.kernel.plant, slice(problem.substeps * count)
+    # A row more than steps: from it on the last input of the head holds.
+    plant, rows = problem.kernel.plant, slice(problem.substeps * count + 1)
     head = np.asarray(problem.tables)[:, rows]
     nu, ny = len(plant.inputs), len(plant.outputs)
     time, inputs, _, _ = compiled_runs.columns(nu, ny)
@@ -320,7 +330,8 @@ def _heads(problem: Problem, count: int) -> Drive:
             for record_drive in problem.record_drives
         ]
         inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
-    return Drive(head[..., time][..., 0], np.asarray(problem.steps), inputs, problem.substeps)
+    times, steps = head[:, :-1, time][..., 0], np.asarray(problem.steps)
+    return Drive(times, steps, inputs[:, :-1], problem.substeps, inputs[:, -1, 0])
 
 
 # -- sums and signals -------------------------------------------------------------------------

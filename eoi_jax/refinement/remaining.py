@@ -141,8 +141,9 @@ def remaining(
         cause: records that were not used (`validation`) refuse what only fits better.
 
     Raises:
-        ValueError: a refinement without an answer, or of a plant behind an actuator; records of
-            `validation` that do not fit the plant, that the fit has seen, or that are too short.
+        ValueError: a refinement without an answer, of a plant behind an actuator, or of one with
+            an output of relative degree 0; records of `validation` that do not fit the plant, that
+            the fit has seen, or that are too short.
 
     Source:
         C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test); M. S. Bartlett (independent
@@ -154,6 +155,10 @@ def remaining(
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
     check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
           plant.name)  # fmt: skip
+    algebraic = [name for name, on in zip(plant.outputs, plant.algebraic, strict=True) if on]
+    check(not algebraic, "refinement", "must be of a plant whose outputs are all states",
+          f"{', '.join(algebraic)} of relative degree 0",
+          "`discover` tries effects on such outputs.")  # fmt: skip
     validation_records = held_out_records(plant, records, validation)
     check_scored_records(plant, "validation", validation_records)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)

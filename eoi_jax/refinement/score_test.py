@@ -307,7 +307,7 @@ def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
     theta, parts = jnp.asarray(problem.theta), []
     for i in range(len(tables)):
         start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
-        run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1)
+        run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1, tables[i, -1, 1 : 1 + nu])
         parts.append(free_run(plant, theta, run_drive, start, problem.kernel.friction))
     y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
     return time, inputs, y, z

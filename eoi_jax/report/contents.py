@@ -14,7 +14,13 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report import discovery, discovery_figures, estimate_figures, figures
 from eoi_jax.report.health import Check, health
-from eoi_jax.report.tables import parameter_rows, quantity, refined_rows, validation_rows
+from eoi_jax.report.tables import (
+    highest_derivative,
+    parameter_rows,
+    quantity,
+    refined_rows,
+    validation_rows,
+)
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
@@ -127,8 +133,9 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         tables.append(
             _table("Free run on held-out records", validation_rows(validation), (1, 2, 3))
         )
+    ratio = f"injection over {highest_derivative(result.plant)}"
     tiles = [
-        Tile(f"Unexplained in {name}", f"{100 * share:.2g} %", "injection over highest derivative")
+        Tile(f"Unexplained in {name}", f"{100 * share:.2g} %", ratio)
         for name, share in zip(result.plant.outputs, result.unexplained, strict=True)
     ]
     tiles = [*_fits(validation), *tiles][: 2 * _MAX_OUTPUTS]

@@ -328,7 +328,7 @@ def _input_gain(plant: Plant, parameters: dict[str, float], output: int) -> floa
         return None
     estimate = plant.with_parameters({name: parameters[name] for name in plant.names})
     draw = np.random.default_rng(0)
-    shape = (plant.relative_degree, len(plant.outputs))
+    shape = (plant.rows, len(plant.outputs))
     points = [(draw.uniform(0.1, 1.0, shape), draw.uniform(-1, 1, 1)) for _ in range(3)]
     y, u = (np.stack(values) for values in zip(*points, strict=True))
     gains = input_slopes(estimate, np.zeros(3), y, u, 0)[:, output].tolist()

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.discovery.result import Added, Discovery
-from eoi_jax.models.plant import derivative_unit, velocity_rows
+from eoi_jax.models.units import derivative_unit
+from eoi_jax.models.velocities import velocity_rows
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.figures import draw_free_runs, free_run_height
 from eoi_jax.report.style import (

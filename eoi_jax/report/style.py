@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.models.plant import Plant, derivative_unit
+from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import derivative_unit
 
 _SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
@@ -97,6 +98,11 @@ def validation_rows(result: Validation) -> list[tuple[str, ...]]:
     return rows
 
 
+def highest_derivative(plant: Plant) -> str:
+    """What y^(r) is called: the output itself where all relative degrees are zero."""
+    return "highest derivative" if any(plant.degrees) else "output"
+
+
 def identification_answer(result: Identification, validation: Validation | None = None) -> str:
     """The outcome of an identification in one sentence.
 
@@ -112,8 +118,8 @@ def identification_answer(result: Identification, validation: Validation | None 
     share = 100 * float(np.max(result.unexplained))
     sentence = (
         f"{parameters} of {result.plant.name} identified from {samples} samples in pass "
-        f"{result.best_pass + 1} of {len(result.index)}; {share:.2g} % of the highest derivative "
-        "remains unexplained"
+        f"{result.best_pass + 1} of {len(result.index)}; {share:.2g} % of the "
+        f"{highest_derivative(result.plant)} remains unexplained"
     )
     if validation is None or not np.all(np.isfinite(validation.rmse)):
         return f"{sentence}."

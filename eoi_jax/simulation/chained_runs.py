@@ -18,7 +18,7 @@ from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, numbers
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import Drive, advanced, chained
+from eoi_jax.simulation.integrator import Drive, advanced, chained, first_outputs, output_of
 
 
 class _Row(eqx.Module):
@@ -29,12 +29,14 @@ class _Row(eqx.Module):
         inputs: at its start, middle and end, shape (3, nu).
         begins: 1 where a run begins.
         start: the state there; anything finite elsewhere.
+        following: inputs from the end of the step on, (nu,); None if no output depends on them.
     """
 
     time: Any
     inputs: Any
     begins: Any
     start: State
+    following: Any = None
 
 
 class _Model(eqx.Module):
@@ -76,7 +78,8 @@ class _Chain(AbstractLoop):
         x = jax.tree.map(lambda old, new: jnp.where(first, new, old), carry, row.start)
         plant = model.plant
         x = advanced(plant, jnp.asarray(plant.theta), row.time, h, row.inputs, x, model.friction)
-        return x, x.y[0]
+        theta, end = jnp.asarray(plant.theta), row.time + h
+        return x, output_of(plant, theta, end, x, row.following, model.friction)
 
     def result(self, carry: State) -> Any:
         """Nothing: all of it is shown."""
@@ -108,24 +111,30 @@ def outputs_of(
     first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
     fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
     begun, output_parts = code.begin(np.zeros((1, 1)), fixed), []
+    following = np.reshape(drives.following, (runs * steps, -1)) if plant.has_algebraic else None
     for at in range(0, runs * steps, chunk):
         index = np.arange(at, min(at + chunk, runs * steps))
         begins = (index % steps == 0)[:, None]
         starts_by_row = begins * first[index // steps]
-        rows = np.concatenate([time[index, None], inputs[index], begins, starts_by_row], axis=1)
+        columns = [time[index, None], inputs[index], begins, starts_by_row]
+        columns += [] if following is None else [following[index]]
+        rows = np.concatenate(columns, axis=1)
         (part,) = begun.outputs(rows, len(rows))
         output_parts.append(part[:, : len(plant.outputs)].copy())  # not the whole vector
     y = np.concatenate(output_parts).reshape(runs, steps, -1)
     last_substeps = slice(drives.substeps - 1, None, drives.substeps)
-    return np.concatenate([starts.y[:, :1], y[:, last_substeps]], axis=1)
+    first_sample = first_outputs(plant, drives, starts)
+    return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
 
 
 def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoop:
     dtype, zero = np.dtype(float), np.zeros(())
     start = State(starts.y[0], starts.z[0])
-    row = _Row(zero, np.zeros((3, len(plant.inputs))), zero, start)
+    nu = len(plant.inputs)
+    following = np.zeros(nu) if plant.has_algebraic else None
+    row = _Row(zero, np.zeros((3, nu)), zero, start, following)
     model, lane, step = shapes_of((_Model(plant, friction), zero, row), dtype)
-    columns = 2 + 3 * len(plant.inputs) + start.y.size + start.z.size
+    columns = 2 + 3 * nu + start.y.size + start.z.size + (nu if plant.has_algebraic else 0)
     return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, True)
 
 
@@ -141,6 +150,7 @@ def _scanned(
         np.asarray(drives.step)[index],
         np.asarray(drives.inputs)[index],
         drives.substeps,
+        np.asarray(drives.last)[index],
     )
     begun = State(starts.y[index], starts.z[index])
     return chained(plant, jnp.asarray(plant.theta), padded_drives, begun, friction)[:runs]

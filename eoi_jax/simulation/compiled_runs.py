@@ -73,7 +73,7 @@ class _OneRun(AbstractLoop):
     ) -> tuple[_StateAndSlope, Any]:
         """One step, and c of its start, for each output: the error, and the part of an unknown."""
         kernel, run, h = fixed
-        error_and_part = jnp.stack(kernel.scored(run, carry.x, carry.slope, row), axis=1)
+        error_and_part = jnp.stack(kernel.scored(run, carry.x, carry.slope, lane, row), axis=1)
         return _StateAndSlope(
             *kernel.moved(run, carry.x, carry.slope, lane, row, h)
         ), error_and_part

@@ -102,6 +102,9 @@ def _descend(
     """
     costs, errors = heads.errors(starts)
     best = np.argmin(costs, axis=1)
+    if not np.any(free):  # of outputs that are all functions of internal states
+        each_run = np.arange(len(best))
+        return costs[each_run, best], starts[each_run, best]
     points = [
         _Start(run, costs[run, i], starts[run, i], errors[run, i]) for run, i in enumerate(best)
     ]
@@ -180,10 +183,10 @@ class _Heads:
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
         heads = self.heads
-        time, step, inputs = (
-            np.asarray(part)[runs] for part in (heads.time, heads.step, heads.inputs)
+        time, step, inputs, last = (
+            np.asarray(part)[runs] for part in (heads.time, heads.step, heads.inputs, heads.last)
         )
-        return Drive(time, step, inputs, heads.substeps)
+        return Drive(time, step, inputs, heads.substeps, last)
 
     def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
         """Squared error of each trial, infinite where it diverges, and the errors.
@@ -279,13 +282,13 @@ def _polynomial_starts(
 def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of `State.y` that are states of a plant, output by output."""
     pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
-    rows, columns = np.asarray(pairs).T
+    rows, columns = np.asarray(pairs, dtype=int).reshape(-1, 2).T
     return rows, columns
 
 
 def states_of(plant: Plant, values: Starts) -> State:
     """States of which `values` are the unknowns: outputs and derivatives, then z."""
     rows, columns = owned(plant)
-    y = np.zeros((len(values), plant.relative_degree, len(plant.outputs)))
+    y = np.zeros((len(values), plant.rows, len(plant.outputs)))
     y[:, rows, columns] = values[:, : len(rows)]
     return State(y, values[:, len(rows) :])

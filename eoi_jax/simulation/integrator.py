@@ -24,6 +24,7 @@ plant has outputs with dry friction, and never more.
 """
 
 import math
+from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
@@ -36,8 +37,10 @@ from jaxtyping import Array, Float
 
 from eoi_jax._checks import check
 from eoi_jax._types import Flags, Input, Output, Scalar, Theta
+from eoi_jax.compiler.pointwise import along
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.plant import REST_SPEED, Plant, State, velocity_of, with_velocity
+from eoi_jax.models.plant import REST_SPEED, Plant, State
+from eoi_jax.models.velocities import velocity_of, velocity_rows, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
@@ -57,6 +60,7 @@ class Drive(eqx.Module):
         step: length of a step [s].
         inputs: u at the start, the middle and the end of each step, shape (steps, 3, nu).
         substeps: steps per sample.
+        last: u from the end of the last step on, shape (nu,).
 
     Several runs of one length stand side by side on leading axes.
     """
@@ -65,6 +69,16 @@ class Drive(eqx.Module):
     step: Float[Array | np.ndarray, "*runs"]
     inputs: Float[Array | np.ndarray, "*runs steps 3 nu"]
     substeps: int = eqx.field(static=True)
+    last: Float[Array | np.ndarray, "*runs nu"]
+
+    @property
+    def following(self) -> Any:
+        """The input that holds from the end of each step on, shape (steps, nu).
+
+        A held input jumps at the end of a step, where a sample already has the new value.
+        """
+        xp = np if isinstance(self.inputs, np.ndarray) else jnp
+        return xp.concatenate([self.inputs[..., 1:, 0, :], self.last[..., None, :]], axis=-2)
 
 
 def frictional(plant: Plant) -> tuple[int, ...]:
@@ -87,7 +101,8 @@ def frictional(plant: Plant) -> tuple[int, ...]:
         check(degree <= 2, "plant", rule, f"degree {degree} of output {key}")
     mutual = jumps & np.outer(flags, flags) & ~np.eye(len(flags), dtype=bool)
     struck = np.any(mutual | mutual.T, axis=0)
-    reaches = (np.sum(jumps, axis=0) > 1) | struck
+    # An output of relative degree 0 shows the friction of others, which does not move it.
+    reaches = (np.sum(jumps[~plant.algebraic], axis=0) > 1) | struck
     if np.any(struck):
         names = ", ".join(np.asarray(plant.outputs)[reaches])
         rule = "must have no more than two outputs whose dry frictions act on each other"
@@ -110,8 +125,9 @@ def trajectory(
         friction: which outputs stick, see `frictional`.
 
     Returns:
-        Outputs with their derivatives, shape (N, r, ny), and internal states (N, nz). Where the
-        solution leaves the finite numbers, so do they.
+        Outputs with their derivatives, shape (N, r, ny), and internal states (N, nz). An output of
+        relative degree 0 stands in the first row. Where the solution leaves the finite numbers, so
+        do they.
     """
     one_step = _sticking_step if any(friction) else _smooth_step
     h = jnp.asarray(driven_by.step)
@@ -125,7 +141,14 @@ def trajectory(
     _, x = lax.scan(body, start, steps)
     samples = slice(driven_by.substeps - 1, None, driven_by.substeps)
     y, z = x.y[samples], x.z[samples]
-    return jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
+    y, z = jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])
+    if plant.has_algebraic:
+        following = jnp.asarray(driven_by.following)[samples]
+        inputs = jnp.concatenate([jnp.asarray(driven_by.inputs)[:1, 0], following])
+        times = jnp.concatenate([steps[0][:1], steps[0][samples] + h])
+        measured = jax.vmap(lambda t, y, z, u: output_of(plant, theta, t, State(y, z), u, friction))
+        y = y.at[:, 0].set(measured(times, y, z, inputs))
+    return y, z
 
 
 @jit  # traced and differentiated once, however many loops contain it
@@ -186,10 +209,86 @@ def chained(
     begun = jax.tree.map(lambda leaf: np.asarray(leaf)[index // steps], starts)
     time = np.asarray(drives.time).reshape(total)[index]
     inputs = np.asarray(drives.inputs).reshape(total, *np.shape(drives.inputs)[2:])[index]
-    y = _chained(plant, theta, time, drives.step[0], inputs, restarts, begun, friction)
+    following = None
+    if plant.has_algebraic:
+        following = np.asarray(drives.following).reshape(total, -1)[index]
+    y = _chained(plant, theta, time, drives.step[0], inputs, following, restarts, begun, friction)
     y = np.asarray(y)[:total].reshape(runs, steps, -1)
-    first = np.asarray(starts.y)[:, :1]
+    first = first_outputs(plant.with_parameters(theta), drives, starts)
     return np.concatenate([first, y[:, drives.substeps - 1 :: drives.substeps]], axis=1)
+
+
+def first_outputs(plant: Plant, drives: Drive, starts: State) -> Float[np.ndarray, "runs 1 ny"]:
+    """Outputs at the first sample of several runs; arguments as of `outputs_along`, `chained`."""
+    if not plant.has_algebraic:
+        return np.asarray(starts.y)[:, :1]
+    times, inputs = np.asarray(drives.time)[:, 0], np.asarray(drives.inputs)[:, 0, 0]
+    return outputs_along(plant, times, starts, inputs)[:, None]
+
+
+def outputs_along(
+    plant: Plant,
+    time: Float[np.ndarray, " S"],
+    x: State,
+    inputs: Float[np.ndarray, "S nu"],
+) -> Float[np.ndarray, "S ny"]:
+    """Outputs at several instants, at the plant's own parameters.
+
+    Args:
+        plant: the equations.
+        time: the instants [s].
+        x: states there, on a leading axis.
+        inputs: that hold from the instants on.
+    """
+    theta, shown = np.asarray(plant.theta, dtype=float), _Shown(frictional(plant))
+    return along(shown, ("fixed", "fixed", "rows"), plant, theta, (time, x, inputs))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """`output_of` one row."""
+
+    friction: tuple[int, ...]
+
+    def __call__(self, plant: Plant, theta: Theta, row: tuple[Scalar, State, Input]) -> Output:
+        t, x, u = row
+        return output_of(plant, theta, t, x, u, self.friction)
+
+
+def output_of(
+    plant: Plant, theta: Theta, t: Scalar, x: State, u: Input | None, friction: tuple[int, ...]
+) -> Output:
+    """Outputs at an instant, those of relative degree 0 with the reaction of what sticks.
+
+    An output j at rest sticks where λ f_j(0⁺) + (1 - λ) f_j(0⁻) = 0 has a λ in [0, 1]; friction is
+    then that mixture of its values on both sides of rest, in all that shows it.
+
+    Args:
+        plant: the equations; its own parameter values are not used.
+        theta: parameter values.
+        t: the instant [s].
+        x: state there.
+        u: inputs that hold from there on; None where no output depends on them.
+        friction: which outputs stick, see `frictional`; each on its own.
+    """
+    y = plant.output(t, x, u, theta)
+    if u is None or not plant.has_algebraic:
+        return y
+    velocity, moving = velocity_of(x.y, plant.degrees), y
+    for j in np.flatnonzero(friction).tolist():
+        above, below = (
+            plant.derivative(t, State(_with_speed(plant, x.y, j, side), x.z), u, theta)
+            for side in (REST_SPEED, -REST_SPEED)
+        )
+        jump = below[j] - above[j]
+        share = jnp.clip(below[j] / jnp.where(jump == 0, 1.0, jump), 0.0, 1.0)
+        reaction = share * above + (1.0 - share) * below - moving
+        y = jnp.where(plant.algebraic & (velocity[j] == 0), y + reaction, y)
+    return y
+
+
+def _with_speed(plant: Plant, y: Any, j: int, speed: float) -> Any:
+    return y.at[velocity_rows(plant.degrees)[j], j].set(speed)
 
 
 @jit
@@ -199,6 +298,7 @@ def _chained(
     time: Any,
     step: Any,
     inputs: Any,
+    following: Any,
     restarts: Any,
     begun: State,
     friction: tuple[int, ...],
@@ -206,13 +306,13 @@ def _chained(
     one_step, h = _sticking_step if any(friction) else _smooth_step, jnp.asarray(step)
 
     def body(x: State, row: tuple) -> tuple[State, Output]:
-        t, u, restart, start = row
+        t, u, after, restart, start = row
         x = jax.tree.map(lambda old, new: jnp.where(restart, new, old), x, start)
         x = one_step(_Problem(plant, theta, t, h, u, friction), x)
-        return x, x.y[0]
+        return x, output_of(plant, theta, t + h, x, after, friction)
 
-    rows = jax.tree.map(jnp.asarray, (time, inputs, restarts, begun))
-    return lax.scan(body, jax.tree.map(lambda leaf: leaf[0], rows[3]), rows)[1]
+    rows = jax.tree.map(jnp.asarray, (time, inputs, following, restarts, begun))
+    return lax.scan(body, jax.tree.map(lambda leaf: leaf[0], rows[4]), rows)[1]
 
 
 # -- one step -----------------------------------------------------------------------------

@@ -15,15 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax._types import Input, Output, Scalar, Theta
-from eoi_jax.models.plant import (
-    REST_SPEED,
-    Actuator,
-    Dynamics,
-    Plant,
-    State,
-    velocity_of,
-    with_velocity,
-)
+from eoi_jax.models.plant import REST_SPEED, Actuator, Dynamics, Plant, State
+from eoi_jax.models.velocities import velocity_of, with_velocity
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax._types import Scalar
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import advanced
+from eoi_jax.simulation.integrator import advanced, output_of
 
 Host = Array | np.ndarray
 
@@ -106,8 +106,9 @@ class RunKernel(eqx.Module):
     def start(self, values: Host, theta: Host, declared: Any) -> State:
         """Initial state from its unknowns; internal states by the plant where it declares them."""
         count = len(self.rows)
-        empty = jnp.zeros((self.plant.relative_degree, len(self.plant.outputs)), values.dtype)
-        y = empty.at[np.asarray(self.rows), np.asarray(self.columns)].set(values[:count])
+        empty = jnp.zeros((self.plant.rows, len(self.plant.outputs)), values.dtype)
+        places = (np.asarray(part, dtype=int) for part in (self.rows, self.columns))
+        y = empty.at[tuple(places)].set(values[:count])
         z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
         return State(y, z)
 
@@ -173,17 +174,34 @@ class RunKernel(eqx.Module):
     def _scored(self, lane: RunLane, carry: RunCarry, row: RunRow) -> Float[Array, "ny size"]:
         """c of each output."""
         error, columns = jax.vmap(
-            lambda slope: self.scored(lane, carry.x, slope, row), out_axes=(None, 1)
-        )(carry.slopes)
+            lambda slope, direction: self.scored(lane, carry.x, slope, direction, row),
+            out_axes=(None, 1),
+        )(carry.slopes, self.directions(lane.start.shape[0]))
         return jnp.concatenate([columns, error[:, None]], axis=1)
 
     def scored(
-        self, lane: RunLane, x: State, slope: State, row: RunRow
+        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
         """The error and the part of c in one direction, of each output; zero where not scored."""
         weight, used = jnp.asarray(lane.scale), row.use > 0
-        error, part = weight * (row.y - x.y[0]), -weight * slope.y[0]
+        y_hat, moved = self._outputs(lane, x, slope, direction, row)
+        error, part = weight * (row.y - y_hat), -weight * moved
         return jnp.where(used, error, 0.0), jnp.where(used, part, 0.0)
+
+    def _outputs(
+        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow
+    ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
+        """Outputs at the start of a step, and their derivatives in one direction."""
+        if not self.plant.has_algebraic:
+            return x.y[0], slope.y[0]
+        theta, u = jnp.asarray(lane.theta), jnp.asarray(row.inputs)[0]
+
+        def outputs(x: State, moved: Array) -> Array:
+            inputs = u if row.slope is None else u + row.slope[0] @ (moved - theta)
+            time = jnp.asarray(row.time)
+            return output_of(self.plant, moved, time, x, inputs, self.friction)
+
+        return jax.jvp(outputs, (x, theta), (slope, jnp.asarray(direction.theta, theta.dtype)))
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""

@@ -19,9 +19,17 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.data.cleaning import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS, inputs_within_steps
-from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.plant import Plant, State, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
-from eoi_jax.simulation.integrator import Drive, Internal, Motion, frictional, rate_of, trajectory
+from eoi_jax.simulation.integrator import (
+    Drive,
+    Internal,
+    Motion,
+    frictional,
+    outputs_along,
+    rate_of,
+    trajectory,
+)
 from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
 
 Pieces = Float[np.ndarray, "steps order nu"]
@@ -49,7 +57,8 @@ def simulate(
         time: uniform grid, shape (N,) [s].
         inputs: shape (N,) or (N, nu).
         initial: the outputs and their derivatives at ``time[0]``, shape (r, ny); for one output
-            (r,) or the output alone. Zeros by default.
+            (r,) or the output alone. Zeros by default. Outputs of relative degree 0 have none:
+            what is given for them is not read.
         hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
             spline), or ``"auto"``: zero if it is piecewise constant, else linear.
         internal: internal states at ``time[0]``, shape (nz,); by default the plant's own start.
@@ -85,8 +94,10 @@ def simulate(
         rule = 'must be "fixed" for a plant with dry friction'
         check(not rough, "solver", rule, f'"adaptive", and dry friction in {", ".join(rough)}')
         pieces = jnp.asarray(_input_pieces(u, used))
-        y, _ = _adaptive(plant, jnp.asarray(plant.theta), jnp.asarray(time), pieces, start)
+        y, z = _adaptive(plant, jnp.asarray(plant.theta), jnp.asarray(time), pieces, start)
         outputs = np.asarray(y, dtype=np.float64)[:, 0, :]
+        if plant.has_algebraic:
+            outputs = outputs_along(plant, time, State(np.asarray(y), np.asarray(z)), u)
     else:
         outputs = _fixed(plant, time, u, used, start, substeps)
     bad = ~np.all(np.isfinite(outputs), axis=1)
@@ -119,7 +130,8 @@ def _fixed(
     while True:
         driven_by = acted(plant, drive(time, inputs, hold, count))
         lanes = driven_by.time[None], np.asarray(driven_by.step)[None], driven_by.inputs[None]
-        outputs = outputs_of(plant, Drive(*lanes, count), begun, friction)[0]
+        single_drive = Drive(*lanes, count, driven_by.last[None])
+        outputs = outputs_of(plant, single_drive, begun, friction)[0]
         if substeps is not None or 2 * count > finest_steps([time]):
             return outputs
         needed = 4 * count  # of a run that has left the finite numbers
@@ -162,18 +174,21 @@ def drive(
         np.asarray(period / substeps),
         stages.reshape(steps, 3, inputs.shape[1]),
         substeps,
+        inputs[-1],
     )
 
 
 def acted(plant: Plant, driven_by: Drive) -> Drive:
     """The drive of a whole record behind the actuators of a plant, at its parameters.
 
-    Between the steps it is taken to be continuous: parabolas with the means over the steps.
+    Between the steps it is taken to be continuous: parabolas with the means over the steps. Where
+    an output of relative degree 0 shows the input itself, a held input stays one behind a delay.
     """
     if plant.actuator is None:
         return driven_by
-    inputs = actuated(plant, jnp.asarray(plant.theta), driven_by)
-    return Drive(driven_by.time, driven_by.step, np.asarray(inputs), driven_by.substeps)
+    inputs = np.asarray(actuated(plant, jnp.asarray(plant.theta), driven_by))
+    steps, last = len(driven_by.time), inputs[-1, 0 if plant.has_algebraic else 2]
+    return Drive(driven_by.time, driven_by.step, inputs[:steps], driven_by.substeps, last)
 
 
 @jit
@@ -186,14 +201,25 @@ def actuated(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "step
         driven_by: of a whole record, from whose start on the past of the inputs is known.
 
     Returns:
-        The inputs of `acted`, at the start, the middle and the end of each step.
+        The inputs of `acted`, at the start, the middle and the end of each step. If an output has
+        relative degree 0, those of one step more, which its sample at the end of the run needs.
     """
-    first, middle, last = jnp.moveaxis(jnp.asarray(driven_by.inputs), 1, 0)
+    time, inputs = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
+    if plant.has_algebraic:
+        time = jnp.concatenate([time, time[-1:] + driven_by.step])
+        held_on = jnp.broadcast_to(jnp.asarray(driven_by.last), (1, *inputs.shape[1:]))
+        inputs = jnp.concatenate([inputs, held_on])
+    first, middle, last = jnp.moveaxis(inputs, 1, 0)
     mean = (first + 4.0 * middle + last) / 6.0
-    mean = plant.driven(jnp.asarray(driven_by.time) + 0.5 * driven_by.step, mean, theta)
+    mean = plant.driven(time + 0.5 * driven_by.step, mean, theta)
     ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
-    first, last = ends[:-1], ends[1:]
-    return jnp.stack([first, 1.5 * mean - 0.25 * (first + last), last], axis=1)
+    begins, stops = ends[:-1], ends[1:]
+    parabolas = jnp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
+    if not plant.has_algebraic:
+        return parabolas
+    is_held = jnp.all(first == last, axis=0)
+    is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
+    return jnp.where(is_held, mean[:, None], parabolas)
 
 
 # -- starts ------------------------------------------------------------------------------
@@ -218,7 +244,7 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
 
 
 def _initial(plant: Plant, initial: Any) -> Float[np.ndarray, "r ny"]:
-    r, ny = plant.relative_degree, len(plant.outputs)
+    r, ny = plant.rows, len(plant.outputs)
     value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
     if ny == 1 and value.shape == ():
         value = np.concatenate([value[None], np.zeros(r - 1)])

@@ -156,7 +156,7 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
 
 
 def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
-    unknowns = plant.relative_degree + len(plant.initial_internal)
+    unknowns = plant.rows + len(plant.initial_internal)
     check_count("initial_samples", initial_samples)
     check(
         initial_samples > unknowns,
@@ -174,7 +174,7 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
         count = round(window / record.sample_period)
         rule = f"must be longer than {initial_samples} samples, which start each run"
         check(count > initial_samples, "window", rule, f"{count} samples")
-    runs = plan(record, initial_samples, window, plant.relative_degree)
+    runs = plan(record, initial_samples, window, plant.rows)
     rule = f"must have {runs.need} valid samples among {initial_samples}, from which a free run "
     rule += "starts, and others that follow in it"
     check(bool(np.any(runs.score & record.valid)), f"record {record.name}", rule,
@@ -239,7 +239,7 @@ def _predict(
 ) -> tuple[Samples, Bool[np.ndarray, " time"], list[str]]:
     """Free runs along a record: prediction, which samples count, and notes."""
     notes = []
-    runs = plan(record, run.initial_samples, window, run.plant.relative_degree)
+    runs = plan(record, run.initial_samples, window, run.plant.rows)
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
     record_drive = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
@@ -285,7 +285,8 @@ def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
     # A run that starts late ends beyond the record, where nothing of it is looked at.
     steps = np.minimum(steps, len(record_drive.time) - 1)
     period = np.full(len(starts), record_drive.step)
-    return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n)
+    last = record_drive.following[steps[:, -1]]
+    return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n, last)
 
 
 # -- scores -------------------------------------------------------------------------------

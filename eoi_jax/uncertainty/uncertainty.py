@@ -24,7 +24,8 @@ from eoi_jax.estimation.regression.identifiability import (
     identifiable_combinations,
 )
 from eoi_jax.estimation.regression.least_squares import unidentified_directions
-from eoi_jax.models.plant import Plant, parameter_type
+from eoi_jax.models.parameters import parameter_type
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eoi_jax.models.library import Plant, State
-from eoi_jax.models.plant import derivative_unit
+from eoi_jax.models.units import derivative_unit
 
 POINT = (jnp.asarray(0.4), State(jnp.array([[0.3], [-0.7]]), jnp.zeros(0)), jnp.array([1.2]))
 
@@ -308,7 +308,8 @@ def build(**change):
             {"bounds": {"k": (0.0, 1.0)}},
             r"`parameters\[k\]` must lie in its bounds \[0, 1\], got 2",
         ),
-        ({"relative_degree": 0}, "`relative_degree` must be an integer ≥ 1, or 1 of them"),
+        ({"relative_degree": -1}, "`relative_degree` must be an integer ≥ 0, or 1 of them"),
+        ({"relative_degree": 0}, "`relative_degree` must be 1 or more .* itself depends on y"),
         ({"relative_degree": (1, 2)}, r"`relative_degree` must be .* got \(1, 2\)"),
         ({"internal_initial": [0.0]}, "`internal_initial` must be left out without `internal`"),
         (

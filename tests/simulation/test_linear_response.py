@@ -42,7 +42,7 @@ def run(plant, force, substeps):
     driven = drive(TIME, u, "linear", substeps)
     theta = jnp.asarray(plant.theta)
     start = State(jnp.zeros((2, len(plant.outputs))), plant.internal_start(theta))
-    every = type(driven)(driven.time, driven.step, driven.inputs, 1)
+    every = type(driven)(driven.time, driven.step, driven.inputs, 1, driven.last)
     y, z = free_run(plant, theta, every, start, frictional(plant))
     return driven, np.asarray(y), np.asarray(z)
 

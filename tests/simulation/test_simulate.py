@@ -633,7 +633,7 @@ def test_runs_in_one_chain_are_those_one_by_one(inputs: tuple[str, ...]):
     random = np.random.default_rng(8)
     push = np.repeat(random.standard_normal((runs, steps, 1, len(inputs))), 3, axis=2)
     clock = 0.01 * np.arange(steps) + np.array([[0.0], [2.0], [5.0]])
-    drives = Drive(clock, np.full(runs, 0.01), push, 7)
+    drives = Drive(clock, np.full(runs, 0.01), push, 7, push[:, -1, 2])
     starts = jax.vmap(State)(
         jnp.asarray(random.standard_normal((runs, 2, 1))), jnp.zeros((runs, 0))
     )

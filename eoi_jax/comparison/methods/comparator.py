@@ -53,6 +53,21 @@ class AbstractComparator(ABC):
         """
 
 
+def algebraic_answer(plant: Plant) -> Estimate | None:
+    """No answer, for a plant with outputs of relative degree 0; None for any other.
+
+    Args:
+        plant: the plant.
+    """
+    names = [name for name, on in zip(plant.outputs, plant.algebraic, strict=True) if on]
+    if not names:
+        return None
+    return not_applicable(
+        f"the method differentiates outputs, and {', '.join(names)} is a function of the states "
+        "(relative degree 0)"
+    )
+
+
 def not_applicable(reason: str) -> Estimate:
     """No answer, because the method does not apply to the plant or the records.
 

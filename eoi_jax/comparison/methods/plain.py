@@ -4,7 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eoi_jax.comparison.methods.comparator import AbstractComparator, Estimate, not_applicable
+from eoi_jax.comparison.methods.comparator import (
+    AbstractComparator,
+    Estimate,
+    algebraic_answer,
+    not_applicable,
+)
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.lowpass import LowPass
@@ -38,6 +43,9 @@ class PlainExplicit(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """A first pass sets the gains, then `identify`."""
+        refused = algebraic_answer(plant)
+        if refused is not None:
+            return refused
         first = plain(plant, records, passes=1)
         period = max(record.sample_period for record in records)
         cutoff = _highest_cutoff(period)

@@ -10,6 +10,7 @@ from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
     Estimate,
+    algebraic_answer,
     named,
     not_applicable,
 )
@@ -36,6 +37,9 @@ class StateVariableFilter(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """Least squares on filtered signals."""
+        refused = algebraic_answer(plant)
+        if refused is not None:
+            return refused
         if plant.internal is not None:
             return hidden_states_answer(plant)
         filtered = equation(plant, records)

@@ -6,7 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._status import Status
-from eoi_jax.comparison.methods.comparator import AbstractComparator, Estimate, named
+from eoi_jax.comparison.methods.comparator import (
+    AbstractComparator,
+    Estimate,
+    algebraic_answer,
+    named,
+)
 from eoi_jax.comparison.methods.filtered import (
     Equation,
     Motion,
@@ -47,6 +52,9 @@ class StateVariableInstruments(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """Rounds of instruments from the estimate of least squares."""
+        refused = algebraic_answer(plant)
+        if refused is not None:
+            return refused
         if plant.internal is not None:
             return hidden_states_answer(plant)
         filtered = equation(plant, records)

@@ -38,6 +38,7 @@ from eoi_jax._types import Flags, Output, Scalar
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
     Estimate,
+    algebraic_answer,
     named,
     not_applicable,
 )
@@ -80,6 +81,9 @@ class VSSDirect(AbstractComparator):
 
     def estimate(self, plant: Plant, records: Sequence[Record]) -> Estimate:
         """α̂ at the end of all records, run one after the other."""
+        refused = algebraic_answer(plant)
+        if refused is not None:
+            return refused
         if not plant.is_affine:
             reason = "the method takes a plant that is affine in its parameters, without internal"
             return not_applicable(f"{reason} states or lags of its inputs")

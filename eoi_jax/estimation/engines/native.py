@@ -99,40 +99,45 @@ def pass_of(
     if plant.actuator is not None:
         raise Untranslatable("inputs behind an actuator")
     dtype = np.dtype(lanes.theta.dtype)
-    columns = [np.asarray(getattr(steps, name)) for name in _step_names()]
+    columns = [np.asarray(getattr(steps, name)) for name in _step_names(_at_starts(steps))]
     shapes = shapes_of(columns, dtype, skip=1)
     if lanes.emphasis is not None:
         shapes.append(jax.ShapeDtypeStruct((), dtype))
-    step = jax.tree.unflatten(_step_structure(lanes.emphasis is not None), shapes)
+    with_emphasis = lanes.emphasis is not None
+    step = jax.tree.unflatten(_step_structure(with_emphasis, _at_starts(steps)), shapes)
     lane = shapes_of(lanes.without_emphasis(), dtype, skip=1)
     loop = Pass(shapes_of(plant, dtype), lane, shapes_of(lowpass, dtype), step, store, dtype)
     return loop, sum(int(np.prod(column.shape[1:])) for column in columns)
 
 
+def _at_starts(steps: Steps) -> bool:
+    return steps.u_start is not None
+
+
 @functools.cache
-def _step_structure(emphasis: bool) -> Any:
-    """A step whose inputs are the record's own."""
+def _step_structure(emphasis: bool, at_starts: bool) -> Any:
+    """A step whose inputs are the record's own; with those at its start if asked for."""
 
     def step() -> Step:
         number, flag = jnp.zeros(()), jnp.zeros((), bool)
         row = number[None]
-        last = number if emphasis else None
-        return Step(row, None, number, row, row, row, row, flag, number, flag, last)
+        last, start = number if emphasis else None, row if at_starts else None
+        return Step(row, None, number, row, row, row, row, flag, number, flag, start, None, last)
 
     return jax.tree.structure(jax.eval_shape(step))
 
 
 @functools.cache
-def _step_names() -> list[str]:
+def _step_names(at_starts: bool) -> list[str]:
     """Of its parts that are taken from `Steps` as they are, in the order of the leaves."""
-    structure = _step_structure(False)
+    structure = _step_structure(False, at_starts)
     step = jax.tree.unflatten(structure, range(structure.num_leaves))
     return [path[0].name for path, _ in jax.tree_util.tree_leaves_with_path(step)]
 
 
 def rows_of(steps: Steps, dtype: Any) -> np.ndarray:
     """What is read of each step of one record, shape (S, columns)."""
-    parts = [np.asarray(getattr(steps, name)) for name in _step_names()]
+    parts = [np.asarray(getattr(steps, name)) for name in _step_names(_at_starts(steps))]
     columns = [part.reshape(len(part), -1) for part in parts]
     return np.concatenate(columns, axis=1, dtype=dtype, casting="unsafe")
 

@@ -24,7 +24,7 @@ from jax import lax
 from jax.experimental import pallas as pl
 
 from eoi_jax._checks import check
-from eoi_jax.compiler.graph import Node, topological_order
+from eoi_jax.compiler.graph import Node, Untranslatable, topological_order
 from eoi_jax.compiler.loop import (
     BLOCK,
     CARRY,
@@ -139,6 +139,8 @@ def _driven(plant: Plant) -> int:
 
 def _pass(plant: Plant, lanes: Lanes, lowpass: DiscreteFilter, steps: Steps, store: str) -> Pass:
     """The pass with shapes in place of arrays, which may be traced."""
+    if plant.actuator is not None and plant.has_algebraic:
+        raise Untranslatable("an output of relative degree 0 with inputs behind an actuator")
     dtype = np.dtype(lanes.theta.dtype)
     rows, _ = eqx.filter_eval_shape(_rows, plant, lanes, lowpass, steps, store)
     lane, step = _shapes(lanes.without_emphasis(), dtype, 1), _shapes(rows, dtype, 1)

@@ -4,6 +4,7 @@ from eoi_jax.estimation.observers.first_order import FirstOrder as FirstOrder
 from eoi_jax.estimation.observers.gain_sets import GainSets as GainSets
 from eoi_jax.estimation.observers.gain_sets import gains as gains
 from eoi_jax.estimation.observers.high_order import HighOrder as HighOrder
+from eoi_jax.estimation.observers.measurement import Measurement as Measurement
 from eoi_jax.estimation.observers.observer import AbstractObserver as AbstractObserver
 from eoi_jax.estimation.observers.observer import Observation as Observation
 from eoi_jax.estimation.observers.per_output import PerOutput as PerOutput

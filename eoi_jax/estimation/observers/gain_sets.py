@@ -27,7 +27,7 @@ class GainSets:
     labels: dict[str, Float[np.ndarray, "sets *ny"]]
 
     def __len__(self) -> int:
-        return len(next(iter(self.labels.values())))
+        return max((len(values) for values in self.labels.values()), default=1)
 
     def __getitem__(self, selection: Any) -> "GainSets":
         """Selected sets, by slice or indices."""
@@ -46,7 +46,7 @@ class GainSets:
             np.all(np.isfinite(value) & (value > 0), axis=tuple(range(1, value.ndim)))
             for value in self.labels.values()
         ]
-        return np.all(conditions, axis=0)
+        return np.all([np.ones(len(self), dtype=bool), *conditions], axis=0)
 
 
 def gains(

@@ -46,7 +46,7 @@ class PerOutput(AbstractObserver):
     def init(self, y: Output, rates: Rates) -> tuple[Any, ...]:
         """States of all observers."""
         return tuple(
-            observer.init(y[j : j + 1], rates[: self.relative_degree[j] - 1, j : j + 1])
+            observer.init(y[j : j + 1], rates[: max(self.relative_degree[j] - 1, 0), j : j + 1])
             for j, observer in enumerate(self.observers)
         )
 
@@ -84,7 +84,7 @@ class PerOutput(AbstractObserver):
         return tuple(new for new, _ in pairs), joined
 
     def _columns(self, rates: list[Any]) -> Rates:
-        rows = max(self.relative_degree) - 1
+        rows = max(*self.relative_degree, 1) - 1
         padded = [
             jnp.pad(rows_of_output, ((0, rows - rows_of_output.shape[0]), (0, 0)))
             for rows_of_output in rates

@@ -290,7 +290,7 @@ def _equation(plant: Plant) -> str:
     """The model as text that changes with its mathematics: its traced program, not its name."""
     theta = jnp.asarray(plant.theta)
     z = plant.internal_start(theta)
-    y = jnp.ones((plant.relative_degree, len(plant.outputs)))
+    y = jnp.ones((plant.rows, len(plant.outputs)))
     u = jnp.ones(len(plant.inputs))
 
     def equations(t: Any, y: Any, z: Any, u: Any, theta: Any) -> Any:

@@ -152,6 +152,7 @@ class StepSource:
             self.explicit,
             TAPER / prepared.lowpass.cutoff,
             duration,
+            prepared.substeps,
         )
         period = prepared.fine[i].sample_period
         return jax.tree.map(lambda leaf: leaf[0], steps), prepared.lowpass.discretise(period)

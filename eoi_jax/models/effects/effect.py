@@ -212,7 +212,13 @@ class AbstractInputEffect(AbstractEffect):
 
 
 class AbstractActuator(AbstractEffect):
-    """An effect that acts on one input first and depends on its past values only."""
+    """An effect that acts on one input first and depends on its past values only.
+
+    Attributes:
+        keeps_steps: whether a held input comes out held, as from a delay; else as a continuous one.
+    """
+
+    keeps_steps: ClassVar[bool] = False
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs

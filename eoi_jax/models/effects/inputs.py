@@ -131,6 +131,7 @@ class InputDelay(AbstractActuator):
     sentence = "a delay of the input"
     shapes = (Parameter("", "s", lower=0.0),)
     depends_on = "t"
+    keeps_steps = True
 
     def grid(self, seen: Seen) -> Grid:
         # Minima of the cost over delays are narrow (a quarter period of the band): long delays are

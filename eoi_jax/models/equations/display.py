@@ -29,7 +29,9 @@ from eoi_jax.models.equations.printer import (
     written_term,
 )
 from eoi_jax.models.equations.system import TextDynamics, TextInternal
-from eoi_jax.models.plant import Plant, State, parameter_type, velocity_rows
+from eoi_jax.models.parameters import parameter_type
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.velocities import velocity_rows
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class SymbolicPlant:
         names = plant.names if names is None else names
         self.theta = [self.graph.input(Symbol(name, parameter=True)) for name in names]
         self.inputs = [self.graph.input(Symbol(name)) for name in plant.inputs]
-        self.y = np.empty((plant.relative_degree, len(plant.outputs)), object)
+        self.y = np.empty((plant.rows, len(plant.outputs)), object)
         for i, j in np.ndindex(self.y.shape):
             owned = i < plant.degrees[j]
             symbol = Symbol(plant.outputs[j], i)

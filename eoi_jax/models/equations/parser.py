@@ -59,7 +59,10 @@ _ADVICE = {
     "|": "Write abs(x).",
     "%": "Write the remainder as rem(x, y).",
     "=": "Write the right-hand side only; == compares.",
-    "'": 'No quotes; a derivative has a name of its own, as in angle = "rate".',
+    "'": (
+        'No quotes; a derivative has a name of its own, as in angle = "rate". That of an input is '
+        "not known: an equation that needs one cannot be written."
+    ),
     ".": "Names are used as they are, without a dot.",
     "[": "Each signal has a name of its own; there are no indices.",
     "&": "Write `and`.",

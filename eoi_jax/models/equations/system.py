@@ -4,9 +4,11 @@
 
 The states of an output form a chain, output, rate, …, as long as the derivative of one is nothing
 but the name of the next; the last derivative of the chain is y^(r). All other states are internal.
+An output with an equation of its own, y = an expression, is no state: its relative degree is 0. In
+other equations its name stands for that expression, as the name of a definition does.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
@@ -29,6 +31,8 @@ from eoi_jax.models.plant import State
 
 MOST_TEXT = 40_000  # characters of all equations together
 
+_EITHER = "An output either has a derivative or is a function of the states."
+
 Items = tuple[tuple[str, str], ...]
 
 
@@ -41,6 +45,7 @@ class Equations:
         definitions: by name.
         initial: of internal states, in the parameters.
         outputs, inputs, parameters: names.
+        output: expressions of outputs that are no states, by name.
     """
 
     derivatives: Items
@@ -49,16 +54,20 @@ class Equations:
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     parameters: tuple[str, ...]
+    output: Items = ()
 
     # -- what the names are ---------------------------------------------------------------
 
     @cached_property
     def chains(self) -> dict[str, tuple[str, ...]]:
-        """By output: its states, from itself to the one before y^(r)."""
+        """By output: its states, from itself to the one before y^(r); none of relative degree 0."""
         rates = dict(self.derivatives)
         placed_names = set(self.outputs)
-        chains = {}
+        chains: dict[str, tuple[str, ...]] = {}
         for output in self.outputs:
+            if output in self.algebraic:
+                chains[output] = ()
+                continue
             chain = [output]
             while (
                 following := rates[chain[-1]].strip()
@@ -67,6 +76,11 @@ class Equations:
                 placed_names.add(following)
             chains[output] = tuple(chain)
         return chains
+
+    @cached_property
+    def algebraic(self) -> frozenset[str]:
+        """Outputs that are functions of the states."""
+        return frozenset(name for name, _ in self.output)
 
     @property
     def degrees(self) -> tuple[int, ...]:
@@ -93,10 +107,14 @@ class Equations:
 
     @cached_property
     def defined(self) -> dict[str, Expression]:
-        """Trees of the definitions, in an order in which each uses earlier ones only."""
-        texts, names, trees = dict(self.definitions), dict(self.symbols), {}
-        for name in _in_order(texts):
-            tree = parse(texts[name], names, f"model.definitions.{name}")
+        """Trees of the definitions, in an order in which each uses earlier ones only.
+
+        Those of outputs that are functions of the states are among them.
+        """
+        texts, names, trees = dict((*self.definitions, *self.output)), dict(self.symbols), {}
+        for name in _in_order(texts, self.algebraic):
+            group = "output" if name in self.algebraic else "definitions"
+            tree = parse(texts[name], names, f"model.{group}.{name}")
             names[name] = _known_as(name, tree)
             trees[name] = tree
         return trees
@@ -129,7 +147,10 @@ class Equations:
     @property
     def highest(self) -> tuple[Expression, ...]:
         """y^(r) of each output."""
-        return tuple(self.rates[self.chains[output][-1]] for output in self.outputs)
+        return tuple(
+            self.names[output] if output in self.algebraic else self.rates[self.chains[output][-1]]
+            for output in self.outputs
+        )
 
     @property
     def internal(self) -> tuple[Expression, ...]:
@@ -181,24 +202,43 @@ class Equations:
             "inputs": self.inputs,
             "parameters": self.parameters,
             "definitions": tuple(name for name, _ in self.definitions),
+            "output": tuple(name for name, _ in self.output),
         }
         group_of_name: dict[str, str] = {}
+        for name in self.inputs:
+            rule = f"must not have the input {name}: what is recorded has no equation"
+            advice = (
+                "An equation that needs the derivative of an input cannot be written; give the "
+                "model a state behind the input, or record the derivative as an input."
+            )
+            check(name not in groups["derivatives"], "model.derivatives", rule, repr(name), advice)
         for group, names in groups.items():
             for name in names:
                 advice = "t, pi and the names of functions have a meaning already."
                 rule = "must have names that are identifiers"
                 check(good_name(name), f"model.{group}", rule, repr(name), advice)
                 rule = f"must not have a name of `{group_of_name.get(name)}`"
-                check(name not in group_of_name, f"model.{group}", rule, repr(name))
+                advice = _EITHER if group == "output" else ""
+                check(name not in group_of_name, f"model.{group}", rule, repr(name), advice)
                 group_of_name[name] = group
         texts = dict(self.derivatives)
-        size = sum(len(text) for items in (self.derivatives, self.definitions, self.initial)
-                   for _, text in items)  # fmt: skip
+        groups_of_texts = self.derivatives, self.definitions, self.initial, self.output
+        size = sum(len(text) for items in groups_of_texts for _, text in items)
         rule = f"must have at most {MOST_TEXT} characters of equations"
         check(size <= MOST_TEXT, "model", rule, size)
+        for name in self.algebraic:
+            rule = f"must have outputs only ({', '.join(self.outputs)})"
+            advice = "Give parts of equations names under `definitions`."
+            check(name in self.outputs, "model.output", rule, repr(name), advice)
         for name in self.outputs:
-            advice = f'Add it: {name} = "…", or the name of its rate.'
-            check(name in texts, "model.derivatives", f"must have {name}", ", ".join(texts), advice)
+            advice = (
+                f'Add it: {name} = "…", or the name of its rate. If it is a function of the '
+                f'states, write it under [model.output]: {name} = "…".'
+            )
+            stated = name in texts or name in self.algebraic
+            got = ", ".join(texts) or "nothing"
+            check(stated, "model.derivatives", f"must have {name}", got, advice)
+        self._check_twins(texts)
         starts = dict(self.initial)
         for name in self.states:
             advice = "Give its value at the start of a record."
@@ -209,16 +249,34 @@ class Equations:
             advice = "Outputs and their derivatives start where the record does."
             check(name in self.states, "model.initial", rule, repr(name), advice)
 
+    def _check_twins(self, texts: Mapping[str, str]) -> None:
+        """An output with the rate of an internal state would be that state but for a constant."""
+        for output in self.outputs:
+            rate = texts.get(output, "").strip()
+            if len(self.chains[output]) < 2:
+                continue
+            for state in self.states:
+                check(
+                    texts[state].strip() != rate,
+                    f"model.derivatives.{output}",
+                    f"must not have the derivative of the state {state}, from which {output} would "
+                    "differ by a constant",
+                    f'"{rate}"',
+                    f"If {output} is a function of the states, write it under [model.output]: "
+                    f'{output} = "…".',
+                )
+
     def _reached(self) -> set[str]:
         """Names that the outputs depend on."""
         reached: set[str] = set()
-        rates, defined, starts = map(dict, (self.derivatives, self.definitions, self.initial))
+        tables = [dict(items) for items in
+                  (self.derivatives, self.definitions, self.initial, self.output)]  # fmt: skip
         ahead = list(self.outputs)
         while ahead:
             name = ahead.pop()
             if name not in reached:
                 reached.add(name)
-                for texts in (rates, defined, starts):
+                for texts in tables:
                     ahead += words(texts.get(name, ""))
         return reached
 
@@ -293,14 +351,19 @@ def _known_as(name: str, tree: Expression) -> Expression:
     return tree if isinstance(tree, Number) else Symbol(name)
 
 
-def _in_order(texts: Mapping[str, str]) -> list[str]:
-    """Names of definitions, each behind those that it uses."""
+def _in_order(texts: Mapping[str, str], outputs: Collection[str]) -> list[str]:
+    """Names of definitions and of `outputs`, each behind those that it uses."""
     uses = {name: words(text) & set(texts) for name, text in texts.items()}
+    for name in outputs:
+        rule = "must not depend on itself"
+        advice = "Solve the equation for it, or make it a state with a derivative."
+        check(name not in uses[name], f"model.output.{name}", rule, f'"{texts[name]}"', advice)
     try:
         return list(TopologicalSorter(uses).static_order())
     except CycleError as error:
-        ring = " → ".join(error.args[1])
-    raise ValueError(f"`model.definitions` must not go in a circle, got {ring}.")
+        ring = error.args[1]
+    group = "output" if set(ring) & set(outputs) else "definitions"
+    raise ValueError(f"`model.{group}` must not go in a circle, got {' → '.join(ring)}.")
 
 
 def _size(expression: Expression, sizes: Mapping[str, int], max_size: int) -> int:

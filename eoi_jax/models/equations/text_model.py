@@ -23,7 +23,8 @@ class ModelTable(msgspec.Struct, frozen=True, omit_defaults=True):
 
     outputs: tuple[str, ...]
     parameters: dict[str, float]
-    derivatives: dict[str, str]
+    derivatives: dict[str, str] = {}
+    output: dict[str, str] = {}
     inputs: tuple[str, ...] = ()
     definitions: dict[str, str] = {}
     initial: dict[str, float | str] = {}
@@ -42,6 +43,7 @@ def plant_from_text(
     outputs: Sequence[str],
     inputs: Sequence[str] = (),
     *,
+    output: Mapping[str, str] | None = None,
     definitions: Mapping[str, str] | None = None,
     initial: Mapping[str, float | str] | None = None,
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
@@ -59,6 +61,11 @@ def plant_from_text(
     has the equation, and the chain's length is the relative degree. A state in no chain is an
     internal one, with a value at the start of a record.
 
+    An output that is no state is a function of the states, the other outputs and the inputs, of
+    relative degree 0: ``output={"voltage": "3.4 + 0.7*soc - R0*current - v1"}``. At a sample it has
+    the value of the inputs that holds from there on. A definition with the name of an output that
+    has no derivative is taken as its equation.
+
     Equations hold declared names, ``t`` [s], ``pi``, numbers, ``+ - * / **``, comparisons, ``and or
     not``, ``a if condition else b`` and the functions sin cos tan asin acos atan atan2 sinh cosh
     tanh asinh acosh atanh exp expm1 log log1p sqrt cbrt abs sign min max clip where floor ceil
@@ -68,8 +75,9 @@ def plant_from_text(
     Args:
         derivatives: equation by state [unit of the state / s].
         parameters: names and nominal values θ_0.
-        outputs: names of the measured states, in the order of the record's columns.
+        outputs: names of what is measured, in the order of the record's columns.
         inputs: names.
+        output: equations of outputs that are functions of the states [units of the outputs].
         definitions: parts of equations by name, in any order.
         initial: internal states at the start, a number or a text in the parameters [their units].
         bounds: ``{name: (lower, upper)}`` of parameters; None for no bound.
@@ -85,24 +93,29 @@ def plant_from_text(
 
     Raises:
         ValueError: a text that is no such equation (shown with the column marked), an unknown
-            name, a parameter, definition or internal state that is not used, and what `Plant`
-            objects to.
+            name, an output with two equations or one that depends on itself, a parameter,
+            definition or internal state that is not used, and what `Plant` objects to.
     """
     derivatives, outputs = dict(derivatives), tuple(outputs)
     starts = {key: _text(value) for key, value in (initial or {}).items()}
+    parts, formulas = dict(definitions or {}), dict(output or {})
+    for key in outputs:
+        if key in parts and key not in derivatives and key not in formulas:
+            formulas[key] = parts.pop(key)
     equations = Equations(
         tuple(derivatives.items()),
-        tuple((definitions or {}).items()),
+        tuple(parts.items()),
         tuple(starts.items()),
         outputs,
         tuple(inputs),
         tuple(parameters),
+        tuple(formulas.items()),
     )
     check(len(outputs) > 0, "model.outputs", "must name at least one output", "none")
     check(len(set(outputs)) == len(outputs), "model.outputs", "must have different names", outputs)
     placed = _placed(input_lag or {}, input_delay or {}, equations)
     equations.check(elsewhere=[actuator.names[0] for actuator in placed])
-    names = (*parameters, *derivatives, *inputs)
+    names = (*parameters, *derivatives, *inputs, *formulas)
     for key in units or {}:
         check_choice("model.units", key, names)
     moving = bool(equations.states)

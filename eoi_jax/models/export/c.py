@@ -31,24 +31,43 @@ _HELPERS = {
 def c_text(model: Program, name: str, version: str) -> str:
     """The file: ``void name(double t, const double *states, const double *inputs, double *rates)``.
 
+    Outputs that are functions of the states have a second function, ``name_outputs``, with
+    ``double *outputs`` as its last argument.
+
     Args:
         model: what to write.
         name: of the function, an identifier.
         version: of this package.
     """
-    listing = Listing(model, _C, "const double {} = {};", " /* {} */")
+    listing = _listing(model)
     top = "\n".join(listing.top(" *", ("[", "]", "0"), version))
+    functions, called = [_function(listing, name, "rates")], set(listing.called)
+    if model.outputs:
+        of_outputs = _listing(model.of_outputs)
+        functions.append(_function(of_outputs, f"{name}_outputs", "outputs"))
+        called |= of_outputs.called
+    helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
+    return f"/*\n{top}\n */\n#include <math.h>\n\n{helpers}" + "\n".join(functions)
+
+
+def _listing(model: Program) -> Listing:
+    return Listing(model, _C, "const double {} = {};", " /* {} */")
+
+
+def _function(listing: Listing, name: str, result: str) -> str:
+    """A function with its declaration; `result` is its last argument, which it fills."""
+    rates = listing.model.rates
+    unread = [*_unread(listing), *([] if rates else [result])]
     body = [
         *listing.parameters(),
         *listing.elements(lambda vector, k: f"{vector}[{k}]"),
-        *(f"(void){name};" for name in _unread(listing)),
+        *(f"(void){argument};" for argument in unread),
         *listing.definitions(),
-        *(f"rates[{k}] = {listing.code(tree)};" for k, tree in enumerate(model.rates)),
+        *(f"{result}[{k}] = {listing.code(tree)};" for k, tree in enumerate(rates)),
     ]
-    helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in listing.called)
-    head = f"void {name}(double t, const double *states, const double *inputs, double *rates)"
+    head = f"void {name}(double t, const double *states, const double *inputs, double *{result})"
     lines = "\n".join(f"    {line}" for line in body)
-    return f"/*\n{top}\n */\n#include <math.h>\n\n{helpers}{head};\n\n{head}\n{{\n{lines}\n}}\n"
+    return f"{head};\n\n{head}\n{{\n{lines}\n}}\n"
 
 
 def _unread(listing: Listing) -> list[str]:

@@ -34,6 +34,8 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
     inputs, rates)`` with arrays of double, named as the file. States are each output followed by
     its derivatives, then internal states, then one for each lag of an input; the file says which,
     with units, values at the start, delays of inputs and where dry friction makes it set-valued.
+    Outputs that are functions of the states come from a second function, ``name_outputs``, in
+    MATLAB as a second result.
     Parameters are named constants. LaTeX gets the equations and a table of the parameters, JSON the
     model as text, which `load` reads back to a plant that simulates equally.
 

@@ -1,5 +1,8 @@
 """A model as a function file of MATLAB and of GNU Octave."""
 
+from collections.abc import Sequence
+
+from eoi_jax.models.equations.expression import Expression
 from eoi_jax.models.equations.printer import code_notation, power_operator
 from eoi_jax.models.export.listing import Listing
 from eoi_jax.models.export.program import Program
@@ -42,20 +45,29 @@ end
 def matlab_text(model: Program, name: str, version: str) -> str:
     """The file: ``rates = name(t, states, inputs)``, of columns, as `ode45` calls it.
 
+    Outputs that are functions of the states are a second result, ``[rates, outputs] = name(…)``.
+
     Args:
         model: what to write.
         name: of the function, an identifier; MATLAB finds it by the name of the file.
         version: of this package.
     """
-    listing = Listing(model, _MATLAB, "{} = {};", "  % {}")
+    listing = Listing(model.of_both, _MATLAB, "{} = {};", "  % {}")
     body = [
         *listing.top("%", ("(", ")", "1"), version),
         *listing.parameters(),
         *listing.elements(lambda vector, k: f"{vector}({k + 1})"),
         *listing.definitions(),
-        f"rates = zeros({len(model.states)}, 1);",
-        *(f"rates({k}) = {listing.code(tree)};" for k, tree in enumerate(model.rates, 1)),
+        *_filled(listing, "rates", model.rates),
+        *(_filled(listing, "outputs", model.output_formulas) if model.outputs else []),
     ]
     helpers = "".join(text for key, text in _HELPERS.items() if key in listing.called)
-    lines = "\n".join([f"function rates = {name}(t, states, inputs)", *body, "end"])
+    results = "[rates, outputs]" if model.outputs else "rates"
+    lines = "\n".join([f"function {results} = {name}(t, states, inputs)", *body, "end"])
     return f"{lines}\n{helpers}"
+
+
+def _filled(listing: Listing, vector: str, trees: Sequence[Expression]) -> list[str]:
+    """A column and its elements."""
+    elements = (f"{vector}({k}) = {listing.code(tree)};" for k, tree in enumerate(trees, 1))
+    return [f"{vector} = zeros({len(trees)}, 1);", *elements]

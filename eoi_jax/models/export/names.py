@@ -23,7 +23,7 @@ _WORDS = (
     "static_assert main classdef elseif end function global otherwise parfor persistent spmd "
     "endfunction endif until unwind_protect end_try_catch eps inf nan Inf NaN i j ans nargin "
     "nargout zeros isargout fabs fmax fmin fmod rint pow nthroot fix mod choose root nearest "
-    "states inputs rates np array stack "
+    "states inputs rates outputs np array stack "
 )
 _TEXT_WORDS = frozenset((*keyword.kwlist, *RESERVED))
 _CODE_WORDS = _TEXT_WORDS.union(_WORDS.split())
@@ -70,8 +70,12 @@ def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
     words = _TEXT_WORDS if as_text else _CODE_WORDS
     named = [
         *((variable.symbol, variable.name) for variable, _ in model.parameters),
-        *((variable.symbol, variable.name) for variable in (*model.states, *model.inputs)),
+        *(
+            (variable.symbol, variable.name)
+            for variable in (*model.states, *model.inputs, *model.outputs)
+        ),
         *((symbol, symbol.name) for symbol, _ in model.definitions),
+        *((symbol, symbol.name) for symbol, _ in model.output_definitions),
     ]
     names: dict[Symbol, str] = {Symbol("t"): "t"}
     for symbol, name in named:
@@ -123,6 +127,10 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
         late = " + ".join(model.delays.get(variable.name, ()))
         note = f"its value {comment(late)} seconds ago" if late else ""
         lines.append(element("inputs", k, variable, note))
+    if model.outputs:
+        lines.append("Outputs that are functions of these, at t with the inputs from t on:")
+    for k, variable in enumerate(model.outputs, int(first)):
+        lines.append(element("outputs", k, variable, ""))
     for variable, value in model.parameters:
         if any(variable.name in late for late in model.delays.values()):
             lines.append(f"  {names[variable.symbol]} = {value!r}{_unit(variable.unit)}: a delay")

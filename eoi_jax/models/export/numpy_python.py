@@ -36,30 +36,51 @@ _NUMPY = code_notation(
 def python_text(model: Program, name: str, version: str) -> str:
     """The file: ``name(t, states, inputs)`` gives the rates; arrays of shape (n,), or (n, m).
 
+    Outputs that are functions of the states have a second function, ``name_outputs``.
+
     Args:
         model: what to write.
         name: of the function, an identifier.
         version: of this package.
     """
-    listing = Listing(model, _NUMPY, "{} = {}", "  # {}")
-    body = [*listing.parameters(), *listing.elements(lambda vector, k: f"{vector}[{k}]")]
-    inner = [
-        *listing.definitions(),
-        "rates = [",
-        *(f"    {listing.code(tree)}," for tree in model.rates),
-        "]",
-    ]
+    listing = _listing(model)
+    about = "d/dt of the states, an array like the states."
     lines = [
         *listing.top("#", ("[", "]", "0"), version),
         "import numpy as np",
+        *_function(listing, name, "rates", about),
+    ]
+    if model.outputs:
+        about = "Outputs that are functions of the states, of the inputs that hold from t on."
+        lines += _function(_listing(model.of_outputs), f"{name}_outputs", "outputs", about)
+    return "\n".join(lines) + "\n"
+
+
+def _listing(model: Program) -> Listing:
+    return Listing(model, _NUMPY, "{} = {}", "  # {}")
+
+
+def _function(listing: Listing, name: str, result: str, about: str) -> list[str]:
+    """Lines of a function that returns the formulas of the listing as an array."""
+    model = listing.model
+    body = [*listing.parameters(), *listing.elements(lambda vector, k: f"{vector}[{k}]")]
+    inner = [
+        *listing.definitions(),
+        f"{result} = [",
+        *(f"    {listing.code(tree)}," for tree in model.rates),
+        "]",
+    ]
+    like = "states[0]" if model.states else "inputs[0]" if model.inputs else "t"
+    stacked = f"np.stack(np.broadcast_arrays({like}, *{result})[1:])"
+    returned = stacked if model.rates else f"np.zeros((0, *np.shape({like})))"
+    return [
         "",
         "",
         f"def {name}(t, states, inputs):",
-        '    """d/dt of the states, an array like the states."""',
+        f'    """{about}"""',
         *(f"    {line}" for line in body),
         # Branches that are not taken are worked out as well, and may not be finite.
         '    with np.errstate(all="ignore"):',
         *(f"        {line}" for line in inner),
-        "    return np.stack(np.broadcast_arrays(states[0], *rates)[1:])",
+        f"    return {returned}",
     ]
-    return "\n".join(lines) + "\n"

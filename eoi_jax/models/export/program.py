@@ -6,7 +6,7 @@ gets a name.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 
@@ -18,7 +18,8 @@ from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Expression, Symbol
 from eoi_jax.models.equations.from_plant import SymbolicPlant, plain_formulas, shared_formulas
 from eoi_jax.models.equations.system import TextDynamics
-from eoi_jax.models.plant import Plant, velocity_rows
+from eoi_jax.models.plant import Plant
+from eoi_jax.models.velocities import velocity_rows
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Program:
-    """d/dt of all states of a plant.
+    """d/dt of all states of a plant, and the outputs that are functions of the states.
 
     Attributes:
         name: of the plant.
@@ -54,6 +55,9 @@ class Program:
         delays: by input, the parameters whose sum it is late by.
         lags: by input, the parameters that are its time constants.
         rough: states whose change of sign makes a rate jump: dry friction.
+        outputs: those that are functions of the states.
+        output_formulas: what they are.
+        output_definitions: parts that these share.
     """
 
     name: str
@@ -67,6 +71,23 @@ class Program:
     delays: dict[str, tuple[str, ...]]
     lags: dict[str, tuple[str, ...]]
     rough: tuple[Symbol, ...]
+    outputs: tuple[Variable, ...] = ()
+    output_formulas: tuple[Expression, ...] = ()
+    output_definitions: tuple[tuple[Symbol, Expression], ...] = ()
+
+    @property
+    def of_outputs(self) -> "Program":
+        """The same with the formulas of the outputs in the place of the rates."""
+        return replace(self, rates=self.output_formulas, definitions=self.output_definitions)
+
+    @property
+    def of_both(self) -> "Program":
+        """The same with the formulas of the outputs behind the rates."""
+        return replace(
+            self,
+            rates=(*self.rates, *self.output_formulas),
+            definitions=(*self.definitions, *self.output_definitions),
+        )
 
 
 def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
@@ -106,6 +127,8 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     reserved = {*plant.names, *plant.inputs, *(variable.name for variable in states)}
     free = (name for i in itertools.count(1) if (name := f"w{i}") not in reserved)
     trees, definitions = shared_formulas(rates, free)
+    algebraic = [j for j, degree in enumerate(plant.degrees) if degree == 0]
+    output_trees, output_definitions = shared_formulas([f[j] for j in algebraic], free)
     names = [Symbol(name) for name in internal_names(plant)]
     values = plant.initial_internal.tolist()
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
@@ -124,7 +147,11 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         delays,
         lags,
         tuple(Symbol(name, row) for name, row, rough in dry if rough),
-    )
+        tuple(_variable(plant, Symbol(name), name) for name in
+              (plant.outputs[j] for j in algebraic)),
+        tuple(output_trees),
+        tuple(output_definitions),
+    )  # fmt: skip
 
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:

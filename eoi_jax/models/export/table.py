@@ -45,6 +45,7 @@ def _of_text(plant: Plant, text: TextDynamics, model: Program) -> ModelTable:
         parameters=plant.parameters,
         derivatives=dict(equations.derivatives),
         inputs=plant.inputs,
+        output=dict(equations.output),
         definitions=dict(equations.definitions),
         initial=dict(equations.initial),
         bounds=_bounds(plant),
@@ -61,9 +62,11 @@ def _written(plant: Plant, model: Program) -> ModelTable:
 
     notation = replace(_TEXT, symbol=names.__getitem__)
     used = set().union(*(symbols_of(tree) for tree in model.starts.values()))
-    used |= set().union(*(symbols_of(tree) for tree in model.rates))
-    used |= set().union(*(symbols_of(tree) for _, tree in model.definitions))
-    safe = {variable.name: names[variable.symbol] for variable in (*model.states, *model.inputs)}
+    definitions = (*model.definitions, *model.output_definitions)
+    for trees in (model.rates, model.output_formulas, [tree for _, tree in definitions]):
+        used |= set().union(*(symbols_of(tree) for tree in trees))
+    variables = (*model.states, *model.inputs, *model.outputs)
+    safe = {variable.name: names[variable.symbol] for variable in variables}
     safe |= {variable.name: names[variable.symbol] for variable, _ in model.parameters}
     actuator_parameters = {name for placed in actuators(plant) for name in placed.names}
     for variable, _ in model.parameters:
@@ -81,8 +84,12 @@ def _written(plant: Plant, model: Program) -> ModelTable:
             names[variable.symbol]: written(tree, notation)
             for variable, tree in zip(model.states, model.rates, strict=True)
         },
+        output={
+            names[variable.symbol]: written(tree, notation)
+            for variable, tree in zip(model.outputs, model.output_formulas, strict=True)
+        },
         inputs=tuple(safe[name] for name in plant.inputs),
-        definitions={names[symbol]: written(tree, notation) for symbol, tree in model.definitions},
+        definitions={names[symbol]: written(tree, notation) for symbol, tree in definitions},
         initial={names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
         bounds={safe[name]: pair for name, pair in _bounds(plant).items()},
         fixed=tuple(safe[name] for name in plant.fixed),

@@ -25,14 +25,15 @@ def latex_text(model: Program, version: str) -> str:
 
     notation = replace(LATEX, symbol=symbol_latex)
     parameters = {variable.name: symbol_latex(variable.symbol) for variable, _ in model.parameters}
-    lines = [
-        f"{symbol_latex(symbol)} &= {written(tree, notation)}" for symbol, tree in model.definitions
-    ]
+    definitions = (*model.definitions, *model.output_definitions)
+    lines = [f"{symbol_latex(symbol)} &= {written(tree, notation)}" for symbol, tree in definitions]
     for variable, tree in zip(model.states, model.rates, strict=True):
         base, order = Symbol(variable.symbol.name), variable.symbol.order + 1
         if tree != Symbol(base.name, order):  # else the next of its chain
             lhs = LATEX.symbol(Symbol(names[base], order))
             lines.append(f"{lhs} &= {written(tree, notation)}")
+    for variable, tree in zip(model.outputs, model.output_formulas, strict=True):
+        lines.append(f"{symbol_latex(variable.symbol)} &= {written(tree, notation)}")
     for source, delays in model.delays.items():
         delayed, times = symbol_latex(Symbol(source)), " + ".join(parameters[d] for d in delays)
         lines.append(rf"&\text{{with }} {delayed} \text{{ taken at }} t - ({times})")

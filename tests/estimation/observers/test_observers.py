@@ -28,6 +28,7 @@ from eoi_jax.estimation.observers import (
     AbstractObserver,
     FirstOrder,
     HighOrder,
+    Measurement,
     PerOutput,
     SecondOrder,
     SuperTwisting,
@@ -133,7 +134,7 @@ def test_every_exported_observer_is_under_contract():
         for _, item in inspect.getmembers(observers, inspect.isclass)
         if issubclass(item, AbstractObserver) and item is not AbstractObserver
     }
-    assert exported == {type(one) for one in ALL}
+    assert exported == {type(one) for one in ALL} | {Measurement}  # which observes nothing
 
 
 @implicit
@@ -387,6 +388,34 @@ def test_outputs_side_by_side_equal_each_alone():
             np.testing.assert_allclose(getattr(seen, name)[:, own], getattr(alone, name), atol=1e-8)
         np.testing.assert_allclose(seen.rates[:, :rows, own], alone.rates, atol=1e-8)
     assert both.relative_degree == (3, 1, 2)
+
+
+def test_a_measurement_is_what_its_output_shows_at_the_start_of_the_step():
+    h, samples = 5e-3, 60
+    y = np.stack([SWAY(grid(samples, h)), SWAY(grid(samples, h) + 1.0)], axis=1)
+    drift = np.cos(y[:-1])
+    _, seen = watch(Measurement(), y, drift, h, rates=np.zeros((0, 2)))
+    np.testing.assert_array_equal(seen.observed, y[:-1])
+    np.testing.assert_allclose(seen.injection, y[:-1] - drift, rtol=1e-15)
+    assert np.all(seen.sliding)
+    assert seen.rates.shape == (samples - 1, 0, 2)
+    assert (Measurement().relative_degree, Measurement().kernel) == (0, (1.0,))
+    with pytest.raises(ValueError, match="`scheme`"):
+        Measurement("implict")
+
+
+@pytest.mark.parametrize("scheme", ["implicit", "explicit"])
+def test_a_measurement_beside_an_observer_leaves_it_as_it_is(scheme):
+    h, samples = 5e-3, 60
+    y = np.stack([SWAY(grid(samples, h)), SWAY(grid(samples, h) + 1.0)], axis=1)
+    drift, alone = np.cos(y[:-1]), SecondOrder(4.0, 9.0, 60.0, scheme)
+    both = PerOutput((Measurement(scheme), alone))
+    _, seen = watch(both, y, drift, h, rates=np.zeros((1, 2)))
+    _, one = watch(alone, y[:, 1:], drift[:, 1:], h, rates=np.zeros((1, 1)))
+    np.testing.assert_allclose(seen.observed[:, 1:], one.observed, atol=1e-9)
+    np.testing.assert_allclose(seen.rates[:, :, 1:], one.rates, atol=1e-12)
+    np.testing.assert_array_equal(seen.rates[:, :, 0], 0.0)
+    np.testing.assert_array_equal(seen.observed[:, 0], y[:-1, 0])
 
 
 def test_gains_per_output_equal_each_alone():

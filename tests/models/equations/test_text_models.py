@@ -253,7 +253,7 @@ def changed(rate=RATE, more=None, **changes):
         (changed(inputs=["sin"]), "`model.inputs` must have names that are identifiers.*functions"),
         (changed(inputs=["t"]), "`model.inputs` must have names"),
         (changed(inputs=["my input"]), "`model.inputs` must have names"),
-        (changed(inputs=["angle"]), "`model.inputs` must not have a name of `derivatives`"),
+        (changed(inputs=["angle"]), "`model.derivatives` must not have the input angle: what is"),
         (changed(units={"anglee": "rad"}), "`model.units` must be one of.*Did you mean `angle`"),
         (changed(input_lag={"volt": "a"}), "`model.input_lag` must be one of voltage"),
         (changed(input_delay={"voltage": "x"}), "`model.input_delay.voltage` must be one of a, b"),
@@ -323,7 +323,10 @@ def test_a_mistake_in_the_table_names_the_field(tmp_path, old, new, message):
 
 def test_the_models_of_the_documentation_are_models():
     page = Path(__file__).resolve().parents[3] / "docs" / "equations.md"
-    first, second, third = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    tables = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    first, second, battery, third = tables
+    cell = plant_of(struct(ModelTable, tomllib.loads(battery)["model"], "model"), "cell")
+    assert cell.degrees == (0,)
     pendulum = tomllib.loads(first)["model"]
     assert plant_of(struct(ModelTable, pendulum, "model"), "rig").dry_friction == (True,)
     channels = {"outputs": ["lower"], "inputs": ["pump"]}

@@ -10,6 +10,7 @@ import subprocess
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import output_cases
 import pytest
 
 import eoi_jax as eoi
@@ -18,6 +19,7 @@ from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects.library import standard
 from eoi_jax.models.export.names import comment, identifier
 from eoi_jax.models.export.program import program
+from eoi_jax.simulation.initial_state import owned
 
 POINTS = 40
 
@@ -87,6 +89,16 @@ MODELS = {
         {"x": "v", "v": "-k*x - w*sqrt(x) + z if t > 0.4 else w", "z": "-z + clip(x, -1, 1)"},
         {"k": 2.0, "start": 0.5}, ["x"], definitions={"w": "k*x*x"}, initial={"z": "2*start"},
     ),
+    "cell": output_cases.battery,
+    "accelerometer": lambda: with_effects(
+        output_cases.accelerometer(), [effects.ActuatorLag(), effects.ConstantOffset()]
+    ),
+    "position_and_acceleration": output_cases.mixed,
+    "cell_of_text": lambda: eoi.plant_from_text(
+        {"soc": "-i/Q", "v1": "(i - v1/R)/C"}, {"Q": 2.0, "R": 0.5, "C": 3.0}, ["v", "w"], ["i"],
+        output={"v": "ocv - i*R - v1", "w": "2*v"}, definitions={"ocv": "sqrt(soc) + soc"},
+        initial={"soc": 0.8, "v1": 0.0},
+    ),
 }  # fmt: skip
 
 
@@ -124,21 +136,38 @@ def ours(plant, times, states, inputs):
 
     out = np.zeros_like(states)
     for k, (t, x, u) in enumerate(zip(times, states, inputs, strict=True)):
-        y = np.zeros((plant.relative_degree, len(plant.outputs)))
+        y = np.zeros((plant.rows, len(plant.outputs)))
         place_of, first = [], 0
         for j, degree in enumerate(plant.degrees):
             y[:degree, j] = x[first : first + degree]
-            out[k, first : first + degree - 1] = x[first + 1 : first + degree]
+            inner = max(degree - 1, 0)
+            out[k, first : first + inner] = x[first + 1 : first + 1 + inner]
             first += degree
-            place_of.append(first - 1)
+            place_of += [first - 1] * (degree > 0)
         behind = x[first + nz :]
         driven = u.copy()
         if len(behind):
             out[k, first + nz :] = (u - behind) / plant.parameters["actuator_lag"]
             driven = behind
         f, g = rates(t, jnp.asarray(y), jnp.asarray(x[first : first + nz]), jnp.asarray(driven))
-        out[k, place_of], out[k, first : first + nz] = f, g
+        chained = np.asarray(plant.degrees) > 0
+        out[k, place_of], out[k, first : first + nz] = np.asarray(f)[chained], g
     return out
+
+
+def our_outputs(plant, times, states, inputs):
+    """Outputs that are functions of the states, from the plant's own functions."""
+    theta, ny = jnp.asarray(plant.theta), len(plant.outputs)
+    rows, columns = owned(plant)
+    nz, lagged = len(plant.internal_start(theta)), len(rows) + len(plant.internal_start(theta))
+    out = []
+    for t, x, u in zip(times, states, inputs, strict=True):
+        y = np.zeros((plant.rows, ny))
+        y[rows, columns] = x[: len(rows)]
+        driven = x[lagged:] if len(x) > lagged else u
+        state = eoi.State(jnp.asarray(y), jnp.asarray(x[len(rows) : len(rows) + nz]))
+        out.append(plant.output(jnp.asarray(t), state, jnp.asarray(driven), theta))
+    return np.asarray(out)[:, plant.algebraic]
 
 
 def agree(found, wanted):
@@ -158,6 +187,10 @@ def test_the_python_function_agrees(model, tmp_path):
     ]
     agree([function(*one) for one in zip(t, x, u, strict=True)], wanted)
     agree(function(t, x.T, u.T).T, wanted)  # many points at once
+    if plant.has_algebraic:
+        outputs = runpy.run_path(str(tmp_path / f"{name}_rates.py"))[f"{name}_rates_outputs"]
+        agree(outputs(t, x.T, u.T).T, our_outputs(plant, t, x, u))
+        agree(outputs(t[0], x[0], u[0])[None], our_outputs(plant, t[:1], x[:1], u[:1]))
 
 
 def test_the_c_function_agrees(model, tmp_path):
@@ -179,6 +212,14 @@ def test_the_c_function_agrees(model, tmp_path):
         # At least one element: an array of none has no address.
         function(t[k], x[k], np.append(u[k], 0.0), found[k])
     agree(found, wanted)
+    if plant.has_algebraic:
+        outputs = getattr(ctypes.CDLL(str(library)), f"{name}_rates_outputs")
+        outputs.argtypes, outputs.restype = function.argtypes, None
+        given = our_outputs(plant, t, x, u)
+        shown = np.zeros(given.shape)
+        for k in range(POINTS):
+            outputs(t[k], x[k], u[k], shown[k])
+        agree(shown, given)
 
 
 @pytest.fixture(scope="module")
@@ -191,9 +232,11 @@ def octave():
 
 def test_the_matlab_functions_agree(octave, tmp_path):
     """All models in one start of Octave, which takes longer than they do."""
-    wanted, script = {}, []
+    wanted, script, outputs = {}, [], {}
     for name in MODELS:
         plant, (t, x, u, wanted[name]) = case(name)
+        if plant.has_algebraic:
+            outputs[name] = our_outputs(plant, t, x, u)
         eoi.export(plant, tmp_path / f"{name}_rates.m")
         np.savetxt(tmp_path / f"{name}.txt", np.column_stack([t, x, u]), fmt="%.17g")
         n = x.shape[1]
@@ -202,11 +245,19 @@ def test_the_matlab_functions_agree(octave, tmp_path):
             f"r(k, :) = {name}_rates(a(k, 1), a(k, 2:{n + 1})', a(k, {n + 2}:end)')'; end; "
             f"dlmwrite('{name}_out.txt', r, 'precision', '%.17g', 'delimiter', ' ');"
         )
+        if plant.has_algebraic:
+            script.append(
+                f"r = zeros({POINTS}, {outputs[name].shape[1]}); for k = 1:{POINTS}, [d, y] = "
+                f"{name}_rates(a(k, 1), a(k, 2:{n + 1})', a(k, {n + 2}:end)'); r(k, :) = y'; end; "
+                f"dlmwrite('{name}_y.txt', r, 'precision', '%.17g', 'delimiter', ' ');"
+            )
     (tmp_path / "run_them.m").write_text("\n".join(script), encoding="utf-8")
     done = subprocess.run([*octave, "run_them.m"], cwd=tmp_path, timeout=100, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()
     for name, values in wanted.items():
         agree(np.loadtxt(tmp_path / f"{name}_out.txt", ndmin=2).reshape(values.shape), values)
+    for name, values in outputs.items():
+        agree(np.loadtxt(tmp_path / f"{name}_y.txt", ndmin=2).reshape(values.shape), values)
 
 
 def test_json_reads_back_to_a_plant_that_agrees(model, tmp_path):
@@ -220,6 +271,9 @@ def test_json_reads_back_to_a_plant_that_agrees(model, tmp_path):
     assert back.units == plant.units
     assert back.dry_friction == plant.dry_friction
     agree(ours(back, t, x, u), wanted)
+    if plant.has_algebraic:
+        assert back.degrees == plant.degrees
+        agree(our_outputs(back, t, x, u), our_outputs(plant, t, x, u))
     theta = jnp.asarray(plant.theta)
     np.testing.assert_allclose(back.internal_start(theta), plant.internal_start(theta))
 

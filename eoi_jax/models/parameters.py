@@ -1,0 +1,74 @@
+"""Parameters of a plant: their names, their bounds, and the type of `p`."""
+
+import keyword
+from collections import namedtuple
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from eoi_jax._checks import check, check_choice, real
+
+_TYPES: dict[tuple[str, ...], Any] = {}
+
+
+class UnknownParameterError(AttributeError, ValueError):
+    """A model reads a parameter that its plant does not declare."""
+
+
+def parameter_type(names: tuple[str, ...]) -> Any:
+    """The type of `p` for these names: attributes in order."""
+    # A single class for a tuple of names, as jit compares pytree types by identity.
+    if names not in _TYPES:
+        kind: Any = namedtuple("Parameters", names)
+        kind.__getattr__ = _unknown
+        _TYPES[names] = kind
+    return _TYPES[names]
+
+
+def _unknown(p: Any, name: str) -> Any:
+    try:
+        check_choice(f"p.{name}", name, p._fields)
+    except ValueError as error:
+        raise UnknownParameterError(str(error), name=name, obj=p) from None
+
+
+def limits_of(name: str, pair: Any) -> tuple[float, float]:
+    """Check and convert the bounds of a parameter."""
+    values = [real(limit) for limit in pair] if np.iterable(pair) else []
+    good = len(values) == 2 and not np.any(np.isnan(values))
+    check(good, f"bounds[{name}]", "must be (lower, upper)", pair, "Use ±inf where there is none.")
+    return values[0], values[1]
+
+
+def check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[str, Any]) -> None:
+    """Check the names of parameters, and that those of `fixed` and `bounds` are among them.
+
+    Args:
+        names: of all parameters.
+        fixed: of those that are not estimated.
+        bounds: by name.
+
+    Raises:
+        ValueError: no name, one that is no identifier, an unknown one, no parameter to estimate.
+    """
+    check(len(names) > 0, "parameters", "must name at least one parameter", "none")
+    for key in names:
+        good = key.isidentifier() and not keyword.iskeyword(key) and not key.startswith("_")
+        check(
+            good,
+            "parameters",
+            "must have names that are Python identifiers",
+            repr(key),
+            "The model reads them as `p.name`.",
+        )
+    for key in fixed:
+        check_choice("fixed", key, names)
+    for key in bounds:
+        check_choice("bounds", key, names)
+    check(
+        len(set(fixed)) < len(names),
+        "fixed",
+        "must leave a parameter to estimate",
+        ", ".join(fixed),
+    )

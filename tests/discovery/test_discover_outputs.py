@@ -1,0 +1,184 @@
+"""Effects on outputs that are functions of the states, and of the inputs that they show at once."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from output_cases import BATTERY, accelerometer, battery, battery_record, current, mixed, shaken
+from scipy.linalg import expm
+
+from eoi_jax.comparators import (
+    PlainExplicit,
+    StateVariableFilter,
+    StateVariableInstruments,
+    VSSDirect,
+)
+from eoi_jax.data.record import Record
+from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.discover import discover
+from eoi_jax.estimation.defaults import output_noise
+from eoi_jax.estimation.identify import identify
+from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
+from eoi_jax.models.effects.library import standard
+from eoi_jax.models.placements import placements
+from eoi_jax.refinement.refine import refine
+from eoi_jax.refinement.remaining import remaining
+
+START = {"R0": 0.027, "R1": 0.022, "C1": 1400.0, "Q": 7300.0}
+SAMPLES = 1200
+
+
+def cell_record(seed: int, change: Any = None, extra: Any = None, lag: float = 0.0) -> Record:
+    """The cell under a changed current, which reaches it behind a lag; `extra` on its voltage.
+
+    Exact for a held current: one matrix exponential of the lag, v1 and soc a second.
+    """
+    draw = np.random.default_rng(seed)
+    time = np.arange(float(SAMPLES))
+    amperes = current(seed, SAMPLES) + np.repeat(draw.normal(0.0, 0.5, SAMPLES // 6), 6)
+    acting = amperes if change is None else change(amperes)
+    rate = 1.0 / lag if lag else 0.0
+    direct = 0.0 if lag else 1.0
+    capacity, tau = BATTERY["C1"], BATTERY["R1"] * BATTERY["C1"]
+    matrix = np.zeros((4, 4))
+    matrix[0] = [-rate, 0.0, 0.0, rate]
+    matrix[1] = [(1.0 - direct) / capacity, -1.0 / tau, 0.0, direct / capacity]
+    matrix[2] = [-(1.0 - direct) / BATTERY["Q"], 0.0, 0.0, -direct / BATTERY["Q"]]
+    step, states = expm(matrix)[:3], [np.array([acting[0], 0.0, 0.8])]
+    for i in acting[:-1]:
+        states.append(step @ np.append(states[-1], i))
+    behind, v1, soc = np.transpose(states)
+    behind = behind if lag else acting
+    voltage = 3.4 + 0.7 * soc - BATTERY["R0"] * behind - v1
+    voltage = voltage + (0.0 if extra is None else extra(time))
+    return Record(
+        time,
+        amperes,
+        voltage + 1e-3 * draw.standard_normal(SAMPLES),
+        f"cell {seed}",
+        hold="zero",
+        input_names=("current",),
+        output_names=("voltage",),
+        units={"current": "A", "voltage": "V"},
+    )
+
+
+CASES: dict[str, Any] = {
+    "constant_offset": ({"extra": lambda t: 0.02 + 0.0 * t}, {"constant_offset": 0.02}),
+    "drift": ({"extra": lambda t: -4e-5 * t}, {"drift": -4e-5}),
+    "sinusoidal_disturbance": (
+        {"extra": lambda t: 0.01 * np.sin(0.2 * t)},
+        {"sinusoidal_disturbance_sine": 0.01, "sinusoidal_disturbance_frequency": 0.2},
+    ),
+    "input_quadratic": (
+        {"change": lambda i: i + 0.15 * i * np.abs(i)},
+        {"input_quadratic": 0.15},
+    ),
+    "input_saturation": ({"change": lambda i: np.clip(i, -1.6, 1.6)}, {"input_saturation": 1.6}),
+    "input_dead_zone": (
+        {"change": lambda i: np.sign(i) * np.maximum(np.abs(i) - 0.4, 0.0)},
+        {"input_dead_zone": 0.4},
+    ),
+    "input_delay": (
+        {"change": lambda i: np.concatenate([i[:1].repeat(3), i[:-3]])},
+        {"input_delay": 3.0},
+    ),
+    "actuator_lag": ({"lag": 4.0}, {"actuator_lag": 4.0}),
+}
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_an_effect_on_an_output_or_its_input_is_found(name):
+    arguments, values = CASES[name]
+    records = [cell_record(seed, **arguments) for seed in (1, 2, 3)]
+    found = discover(battery(**START), records[:2], records[2])
+    assert (found.status.code, found.effects) == ("explained", (name,))
+    assert found.after is not None
+    np.testing.assert_allclose(found.after.rmse, 1e-3, rtol=0.1)
+    for key, value in values.items():
+        np.testing.assert_allclose(found.plant.parameters[key], value, rtol=0.03)
+
+
+def test_a_model_that_lacks_nothing_gets_nothing():
+    records = [cell_record(seed) for seed in (1, 2, 3)]
+    found = discover(battery(**START), records[:2], records[2])
+    assert (found.status.code, found.effects) == ("nothing_missing", ())
+
+
+@pytest.mark.parametrize(
+    ("plant", "outputs", "name"),
+    [
+        (accelerometer(b=3.0, k=80.0), ("acc",), "constant_offset"),
+        (mixed(b=3.0, k=80.0, gain=0.9), ("x", "acc"), "constant_offset_acc"),
+    ],
+)
+def test_an_offset_of_an_accelerometer_is_found(plant, outputs, name):
+    records = []
+    for seed in (1, 2, 3):
+        record = shaken(seed, 0.05, outputs)
+        small = np.random.default_rng(seed).standard_normal(record.outputs.shape)
+        noise = small * [2e-5 * (key == "x") for key in outputs]
+        shift = np.asarray([0.3 * (key == "acc") for key in outputs])
+        records.append(
+            Record(
+                record.time,
+                record.inputs,
+                record.outputs + noise + shift,
+                record.name,
+                hold="linear",
+                input_names=("base",),
+                output_names=outputs,
+            )
+        )
+    found = discover(plant, records[:2], records[2])
+    assert found.effects == ("constant_offset",)
+    np.testing.assert_allclose(found.plant.parameters[name], 0.3, rtol=0.02)
+
+
+def test_effects_of_a_state_have_no_place_on_such_an_output():
+    names = {placed.effect.name for placed in placements(battery(), standard())}
+    assert names == set(CASES)
+    on_both = placements(mixed(), [QuadraticDrag(), ConstantOffset()])
+    assert [(placed.effect.name, placed.channel) for placed in on_both] == [
+        ("quadratic_drag", 0),
+        ("constant_offset", 0),
+        ("constant_offset", 1),
+    ]
+    record = cell_record(1)
+    message = r"`effects` must hold one that fits battery, got quadratic_drag\. It has voltage of "
+    with pytest.raises(ValueError, match=message + "relative degree 0"):
+        discover(battery(**START), record, 0.3, effects=["quadratic_drag"])
+
+
+def test_the_residual_of_a_right_model_is_noise_and_of_a_wrong_one_is_not():
+    right = identify(battery(**START), cell_record(1))
+    assert not any(diagnose(right).more_than_noise)
+    wrong = identify(battery(**START), cell_record(1, extra=lambda t: 0.01 * np.sin(0.2 * t)))
+    assert all(diagnose(wrong).more_than_noise)
+
+
+def test_jumps_of_a_held_input_are_no_noise():
+    record = battery_record()
+    assert record.noise[0] > 2e-3
+    np.testing.assert_allclose(output_noise(battery(), record), 1e-3, rtol=0.1)
+    assert output_noise(battery(), cell_record(1)) == cell_record(1).noise  # it is never still
+    found = diagnose(identify(battery(**START), record))
+    np.testing.assert_allclose(found.noise, 1e-3, rtol=0.1)
+
+
+def test_what_free_runs_lack_is_not_asked_of_such_a_plant():
+    refined = refine(battery(**START), cell_record(1))
+    message = (
+        "`refinement` must be of a plant whose outputs are all states, got voltage of relative"
+    )
+    with pytest.raises(ValueError, match=message):
+        remaining(refined)
+
+
+@pytest.mark.parametrize(
+    "method", [StateVariableFilter, StateVariableInstruments, VSSDirect, PlainExplicit]
+)
+def test_methods_that_differentiate_say_that_they_do_not_apply(method):
+    answer = method().estimate(battery(**START), [cell_record(1)])
+    assert answer.status.code == "not_applicable"
+    assert "voltage is a function of the states (relative degree 0)" in answer.status.message
