@@ -337,7 +337,10 @@ def _decode(
     # Without __init__: the object was checked when it was first constructed.
     check_fields(kind, content, (MissingModel, MissingEffect))
     new = object.__new__(kind)
-    for name, element in content.items():
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    defaults = {field.name: field.default for field in fields
+                if field.default is not dataclasses.MISSING}  # fmt: skip
+    for name, element in {**defaults, **content}.items():
         object.__setattr__(new, name, element)
     return new
 
