@@ -22,3 +22,6 @@ Flags: TypeAlias = Bool[Array, " ny"]
 TimeAxis: TypeAlias = Float[np.ndarray, " time"]
 Signals: TypeAlias = Float[np.ndarray, "time channel"]
 Mask: TypeAlias = Bool[np.ndarray, " time"]
+
+# Of a field that came later: a file holds it only where it is set, and others read as before.
+WHERE_SET = {"stored": "where set"}

@@ -113,7 +113,7 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
 
     Derivatives are differences of the record after a zero-phase filter above the output's band.
     """
-    h = record.sample_period
+    record, h = record.bridged, record.sample_period
     band = _SETTINGS.bandwidths * (output.band or 0.05 / h)
     cutoff = min(2.0 * h * band, 0.8)  # of the Nyquist frequency
     segments = [(a, b) for a, b in record.segments() if b - a >= 8]

@@ -20,19 +20,28 @@ from eoi_jax.data.resampling import (
     fill,
     held_means,
     hold_inputs,
+    own_period,
+    own_segments,
     runs,
     sample_segments,
     spline,
 )
 
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
+SLOW = 1.5  # samples between two of an output, on average, from which on it has its own rate
+LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 STAIRCASE = 0.2  # share of steps that may change a held input's value
 
 Names: TypeAlias = Sequence[str] | None
 Inputs: TypeAlias = Float[np.ndarray, "time nu"]
 Outputs: TypeAlias = Float[np.ndarray, "time ny"]
+OutputMask: TypeAlias = Bool[np.ndarray, "time ny"]
+# Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
-    Float[np.ndarray, "points nu"], Float[np.ndarray, "points ny"], Bool[np.ndarray, " points"]
+    Float[np.ndarray, "points nu"],
+    Float[np.ndarray, "points ny"],
+    Bool[np.ndarray, " points"],
+    Bool[np.ndarray, "points ny"],
 ]
 
 
@@ -191,28 +200,101 @@ def drop_repeats(
     return stamps[distinct], u[distinct], y[distinct]
 
 
-def finite_rows(names: tuple[str, ...], rows: Signals, notes: list[str]) -> Mask:
-    """Mask of the samples that are finite in every channel."""
-    finite = np.isfinite(rows)
+def finite_samples(
+    u_names: tuple[str, ...], y_names: tuple[str, ...], u: Inputs, y: Outputs, notes: list[str]
+) -> tuple[Mask, OutputMask]:
+    """Rows in which all inputs are finite, and samples of each output that are."""
+    names, finite = (*u_names, *y_names), np.isfinite(np.hstack([u, y]))
     for key, column in zip(names, finite.T, strict=True):
         check(bool(column.any()), key, "must hold a finite value", "NaN or infinity throughout")
-    good = np.asarray(finite.all(axis=1))
-    if not good.all():
-        bad = [
-            f"`{key}` {(~column).sum()}"
-            for key, column in zip(names, finite.T, strict=True)
-            if not column.all()
-        ]
-        notes.append(
-            f"{(~good).sum()} of {good.size} samples are not finite ({', '.join(bad)}): masked."
-        )
+    u_good = np.asarray(finite[:, : len(u_names)].all(axis=1))
+    y_good = finite[:, len(u_names) :]
+    slow = {key for key, column in zip(y_names, y_good.T, strict=True) if is_slow(column)}
+    bad = {
+        key: ~column
+        for key, column in zip(names, finite.T, strict=True)
+        if not column.all() and key not in slow
+    }
+    if bad:
+        rows = np.any(list(bad.values()), axis=0)
+        listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
+        notes.append(f"{rows.sum()} of {len(rows)} samples are not finite ({listed}): masked.")
+    counts = {key: int(column.sum()) for key, column in zip(y_names, y_good.T, strict=True)}
+    counts |= {", ".join(u_names): int(u_good.sum())} if u_names else {}
+    fewest = min(counts, key=lambda key: counts[key])
     check(
-        int(good.sum()) >= SHORTEST,
+        counts[fewest] >= SHORTEST,
         "inputs, outputs",
-        f"must have at least {SHORTEST} samples that are finite in every channel",
-        int(good.sum()),
+        f"must have at least {SHORTEST} finite samples of every channel",
+        f"{counts[fewest]} of {fewest}",
     )
-    return good
+    return u_good, y_good
+
+
+def is_slow(measured: Mask) -> bool:
+    """Whether an output is measured less often than the record is sampled: every second sample."""
+    return own_period(np.flatnonzero(measured).astype(float)) >= SLOW
+
+
+def rate_notes(
+    names: tuple[str, ...], measured: OutputMask, sample_period: float, notes: list[str]
+) -> None:
+    """Say which outputs have a rate of their own.
+
+    Args:
+        names: of the outputs.
+        measured: where each was measured.
+        sample_period: of the grid [s].
+        notes: of the record.
+    """
+    for key, column in zip(names, measured.T, strict=True):
+        if not is_slow(column):
+            continue
+        position = np.flatnonzero(column).astype(float)
+        period = own_period(position)
+        holes = len(own_segments(position)) - 1
+        text = f"`{key}` is measured every {period:.3g} samples ({period * sample_period:.3g} s): "
+        text += "free runs are scored there, passes interpolate between by a cubic spline"
+        notes.append(f"{text}; {holes} gaps." if holes else f"{text}.")
+
+
+def known_inputs(
+    names: tuple[str, ...], inputs: Inputs, known: Mask, hold: str, notes: list[str]
+) -> Mask:
+    """Where all inputs are known: as measured, or because a short gap leaves no doubt.
+
+    That is a gap of one or two samples of a held input with the same value on both sides, and a
+    single sample of a linear or smooth one between two that were measured, which is interpolated.
+
+    Args:
+        names: of the inputs; without inputs nothing is unknown.
+        inputs: on the grid, filled in linearly.
+        known: where all of them were measured.
+        hold: between the samples.
+        notes: of the record; a sentence where a value is interpolated.
+    """
+    if not names:
+        return np.ones_like(known)
+    complete, interpolated = known.copy(), 0
+    for start, stop in runs(~known):
+        if start == 0 or stop == len(known):
+            continue
+        if hold == "zero":
+            equal = bool(np.all(inputs[start - 1] == inputs[stop]))
+            complete[start:stop] = equal and stop - start <= LONGEST_HELD
+        elif stop - start == 1:
+            complete[start], interpolated = True, interpolated + 1
+    if interpolated:
+        notes.append(
+            f"Inputs are interpolated at {interpolated} single missing samples, between two that "
+            "were measured."
+        )
+    missing = runs(~complete)
+    inner = [(start, stop) for start, stop in missing if start > 0 and stop < len(known)]
+    if inner:
+        listed = f"{(~complete).sum()} samples in {len(missing)} gaps"
+        notes.append(f"Inputs are unknown at {listed}: free runs start again after each.")
+    return complete
 
 
 def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
@@ -232,33 +314,67 @@ def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
 
 
 def place(
-    grid: Grid, index: Int[np.ndarray, " time"], u: Inputs, y: Outputs, good: Mask, notes: list[str]
+    grid: Grid,
+    index: Int[np.ndarray, " time"],
+    u: Inputs,
+    y: Outputs,
+    good: tuple[Mask, OutputMask],
+    notes: list[str],
 ) -> OnGrid:
     """Samples that lie on the grid are copied; missing ones are filled in and masked."""
     count = grid.time.size
-    valid = np.zeros(count, dtype=bool)
-    valid[index] = good
+    known, measured = np.zeros(count, dtype=bool), np.zeros((count, y.shape[1]), dtype=bool)
+    known[index], measured[index] = good
     if count > index.size:
         notes.append(
             f"{count - index.size} of {count} samples are missing from the uniform grid "
             f"of {grid.sample_period:g} s: masked."
         )
-    if valid.all():
-        return u, y, valid
+    if known.all() and measured.all():
+        return u, y, known, measured
     query = np.arange(count, dtype=float)
     position = index.astype(float)
-    return fill(position, u, query), fill(position, y, query), valid
+    return fill(position, u, query), fill(position, y, query), known, measured
 
 
 def interpolate(
-    grid: Grid, stamps: TimeAxis, u: Inputs, y: Outputs, good: Mask, hold: str, notes: list[str]
+    grid: Grid,
+    stamps: TimeAxis,
+    u: Inputs,
+    y: Outputs,
+    good: tuple[Mask, OutputMask],
+    hold: str,
+    notes: list[str],
 ) -> OnGrid:
-    """Samples that lie between grid points are interpolated, segment by segment."""
+    """Samples that lie between grid points are interpolated, segment by segment.
+
+    An output with a rate of its own is interpolated through its own samples, and counts as measured
+    at the grid points next to them.
+    """
     h = grid.sample_period
-    position, query, segments = _grid_positions(grid, stamps, good)
-    valid = covered(position, segments, query)
+    known_rows, measured_rows = good
+    position, query, segments = _grid_positions(grid, stamps, known_rows)
+    known = covered(position, segments, query)
+    outputs = np.zeros((query.size, y.shape[1]))
+    measured = np.zeros((query.size, y.shape[1]), dtype=bool)
+    for columns, rows in channel_groups(measured_rows):
+        y_position, _, y_segments = _grid_positions(grid, stamps, rows)
+        values = y[:, columns]
+        if is_slow(rows):
+            y_position, values = y_position[rows], values[rows]
+            y_segments = own_segments(y_position)
+        outputs[:, columns] = _cubic(y_position, values, y_segments, query)
+        at_grid = covered(y_position, y_segments, query)
+        if is_slow(rows):
+            nearest = np.zeros(query.size, dtype=bool)
+            nearest[np.clip(np.rint(y_position).astype(int), 0, query.size - 1)] = True
+            at_grid &= nearest
+        measured[:, columns] = at_grid[:, None]
     spacing = np.diff(stamps)
     gaps = int(np.sum(spacing > GridSettings.gap * h))
+    dense = [column for column, rows in zip(measured.T, measured_rows.T, strict=True)
+             if not is_slow(rows)]  # fmt: skip
+    valid = np.all([known, *dense], axis=0)
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
     hold_text = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
     notes.append(
@@ -271,15 +387,23 @@ def interpolate(
         inputs = held_means(position, u_finite, query.size)
     else:
         inputs = hold_inputs(position, u_finite, segments, query, hold)
-    return inputs, _cubic(position, y, segments, query), valid
+    return inputs, outputs, known, measured
+
+
+def channel_groups(masks: OutputMask) -> list[tuple[slice, Mask]]:
+    """Columns that share a mask: all of them at once, or else each by itself."""
+    if np.all(masks == masks[:, :1]):
+        return [(slice(None), masks[:, 0])]
+    return [(slice(j, j + 1), column) for j, column in enumerate(masks.T)]
 
 
 def interpolated_noise(
     grid: Grid,
     stamps: TimeAxis,
+    samples: Float[np.ndarray, "stamps ny"],
     y: Float[np.ndarray, "points ny"],
-    good: Mask,
-    valid: Bool[np.ndarray, " points"],
+    good: Bool[np.ndarray, "stamps ny"],
+    valid: Bool[np.ndarray, "points ny"],
     quanta: Float[np.ndarray, " ny"],
 ) -> Float[np.ndarray, " ny"]:
     """Standard deviation of the measurement noise of samples before their interpolation.
@@ -287,15 +411,39 @@ def interpolated_noise(
     Args:
         grid: to which the samples were interpolated.
         stamps: of the samples [s].
+        samples: outputs as measured.
         y: interpolated outputs.
-        good: mask of the samples.
+        good: mask of the samples of each output.
         valid: mask of the grid points.
         quanta: quanta of the samples; the noise is at least that of the quantisation.
     """
     white = np.random.default_rng(0).standard_normal((stamps.size, 1))
-    position, query, segments = _grid_positions(grid, stamps, good)
-    filtered = _cubic(position, white, segments, query)
-    return np.maximum(white_noise(y, runs(valid), filtered), quanta / np.sqrt(12.0))
+    noise = np.zeros(y.shape[1])
+    for columns, rows in channel_groups(good):
+        if is_slow(rows):
+            noise[columns] = own_noise(samples[:, columns], rows)
+            continue
+        position, query, segments = _grid_positions(grid, stamps, rows)
+        filtered = _cubic(position, white, segments, query)
+        covered_points = valid[:, columns][:, 0]
+        noise[columns] = white_noise(y[:, columns], runs(covered_points), filtered)
+    return np.maximum(noise, quanta / np.sqrt(12.0))
+
+
+def own_noise(
+    values: Float[np.ndarray, "samples channel"], measured: Bool[np.ndarray, " samples"]
+) -> Float[np.ndarray, " channel"]:
+    """White noise of channels that share a mask, from differences of consecutive samples.
+
+    Args:
+        values: one row a sample.
+        measured: where they were measured; of channels with a rate of their own the measured
+            samples follow each other.
+    """
+    if not is_slow(measured):
+        return white_noise(values, runs(measured))
+    position = np.flatnonzero(measured).astype(float)
+    return white_noise(values[measured], own_segments(position))
 
 
 def _cubic(

@@ -40,13 +40,14 @@ def saturations(record: Record) -> list[Saturation]:
     Returns:
         A saturation for each such end, inputs first.
     """
+    known = np.repeat(record.input_valid[:, None], len(record.input_names), axis=1)
     channels = [
-        *zip(record.input_names, record.inputs.T, strict=True),
-        *zip(record.output_names, record.outputs.T, strict=True),
+        *zip(record.input_names, record.inputs.T, known.T, strict=True),
+        *zip(record.output_names, record.outputs.T, record.output_valid.T, strict=True),
     ]
     piles = []
-    for name, channel in channels:
-        values = channel[record.valid]
+    for name, channel, mask in channels:
+        values = channel[mask]
         for side in (1.0, -1.0):
             share = _pile(side * values)
             if share:

@@ -279,18 +279,20 @@ def _measured(
 ) -> Channel:
     """The channel with noise, quantum, saturation and band, from a record of only this channel."""
     part = slice(0, _SETTINGS.examined)
-    name = "y"
+    name = channel.name
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         try:
             time = clock.factor * numbers[clock.column][part] if clock.column else None
-            record = _record(time, values[part], clock.sample_period or 1.0)
+            record = _record(time, values[part], clock.sample_period or 1.0, name)
         except ValueError:  # too few samples for a record
             return channel
     notes = tuple(note for note in record.notes if "not finite" not in note and "Hold" not in note)
     piles = tuple((end.level, end.share) for end in saturations(record) if end.channel == name)
     quantum = float(record.quantum[0])
-    band = _band(record.outputs[:, 0], record.sample_period) if clock.sample_period else None
+    band = None
+    if clock.sample_period:
+        band = _band(record.bridged.outputs[:, 0], record.sample_period)
     return replace(
         channel,
         noise=float(record.noise[0]),
@@ -301,14 +303,14 @@ def _measured(
     )
 
 
-def _record(time: Any, values: Float[np.ndarray, " time"], period: float) -> Record:
+def _record(time: Any, values: Float[np.ndarray, " time"], period: float, name: str) -> Record:
     no_inputs = np.zeros((len(values), 0))
     if time is not None:
         try:
-            return Record(time, no_inputs, values, output_names=["y"])
+            return Record(time, no_inputs, values, output_names=[name])
         except ValueError:  # time that goes back: the samples are taken in the order of the file
             pass
-    return Record.from_period(period, no_inputs, values, output_names=["y"])
+    return Record.from_period(period, no_inputs, values, output_names=[name])
 
 
 def _band(values: Float[np.ndarray, " time"], period: float) -> float | None:
@@ -399,7 +401,8 @@ def _role_of_name(name: str) -> str:
 
 
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:
-    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    (measured,) = np.nonzero(np.isfinite(values))
+    steps = np.abs(np.diff(values[measured])) / np.diff(measured)
     value_range = float((channel.high or 0.0) - (channel.low or 0.0))
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
     staircase = channel.changes is not None and channel.changes <= STAIRCASE

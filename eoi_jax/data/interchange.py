@@ -81,7 +81,7 @@ def record_from_pandas(
 
 
 def record_to_pandas(record: Record) -> Any:
-    """A data frame of a record: inputs and outputs by name over time [s]; masked samples are NaN.
+    """A data frame of a record: inputs and outputs by name over time [s]; NaN where not measured.
 
     Args:
         record: any.
@@ -93,7 +93,8 @@ def record_to_pandas(record: Record) -> Any:
     """
     import pandas as pd
 
-    values = np.where(record.valid[:, None], np.hstack([record.inputs, record.outputs]), np.nan)
+    inputs = np.where(record.input_valid[:, None], record.inputs, np.nan)
+    values = np.hstack([inputs, np.where(record.output_valid, record.outputs, np.nan)])
     columns = [*record.input_names, *record.output_names]
     frame = pd.DataFrame(values, index=pd.Index(record.time, name="time"), columns=columns)
     frame.attrs = {"units": dict(record.units), "name": record.name, "hold": record.hold}
@@ -165,7 +166,7 @@ def record_from_xarray(
 
 
 def record_to_xarray(record: Record) -> Any:
-    """A dataset of a record: a variable for each channel over ``time`` [s]; masked samples are NaN.
+    """A dataset of a record: a variable for each channel over ``time`` [s], NaN where not measured.
 
     Args:
         record: any.
@@ -180,12 +181,12 @@ def record_to_xarray(record: Record) -> Any:
 
     variables = {}
     for role, names, values in (
-        ("input", record.input_names, record.inputs),
-        ("output", record.output_names, record.outputs),
+        ("input", record.input_names, np.where(record.input_valid[:, None], record.inputs, np.nan)),
+        ("output", record.output_names, np.where(record.output_valid, record.outputs, np.nan)),
     ):
         for key, column in zip(names, values.T, strict=True):
             attributes = {"role": role, "units": record.units.get(key, "")}
-            variables[key] = ("time", np.where(record.valid, column, np.nan), attributes)
+            variables[key] = ("time", column, attributes)
     attributes = {"name": record.name, "hold": record.hold, "sample_period": record.sample_period}
     time = ("time", record.time, {"units": "s"})
     return xr.Dataset(variables, coords={"time": time}, attrs=attributes)

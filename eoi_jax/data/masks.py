@@ -1,16 +1,19 @@
-"""Which samples and steps of a record count.
+"""Which samples and steps of a record count, output by output.
 
-A sample is scored if it is valid and lies behind the transient at the start of its record. A step
-lies between two samples, and is valid if both are. A step is usable where, beside that, the model
+A sample of an output is scored if it is valid and lies behind the transient at the start of its
+record. A step lies between two samples, and is valid for an output if the inputs are known at both,
+and all outputs measured that enter its equation. A step is usable where, beside that, the model
 says what the measurement shows: not while dry friction holds the plant at rest.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import runs
 
 
 def transient_samples(record: Record, transient: float = 0.0) -> int:
@@ -23,26 +26,69 @@ def transient_samples(record: Record, transient: float = 0.0) -> int:
     return round(max(transient, record.burn_in) / record.sample_period)
 
 
-def scored_samples(record: Record, unscored: int | None = None) -> Bool[np.ndarray, " time"]:
-    """Samples that are valid and lie behind the transient.
+def scored_samples(record: Record, unscored: int | None = None) -> Bool[np.ndarray, "time ny"]:
+    """Samples of each output that were measured and lie behind the transient.
 
     Args:
         record: with its mask and its burn-in.
         unscored: samples at the start that are not scored; those of `transient_samples` if None.
     """
-    scored = record.valid.copy()
+    scored = np.array(record.output_valid)
     scored[: transient_samples(record) if unscored is None else unscored] = False
     return scored
 
 
-def valid_steps(record: Record) -> Bool[np.ndarray, " steps"]:
-    """Steps between two valid samples."""
-    return record.valid[:-1] & record.valid[1:]
+def valid_steps(
+    record: Record, enters: Bool[np.ndarray, "ny ny"] | None = None
+) -> Bool[np.ndarray, "steps ny"]:
+    """Steps between two valid samples, for the equation of each output.
+
+    Args:
+        record: bridged, where its outputs have different rates.
+        enters: whether output j enters the equation of output i, at [i, j]; None: each its own.
+    """
+    valid = valid_samples(record, enters)
+    return valid[:-1] & valid[1:]
 
 
-def longest_run(record: Record) -> tuple[int, int]:
-    """First and last sample, plus one, of the longest run of valid samples."""
-    return max(record.segments(), key=lambda segment: segment[1] - segment[0])
+def valid_samples(
+    record: Record, enters: Bool[np.ndarray, "ny ny"] | None = None
+) -> Bool[np.ndarray, "time ny"]:
+    """Samples at which all that stands in the equation of each output is known.
+
+    Arguments are those of `valid_steps`.
+    """
+    measured = record.output_valid
+    if enters is not None:
+        measured = ~(~measured @ (enters | np.eye(len(enters), dtype=bool)).T)
+    return measured & record.input_valid[:, None]
+
+
+def longest_run(record: Record, output: int | None = None) -> tuple[int, int]:
+    """First and last sample, plus one, of the longest run of valid samples; empty without any.
+
+    Args:
+        record: any.
+        output: whose samples count; None: those that are valid in every channel.
+    """
+    mask = record.valid if output is None else record.output_valid[:, output]
+    return max(runs(mask), key=lambda segment: segment[1] - segment[0], default=(0, 0))
+
+
+def over_samples(
+    record: Record, statistic: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, " ny"]:
+    """A statistic of each output over the samples at which it was measured; 0 without any.
+
+    Args:
+        record: any.
+        statistic: of values of shape (samples, channels), one number a channel.
+    """
+    values = np.zeros(record.outputs.shape[1])
+    for columns, mask in channel_groups(record.output_valid):
+        if np.any(mask):
+            values[columns] = statistic(record.outputs[mask, columns])
+    return values
 
 
 def moving(
@@ -81,6 +127,7 @@ def usable_steps(
     jumps: Bool[np.ndarray, "ny ny"],
     noise: Float[np.ndarray, " ny"],
     settling: int = 3,
+    enters: Bool[np.ndarray, "ny ny"] | None = None,
 ) -> tuple[Bool[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     """Steps in which model and measurement belong together, and those at which an observer starts.
 
@@ -92,23 +139,24 @@ def usable_steps(
         noise: of the velocities, as of `moving`.
         settling: steps, beside its moving average, after which an implicit observer that starts
             on the measurement slides: about the relative degree.
+        enters: as of `valid_steps`.
 
     Returns:
         Usable steps of each output, and the steps at which the observer starts: the first one, and
-        the first one after a gap. Outputs that all have relative degree 0 need no observer: a step
-        is usable if the sample at its start is valid.
+        the first one after a gap of any output or of an input. Outputs that all have relative
+        degree 0 need no observer: a step is usable if the sample at its start is valid.
     """
     if not any(degrees):  # a sample stands for itself, whether the next one is valid or not
         restart = np.arange(len(record) - 1) == 0
-        return np.repeat(record.valid[:-1, None], len(degrees), axis=1), restart
-    valid = valid_steps(record)
-    restart = valid & ~np.concatenate([[False], valid[:-1]])
-    restart[0] = True
-    good = np.repeat(valid[:, None], record.outputs.shape[1], axis=1)
+        return valid_samples(record, enters)[:-1], restart
+    good = valid_steps(record, enters)
+    restart = np.any(good[1:] & ~good[:-1], axis=1)
+    restart = np.concatenate([[True], restart])
     if np.any(jumps):
         resting = ~moving(degrees, record.outputs, record.sample_period, noise)
-        good &= ~(resting @ jumps.T)  # its own friction, or another's that acts on it by inertia
-    good &= ~constant(record) | (np.asarray(degrees) == 0)
+        # Its own friction, or another's that acts on it by inertia.
+        good = good & ~(resting @ jumps.T)
+    good = good & (~constant(record) | (np.asarray(degrees) == 0))
     use = consecutive(good, taps)  # every step of the moving average must be good
     return use & beyond_starts(restart, taps + settling)[:, None], restart
 
@@ -131,8 +179,11 @@ def beyond_starts(starts: Bool[np.ndarray, " steps"], count: int) -> Bool[np.nda
 
 def constant(record: Record) -> Bool[np.ndarray, " ny"]:
     """Outputs that never move: their differences are rounding."""
-    y = record.outputs[record.valid]
-    return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
+
+    def resting(y: np.ndarray) -> np.ndarray:
+        return np.ptp(y, axis=0) <= 1e-12 * np.max(np.abs(y), axis=0)
+
+    return over_samples(record, resting) > 0
 
 
 def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:

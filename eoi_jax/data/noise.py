@@ -1,4 +1,4 @@
-r"""White measurement noise, estimated from the differences of a record.
+r"""White measurement noise, estimated from the differences of a record; steps of its values.
 
 The d-th difference of white noise has the variance $\binom{2d}{d}\sigma^2$. It suppresses the
 signal better at a higher d and a higher sampling rate. Remaining signal increases the estimate, so
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from math import comb
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 _ORDERS = range(2, 9)
 
@@ -52,3 +52,27 @@ def _power(
     pieces = [np.diff(values[first:last], n=order, axis=0) for first, last in segments]
     differences = np.concatenate(pieces)
     return np.mean(differences**2, axis=0) if len(differences) else None
+
+
+def quanta(
+    values: Channels, measured: Bool[np.ndarray, "time channel"]
+) -> Float[np.ndarray, " channel"]:
+    """Step of the values of each channel; 0 if they are not multiples of one step.
+
+    Args:
+        values: one row a sample.
+        measured: which of them count.
+    """
+    pairs = zip(values.T, measured.T, strict=True)
+    return np.asarray([_quantum(channel[mask]) for channel, mask in pairs])
+
+
+def _quantum(values: Float[np.ndarray, " samples"]) -> float:
+    levels = np.unique(values)
+    steps = np.diff(levels)
+    # Rounding splits a level into several nearly equal values; their differences are no steps.
+    steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
+    if not steps.size:
+        return 0.0
+    ratio = steps / steps.min()
+    return float(steps.min()) if np.all(np.abs(ratio - np.rint(ratio)) < 0.05) else 0.0

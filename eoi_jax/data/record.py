@@ -7,7 +7,7 @@ import copy
 import hashlib
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,25 +16,32 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
 from eoi_jax._display import Result
-from eoi_jax._types import Mask, TimeAxis
+from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
+    LONGEST_HELD,
     SHORTEST,
     Inputs,
     Names,
+    OutputMask,
     Outputs,
+    channel_groups,
     channel_names,
     check_labels,
     check_lengths,
     choose_hold,
     drop_repeats,
-    finite_rows,
+    finite_samples,
     interpolate,
     interpolated_noise,
+    is_slow,
+    known_inputs,
+    own_noise,
     place,
+    rate_notes,
     read_signals,
     read_stamps,
 )
-from eoi_jax.data.noise import white_noise
+from eoi_jax.data.noise import quanta
 from eoi_jax.data.resampling import (
     HOLDS,
     Real,
@@ -42,7 +49,10 @@ from eoi_jax.data.resampling import (
     fill,
     low_pass,
     low_pass_noise,
+    own_period,
+    own_segments,
     runs,
+    spline,
     staircase_to_smooth,
     sub_stepped,
     sub_stepped_inputs,
@@ -59,10 +69,17 @@ class Record(Result):
     The arguments are checked and brought onto the grid. Samples with stamps within 1e-3 of a
     period of a uniform clock, or within the rounding of their printed digits, are used unchanged;
     otherwise outputs are resampled by a cubic spline, and inputs by their hold (held inputs by
-    their mean over each step). Missing samples, gaps, NaN and infinities are masked: `valid` is
-    False there, and the values are interpolated linearly to keep arithmetic finite. Repeated
+    their mean over each step). Missing samples, gaps, NaN and infinities are masked, each channel
+    by itself, and the values are interpolated linearly there to keep arithmetic finite. Repeated
     stamps with equal values are dropped. Each of these changes gives a `RecordWarning` and a
     sentence in `notes`.
+
+    Where an output is missing it is not scored, and simulations run on. Where an input is missing
+    it is unknown, and simulations start again behind it. A missing sample of an input leaves no
+    doubt, and counts as known, in a gap of one or two samples of a held input (``"zero"``) with the
+    same value on both sides, and as a single sample of another input between two measured ones. An
+    output that is measured at every second sample or less often has a rate of its own: free runs
+    are scored at its samples, and passes interpolate it (`bridged`).
 
     Args:
         time: stamps (N,) [s], increasing; datetimes count in seconds from the first.
@@ -79,7 +96,10 @@ class Record(Result):
 
     Attributes:
         time: (N,) [s]. inputs: (N, nu). outputs: (N, ny). All read-only.
-        valid: (N,), False where a sample is missing or not finite in any channel.
+        valid: (N,), False where a sample was missing or not finite in any channel.
+        input_valid: (N,), True where all inputs are known; everywhere without inputs.
+        output_valid: (N, ny), True where each output was measured.
+        output_periods: (ny,), mean time between two samples of each output, without gaps [s].
         sample_period: step of `time` [s].
         hold_declared: whether the caller named the hold; else the samples decided it, and an
             estimate decides again by its fit.
@@ -88,7 +108,7 @@ class Record(Result):
 
     Raises:
         ValueError: wrong shapes, unequal lengths, values that are no numbers, a channel without a
-            finite value, fewer than 8 (valid) samples, time that is not finite, decreases or
+            finite value, fewer than 8 (valid) samples of one, time that is not finite, decreases or
             repeats a stamp with different values, an unknown hold, a negative burn-in.
     """
 
@@ -110,6 +130,10 @@ class Record(Result):
     _quantum: Float[np.ndarray, " ny"] | None
     _middle: Float[np.ndarray, "between nu"] | None  # inputs halfway between the samples
     hold_declared: bool = True
+    _periods: Float[np.ndarray, " ny"] | None = field(default=None, metadata=WHERE_SET)
+    # None: as `valid` says.
+    _input_valid: Mask | None = field(default=None, metadata=WHERE_SET)
+    _output_valid: OutputMask | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -135,20 +159,23 @@ class Record(Result):
         check_labels(u_names, y_names, dict(units or {}))
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
-        good = finite_rows((*u_names, *y_names), np.hstack([u, y]), notes)
+        good = finite_samples(u_names, y_names, u, y, notes)
         hold_declared = hold != "auto"
-        hold, hold_notes = choose_hold(u[good], hold)
+        hold, hold_notes = choose_hold(u[good[0]], hold)
         grid = uniform_grid(stamps)
-        noise = quanta = None
+        noise = quantum = None
         if grid.index is None:
             arrays = interpolate(grid, stamps, u, y, good, hold, notes)
             # Interpolation hides both the noise and the steps of the raw values.
-            quanta = _quanta(y[good])
-            noise = interpolated_noise(grid, stamps, arrays[1], good, arrays[2], quanta)
+            quantum = quanta(y, good[1])
+            noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
             arrays = place(grid, grid.index, u, y, good, notes)
-        count = int(arrays[2].sum())
+        inputs, outputs, known, measured = arrays
+        count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
+        certain = known_inputs(u_names, inputs, known, hold, notes)
+        rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
         if grid.resolution:
@@ -156,7 +183,8 @@ class Record(Result):
                 f"Time is written in steps of {grid.resolution:g} s; the deviation from a "
                 "uniform clock is no more than that rounding."
             )
-        self._set(*arrays, grid.time, grid.sample_period)
+        masks = known & measured.all(axis=1), certain, measured
+        self._set(inputs, outputs, masks, grid.time, grid.sample_period)
         labels = {
             "name": name,
             "input_names": u_names,
@@ -168,7 +196,7 @@ class Record(Result):
             "notes": (*notes, *hold_notes),
             "smoothed": (),
             "_noise": noise,
-            "_quantum": quanta,
+            "_quantum": quantum,
         }
         self._assign(labels)
 
@@ -233,15 +261,21 @@ class Record(Result):
         )
         start, stop, _ = index.indices(len(self))
         part = slice(start, stop)
-        count = int(self.valid[part].sum())
+        measured = self.output_valid[part]
+        count = int(min(np.min(measured.sum(axis=0)), self.input_valid[part].sum()))
         rule = f"must keep at least {SHORTEST} valid samples"
         value = f"{count} in [{index.start}:{index.stop}] of {len(self)}"
         check(count >= SHORTEST, "record[…]", rule, value)
+        return self.part(start, stop)
+
+    def part(self, start: int, stop: int) -> "Record":
+        """Samples `start` to `stop`, however few or masked; otherwise as a slice."""
+        part = slice(start, stop)
         new = self._changed(None)
         new._set(
             self.inputs[part],
             self.outputs[part],
-            self.valid[part],
+            (self.valid[part], self.input_valid[part], self.output_valid[part]),
             self.time[part],
             self.sample_period,
         )
@@ -259,11 +293,20 @@ class Record(Result):
         cut = round(float(fraction) * len(self))
         return self[:cut], self[cut:]
 
-    def with_outputs(self, outputs: Outputs, name: str) -> "Record":
-        """The same instants and inputs with simulated outputs, all of them valid."""
+    def with_outputs(self, outputs: Outputs, name: str, simulated: Mask | None = None) -> "Record":
+        """The same instants and inputs with simulated outputs.
+
+        Args:
+            outputs: of a simulation.
+            name: of the record.
+            simulated: where there are any; None: everywhere.
+        """
         new = self._changed(None)
-        new._set(self.inputs, outputs, np.ones(len(self), bool), self.time, self.sample_period)
-        unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle}
+        everywhere = np.ones(len(self), bool) if simulated is None else simulated
+        measured = np.repeat(everywhere[:, None], outputs.shape[1], axis=1)
+        masks = everywhere, self.input_valid, measured
+        new._set(self.inputs, outputs, masks, self.time, self.sample_period)
+        unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle, "_periods": None}
         new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
         return new
 
@@ -281,13 +324,58 @@ class Record(Result):
         """The record with its outputs only."""
         new = self._changed(None)
         no_inputs = np.zeros((len(self), 0))
-        new._set(no_inputs, self.outputs, self.valid, self.time, self.sample_period)
+        masks = self.valid, np.ones(len(self), bool), self.output_valid
+        new._set(no_inputs, self.outputs, masks, self.time, self.sample_period)
         new._assign({"input_names": ()})
         return new
 
     def segments(self) -> list[tuple[int, int]]:
         """Runs (start, stop) of consecutive valid samples."""
         return runs(self.valid)
+
+    def input_segments(self) -> list[tuple[int, int]]:
+        """Runs (start, stop) of consecutive samples with known inputs."""
+        return runs(self.input_valid)
+
+    @property
+    def bridged(self) -> "Record":
+        """The record with each output interpolated between its own samples, at its own rate.
+
+        By a cubic spline, where two samples are at most 2.5 of the output's periods apart: late and
+        single missing samples, and all samples between those of an output with a rate of its own.
+        `output_valid` is True there. Noise, quantum and `output_periods` are those of the samples.
+        """
+        gaps = (np.diff(np.flatnonzero(column)) for column in self.output_valid.T)
+        if all(not np.any(gap > 1) for gap in gaps):
+            return self
+        return self._bridged
+
+    @cached_property
+    def _bridged(self) -> "Record":
+        query = np.arange(len(self), dtype=float)
+        outputs, valid = np.array(self.outputs), np.array(self.output_valid)
+        for j, measured in enumerate(self.output_valid.T):
+            position = np.flatnonzero(measured).astype(float)
+            segments = own_segments(position)
+            values = spline(position, self.outputs[measured, j : j + 1], segments, query, 3)[:, 0]
+            outputs[:, j] = np.where(measured, self.outputs[:, j], values)
+            valid[:, j] = covered(position, segments, query)
+        new = self._changed(None)
+        masks = self.input_valid & valid.all(axis=1), self.input_valid, valid
+        new._set(self.inputs, outputs, masks, self.time, self.sample_period)
+        new._assign(self._of_the_samples)
+        new._assign({"_middle": self._middle})
+        return new
+
+    @property
+    def _of_the_samples(self) -> dict[str, Any]:
+        """What a record that is interpolated from this one takes over."""
+        return {"_noise": self.noise, "_quantum": self.quantum, "_periods": self.output_periods}
+
+    @property
+    def _is_slow(self) -> bool:
+        """Whether an output has a rate of its own, and lies as measured."""
+        return any(is_slow(column) for column in self.output_valid.T)
 
     # -- between the samples --------------------------------------------------------------
 
@@ -296,7 +384,7 @@ class Record(Result):
 
         Outputs are interpolated by a quintic spline through each valid segment, inputs by their
         hold. A new sample is valid if the samples around it are. The original samples keep their
-        values.
+        values. Outputs with a rate of their own are bridged before.
 
         Raises:
             ValueError: `substeps` is no integer ≥ 1.
@@ -305,22 +393,30 @@ class Record(Result):
         check(bool(is_count), "substeps", "must be an integer ≥ 1", substeps)
         if substeps == 1:
             return self
+        if self._is_slow:
+            return self.bridged.resample(substeps)
         count = (len(self) - 1) * int(substeps) + 1
-        position, segments = np.arange(len(self), dtype=float), self.segments()
-        query = np.arange(count) / int(substeps)
-        outputs = sub_stepped(self.outputs, segments, int(substeps))
+        position, query = np.arange(len(self), dtype=float), np.arange(count) / int(substeps)
+        outputs, valid = np.empty((count, self.outputs.shape[1])), []
+        for columns, mask in channel_groups(self.output_valid):
+            segments = runs(mask)
+            outputs[:, columns] = sub_stepped(self.outputs[:, columns], segments, int(substeps))
+            covering = covered(position, segments, query)
+            valid += [covering] * outputs[:, columns].shape[1]
         # A single spline for sub-steps and midpoints: a second one would only take longer.
-        inputs = sub_stepped_inputs(self.inputs, segments, 2 * int(substeps), self.hold)
-        valid = covered(position, segments, query)
+        known_segments = self.input_segments()
+        inputs = sub_stepped_inputs(self.inputs, known_segments, 2 * int(substeps), self.hold)
+        known = covered(position, known_segments, query)
         sample_period = self.sample_period / int(substeps)
         new = self._changed(
             f"Sub-stepped by {substeps}: outputs by a quintic spline, inputs by "
             f"their hold ({self.hold})."
         )
         time = self.time[0] + sample_period * np.arange(count)
-        new._set(inputs[::2], outputs, valid, time, sample_period)
-        derived = {"_noise": self.noise, "_quantum": self.quantum, "_middle": inputs[1::2]}
-        new._assign(derived)
+        masks = covered(position, self.segments(), query), known, np.stack(valid, axis=1)
+        new._set(inputs[::2], outputs, masks, time, sample_period)
+        new._assign(self._of_the_samples)
+        new._assign({"_middle": inputs[1::2]})
         return new
 
     def smooth(self, cutoff: Real) -> "Record":
@@ -334,8 +430,8 @@ class Record(Result):
         shift between u and y.
 
         The filter is a Butterworth filter of order four, run forward and backward through each
-        valid segment; within about 2/cutoff of the ends of a segment it uses an extrapolation of
-        the data.
+        valid segment of each channel; within about 2/cutoff of the ends of a segment it uses an
+        extrapolation of the data. Outputs with a rate of their own are bridged before.
 
         Args:
             cutoff: cut-off frequency, at which the amplitude is one half [rad/s].
@@ -350,20 +446,26 @@ class Record(Result):
             f"must lie in (0, {nyquist:g}) rad/s, below the Nyquist frequency",
             cutoff,
         )
+        if self._is_slow:
+            return self.bridged.smooth(cutoff)
         inputs, outputs = np.array(self.inputs), np.array(self.outputs)
         share = float(cutoff) / nyquist
-        for start, stop in self.segments():
+        for start, stop in self.input_segments():
             u = low_pass(inputs[start:stop], share)
             inputs[start:stop] = staircase_to_smooth(u) if self.hold == "zero" else u
-            outputs[start:stop] = low_pass(outputs[start:stop], share)
+        for columns, mask in channel_groups(self.output_valid):
+            for start, stop in runs(mask):
+                outputs[start:stop, columns] = low_pass(outputs[start:stop, columns], share)
         position = np.arange(len(self), dtype=float)
-        valid = self.valid[:, None]
-        inputs = fill(position, np.where(valid, inputs, np.nan), position)
-        outputs = fill(position, np.where(valid, outputs, np.nan), position)
+        known, measured = self.input_valid[:, None], self.output_valid
+        inputs = fill(position, np.where(known, inputs, np.nan), position)
+        outputs = fill(position, np.where(measured, outputs, np.nan), position)
         new = self._changed(
             f"Inputs and outputs smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
         )
-        new._set(inputs, outputs, self.valid, self.time, self.sample_period)
+        masks = self.valid, self.input_valid, measured
+        new._set(inputs, outputs, masks, self.time, self.sample_period)
+        new._assign(self._of_the_samples)
         new._assign({"hold": "smooth", "smoothed": (*self.smoothed, float(cutoff))})
         noise = self.noise / self.noise_left * new.noise_left
         new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
@@ -373,9 +475,34 @@ class Record(Result):
         """The inputs in the middle of each of the N − 1 steps, by their hold."""
         if self._middle is not None:
             return self._middle
-        return sub_stepped_inputs(self.inputs, self.segments(), 2, self.hold)[1::2]
+        return sub_stepped_inputs(self.inputs, self.input_segments(), 2, self.hold)[1::2]
 
     # -- properties -----------------------------------------------------------------------
+
+    @property
+    def input_valid(self) -> Mask:
+        """Where all inputs are known, (N,); everywhere without inputs."""
+        if self._input_valid is None:
+            return self.valid if self.inputs.shape[1] else np.ones(len(self), dtype=bool)
+        return self._input_valid
+
+    @property
+    def output_valid(self) -> OutputMask:
+        """Where each output was measured, (N, ny)."""
+        if self._output_valid is None:
+            return np.repeat(self.valid[:, None], self.outputs.shape[1], axis=1)
+        return self._output_valid
+
+    @property
+    def output_periods(self) -> Float[np.ndarray, " ny"]:
+        """Mean time between two samples of each output, without the gaps in it [s].
+
+        For a bridged, sub-stepped or smoothed record it is that of the measured samples.
+        """
+        if self._periods is not None:
+            return self._periods
+        positions = (np.flatnonzero(column).astype(float) for column in self.output_valid.T)
+        return self.sample_period * np.asarray([own_period(position) for position in positions])
 
     @property
     def noise(self) -> Float[np.ndarray, " ny"]:
@@ -391,10 +518,15 @@ class Record(Result):
         return self._estimated_noise if self._noise is None else self._noise
 
     @property
-    def noise_left(self) -> float:
-        """Share of the standard deviation of white noise that smoothing passes; 1 without any."""
+    def noise_left(self) -> Float[np.ndarray, " ny"]:
+        """Share of the standard deviation of white noise that smoothing passes; 1 without any.
+
+        Of an output with a rate of its own: samples that are further apart have as much noise in a
+        narrower band.
+        """
         nyquist = np.pi / self.sample_period
-        return low_pass_noise(*(cutoff / nyquist for cutoff in self.smoothed))
+        share = low_pass_noise(*(cutoff / nyquist for cutoff in self.smoothed))
+        return np.minimum(share * np.sqrt(self.output_periods / self.sample_period), 1.0)
 
     @property
     def quantum(self) -> Float[np.ndarray, " ny"]:
@@ -407,16 +539,25 @@ class Record(Result):
     @cached_property
     def _estimated_noise(self) -> Float[np.ndarray, " ny"]:
         steps = self.quantum / np.sqrt(12.0)
-        return np.maximum(white_noise(self.outputs, self.segments()), steps)
+        noise = np.zeros(self.outputs.shape[1])
+        for columns, mask in channel_groups(self.output_valid):
+            noise[columns] = own_noise(self.outputs[:, columns], mask)
+        return np.maximum(noise, steps)
 
     @cached_property
     def _estimated_quantum(self) -> Float[np.ndarray, " ny"]:
-        return _quanta(self.outputs[self.valid])
+        return quanta(self.outputs, self.output_valid)
 
     @property
     def data_hash(self) -> str:
-        """Sixteen hexadecimal digits that change with any value of time, inputs, outputs, valid."""
-        return _digest("", (self.time, self.inputs, self.outputs, self.valid))
+        """Sixteen hexadecimal digits that change with any value of time, inputs, outputs, masks."""
+        arrays = [self.time, self.inputs, self.outputs, self.valid]
+        # Masks of single channels only where they say more: hashes of one mask for all stay.
+        known_alone = runs(self.input_valid & ~self.valid)
+        said = any(stop - start > LONGEST_HELD for start, stop in known_alone)
+        if self._output_valid is not None or (said and self.inputs.shape[1]):
+            arrays += [self.input_valid, self.output_valid]
+        return _digest("", arrays)
 
     @property
     def content_hash(self) -> str:
@@ -426,7 +567,10 @@ class Record(Result):
         midpoint inputs that are taken from an earlier record.
         """
         settings = f"{self.data_hash} {self.sample_period!r} {self.hold} {self.burn_in!r}"
-        return _digest(settings, (self._noise, self._quantum, self._middle))
+        arrays = [self._noise, self._quantum, self._middle]
+        if self._is_slow or np.any(self.output_periods > self.sample_period):
+            arrays.append(self.output_periods)
+        return _digest(settings, arrays)
 
     def __repr__(self) -> str:
         return _table(self)
@@ -436,17 +580,35 @@ class Record(Result):
     def _changed(self, note: str | None) -> "Record":
         """A shallow copy with an additional note."""
         new = copy.copy(self)
+        new.__dict__.pop("_bridged", None)
         new._assign({"notes": (*self.notes, note) if note else self.notes})
         return new
 
     def _set(
-        self, inputs: Inputs, outputs: Outputs, valid: Mask, time: TimeAxis, sample_period: float
+        self,
+        inputs: Inputs,
+        outputs: Outputs,
+        masks: tuple[Mask, Mask, OutputMask],
+        time: TimeAxis,
+        sample_period: float,
     ) -> None:
-        arrays = {"inputs": inputs, "outputs": outputs, "valid": valid, "time": time}
+        """Set signals and masks: `valid`, `input_valid`, `output_valid`."""
+        valid, known, measured = masks
+        shared = bool(np.all(measured == valid[:, None]))
+        arrays = {
+            "inputs": inputs,
+            "outputs": outputs,
+            "valid": valid,
+            "time": time,
+            "_input_valid": known if inputs.shape[1] and np.any(known != valid) else None,
+            "_output_valid": None if shared else measured,
+        }
         for array in arrays.values():
-            array.setflags(write=False)  # kernels and results share them
+            if array is not None:
+                array.setflags(write=False)  # kernels and results share them
         self._assign({**arrays, "sample_period": float(sample_period), "_middle": None})
-        for name in ("_estimated_noise", "_estimated_quantum"):  # of the samples of the original
+        # Of the samples of the original.
+        for name in ("_estimated_noise", "_estimated_quantum"):
             self.__dict__.pop(name, None)
 
     def _assign(self, values: dict[str, Any]) -> None:
@@ -463,21 +625,6 @@ def _digest(header: str, arrays: Iterable[np.ndarray | None]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _quanta(y: Outputs) -> Float[np.ndarray, " ny"]:
-    return np.asarray([_quantum(channel) for channel in y.T])
-
-
-def _quantum(values: TimeAxis) -> float:
-    levels = np.unique(values)
-    steps = np.diff(levels)
-    # Rounding splits a level into several nearly equal values; their differences are no steps.
-    steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
-    if not steps.size:
-        return 0.0
-    ratio = steps / steps.min()
-    return float(steps.min()) if np.all(np.abs(ratio - np.rint(ratio)) < 0.05) else 0.0
-
-
 def _label(record: Record, key: str) -> str:
     unit = record.units.get(key)
     return f"{key} [{unit}]" if unit else key
@@ -488,11 +635,11 @@ def _table(record: Record) -> str:
     size = f"{len(record)} samples, {len(record) * h:.4g} s, every {h:.6g} s ({1 / h:.5g} Hz)"
     lines = [f"Record `{record.name}`: {size}"]
     rows = [("", "channel", "min", "max", "rms", "noise", "quantum")]
-    valid = record.valid
-    for key, channel in zip(record.input_names, record.inputs[valid].T, strict=True):
+    known = record.input_valid
+    for key, channel in zip(record.input_names, record.inputs[known].T, strict=True):
         rows.append(("input", _label(record, key), *_spread(channel), "", ""))
     for i, (noise, quantum) in enumerate(zip(record.noise, record.quantum, strict=True)):
-        key, channel = record.output_names[i], record.outputs[valid, i]
+        key, channel = record.output_names[i], record.outputs[record.output_valid[:, i], i]
         accuracy = (f"{noise:.2g}", f"{quantum:.3g}" if quantum else "–")
         rows.append(("output", _label(record, key), *_spread(channel), *accuracy))
     widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
@@ -500,7 +647,7 @@ def _table(record: Record) -> str:
         label = f"  {row[0]:{widths[0]}}  {row[1]:{widths[1]}}"
         cells = "".join(f"  {cell:>{w}}" for cell, w in zip(row[2:], widths[2:], strict=True))
         lines.append((label + cells).rstrip())
-    facts = [f"hold {record.hold}", f"{100 * valid.mean():.4g} % valid"]
+    facts = [f"hold {record.hold}", f"{100 * record.valid.mean():.4g} % valid"]
     if record.burn_in:
         facts.append(f"burn-in {record.burn_in:g} s")
     lines.append("  " + ", ".join(facts))

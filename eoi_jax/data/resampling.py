@@ -117,6 +117,42 @@ def runs(good: Mask, joined: Bool[np.ndarray, " steps"] | None = None) -> list[t
     return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
+def own_period(position: Float[np.ndarray, " samples"]) -> float:
+    """Mean distance between the samples of one channel, without the holes in it [grid steps].
+
+    Args:
+        position: where the channel was sampled, increasing [grid steps].
+    """
+    spacing = _usual_spacing(position)
+    return float(np.mean(spacing)) if spacing.size else 1.0
+
+
+def own_segments(position: Float[np.ndarray, " samples"]) -> list[tuple[int, int]]:
+    """Runs (start, stop) of samples of one channel without a hole.
+
+    A hole is a spacing of more than 2.5 periods. Where samples are missing at random, a few
+    spacings are longer than that without any event: the longest of n that are distributed
+    exponentially is about their mean plus ln n of their standard deviations. So much is no hole, up
+    to five periods.
+
+    Args:
+        position: where the channel was sampled, increasing [grid steps].
+    """
+    usual = _usual_spacing(position)
+    good = np.ones(len(position), dtype=bool)
+    if not usual.size:
+        return runs(good)
+    period, gap = np.mean(usual), _SETTINGS.gap
+    longest = period + np.std(usual) * np.log(usual.size)
+    return runs(good, np.diff(position) <= np.clip(longest, gap * period, 2.0 * gap * period))
+
+
+def _usual_spacing(position: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " spacings"]:
+    """Spacings of samples up to five times their median."""
+    spacing = np.diff(position)
+    return spacing[spacing <= 2.0 * _SETTINGS.gap * np.median(spacing)] if spacing.size else spacing
+
+
 def covered(position: Float[np.ndarray, " stamps"], segments: Segments, query: TimeAxis) -> Mask:
     """Whether each query lies within a segment, between its first and its last sample."""
     mask = np.zeros(query.shape, dtype=bool)

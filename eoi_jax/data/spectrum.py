@@ -1,7 +1,8 @@
 """Power of an output over frequency: what the plant moves, what comes from elsewhere, and noise.
 
 Taken over the longest run of valid samples, behind a Hann window. Lines that no input has (hum,
-vibration) are no motion of the plant.
+vibration) are no motion of the plant. An output with a rate of its own is bridged, and its spectrum
+ends at the Nyquist frequency of that rate.
 """
 
 from collections.abc import Sequence
@@ -86,8 +87,8 @@ class Spectrum:
 
 def spectrum(record: Record, output: int, degree: int) -> Spectrum:
     """Spectrum of the derivative of one output, over the longest run of valid samples."""
-    omega, power, foreign, window = _periodogram(record, output)
-    floor = np.sum(window**2) * float(record.noise[output]) ** 2  # expected |FFT|² of white noise
+    omega, power, foreign, window = _periodogram(record.bridged, output)
+    floor = _floor(record, output, window)
     derivative = omega ** (2 * degree)
     signal, motion = (
         np.where(_exceeds_noise(spectral_power, floor, len(window)), spectral_power, 0.0)
@@ -107,11 +108,12 @@ def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
     Returns:
         Frequency [rad/s] and rms [unit of y] of each, in their order; none where no input moves.
     """
-    first, stop = longest_run(record)
+    record = record.bridged
+    first, stop = longest_run(record, output)
     if stop - first < SHORTEST:
         return []
     omega, power, foreign, window = _periodogram(record, output)
-    floor = np.sum(window**2) * float(record.noise[output]) ** 2
+    floor = _floor(record, output, window)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], foreign.astype(int), [0]])))
     lines = []
     for first, last in edges.reshape(-1, 2):
@@ -122,11 +124,17 @@ def foreign_lines(record: Record, output: int) -> list[tuple[float, float]]:
     return lines
 
 
+def _floor(record: Record, output: int, window: np.ndarray) -> float:
+    """Expected |FFT|² of the white noise of an output; of its own rate it is in a narrower band."""
+    density = float(record.output_periods[output]) / record.sample_period
+    return float(np.sum(window**2) * float(record.noise[output]) ** 2 * density)
+
+
 def _periodogram(
     record: Record, output: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies, |FFT|² of an output, which bins are lines from elsewhere, and the window."""
-    start, stop = longest_run(record)
+    start, stop = longest_run(record, output)
     window = np.hanning(stop - start)
     power = _power(record.outputs[start:stop, output], window)
     omega = 2.0 * np.pi * np.fft.rfftfreq(stop - start, record.sample_period)
@@ -134,6 +142,10 @@ def _periodogram(
     if np.any(lines):
         moving = [u for u in record.inputs[start:stop].T if np.ptp(u) > 0.0]
         lines = _foreign(power, lines, [_power(u, window) for u in moving]) & bool(moving)
+    period = float(record.output_periods[output])
+    if period > record.sample_period:
+        within = slice(max(int(np.sum(omega <= np.pi / period)), 2))
+        omega, power, lines = omega[within], power[within], lines[within]
     return omega, power, lines, window
 
 

@@ -39,8 +39,10 @@ class Plan:
         predicted: samples of the record that each run predicts.
         steps: number of steps of each run; a late run continues past its predicted samples.
         score: samples that are scored, valid or not.
-        available, need: largest number of valid samples at any start, and number required.
+        available, need: largest number of valid samples of an output at any start, and number
+            required, of the output with the fewest.
         late, lost: windows that start late, or not at all, for lack of valid samples.
+        head: samples from which a state is estimated.
     """
 
     starts: tuple[int, ...]
@@ -51,6 +53,7 @@ class Plan:
     need: int
     late: int
     lost: int
+    head: int
 
 
 def plan(
@@ -63,11 +66,11 @@ def plan(
     """Free runs along a record: a single one, or one for each window.
 
     The state at a start is estimated from the valid ones of the first `initial_samples` samples. A
-    run with too few of them starts at the next valid sample that has enough; a window without such
-    a sample has no run.
+    run with too few of them of any output starts at the next valid sample that has enough; a window
+    without such a sample has no run.
 
     Args:
-        record: along which the runs are planned.
+        record: along which the runs are planned; its inputs are known throughout (`driven_parts`).
         initial_samples: number from which a state is estimated; they are not scored.
         window: length of each run [s]; None for a single run.
         required: number of valid samples that a state needs.
@@ -76,18 +79,22 @@ def plan(
     total = len(record)
     count = total - 1 if window is None else min(round(window / record.sample_period), total - 1)
     head = min(initial_samples, count + 1)
-    valid_count = np.concatenate([[0], np.cumsum(record.valid)])
-    valid_ahead = valid_count[head:] - valid_count[:-head]  # of the next `head` samples
-    available = int(np.max(valid_ahead))
-    need = max(int(np.ceil(valid_share * available)), required)
-    possible = (valid_ahead >= need) & record.valid[: len(valid_ahead)]
+    valid_count = np.cumsum(record.output_valid, axis=0)
+    valid_count = np.concatenate([np.zeros_like(valid_count[:1]), valid_count])
+    valid_by_output = valid_count[head:] - valid_count[:-head]  # of the next `head` samples
+    most = np.max(valid_by_output, axis=0)
+    needs = np.maximum(np.ceil(valid_share * most).astype(int), required)
+    fewest = int(np.argmin(most - needs))
+    available, need = int(most[fewest]), int(needs[fewest])
+    enough = np.all(valid_by_output >= needs, axis=1)
+    possible = enough & np.any(record.output_valid[: len(enough)], axis=1)
     starts, predicted, late, lost, score = [], [], 0, 0, np.zeros(total, dtype=bool)
     for first in range(0, total - 1, count):
         # The last window reaches back, so that all have the same length and run together.
         start = min(first, total - 1 - count)
         # A window ends before the first sample of the next; the last includes the last sample.
         stop = start + count + (start + count == total - 1)
-        if valid_ahead[start] < need:
+        if not enough[start]:
             (offsets,) = np.nonzero(possible[start : max(stop - head, start)])
             if not len(offsets):
                 lost += 1
@@ -97,7 +104,59 @@ def plan(
         predicted.append(range(max(first, start), stop))
         score[max(first, start + initial_samples) : stop] = True
     score[: max(initial_samples, transient_samples(record))] = False
-    return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost)
+    return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost, head)
+
+
+def start_samples(record: Record, required: int, fewest: int = 50) -> int:
+    """Samples from which the state at the start of a run is estimated.
+
+    Args:
+        record: along which the run is.
+        required: samples of each output that a state needs.
+        fewest: so many at least.
+
+    Returns:
+        `fewest`; more where an output is measured so rarely that fewer than one more than the
+        required ones would lie among them.
+    """
+    periods = np.round(record.output_periods / record.sample_period, 6)
+    return max(fewest, int(np.ceil((required + 1) * np.max(periods))))
+
+
+def driven_parts(record: Record, shortest: int = 2) -> list[tuple[int, Record]]:
+    """Parts of a record in which all inputs are known, with the first sample of each.
+
+    Nothing is simulated on inputs that nobody has measured: each part is a record of its own.
+
+    Args:
+        record: any; itself where its inputs are known throughout.
+        shortest: samples of a part that is worth a run; others are left out.
+    """
+    segments = record.input_segments()
+    if segments == [(0, len(record))]:
+        return [(0, record)]
+    return [
+        (start, record.part(start, stop)) for start, stop in segments if stop - start >= shortest
+    ]
+
+
+def restart_notes(record: Record, parts: int, shortest: int) -> list[str]:
+    """A note on runs that start again behind gaps in the inputs, and on what is too short for one.
+
+    Args:
+        record: along which the runs are.
+        parts: number of parts with a run.
+        shortest: samples of a part that is long enough for one.
+    """
+    segments = record.input_segments()
+    if segments == [(0, len(record))]:
+        return []
+    unscored = len(segments) - parts
+    text = f"Inputs of {record.name} are unknown in gaps, behind which free runs start again: "
+    text += f"{parts} parts with a start of their own"
+    if unscored:
+        text += f"; {unscored} others are not scored, shorter than {shortest} samples"
+    return [f"{text}."]
 
 
 def late_starts(record: Record, runs: Plan, initial_samples: int, single: bool) -> list[str]:

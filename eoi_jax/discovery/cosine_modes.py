@@ -37,6 +37,7 @@ from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
 from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
 from eoi_jax.estimation.defaults import output_noise, velocity_noise
+from eoi_jax.estimation.preparation import entering
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
@@ -145,9 +146,11 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     Args:
         plant: the model; its relative degrees determine y^(r).
         record: as measured.
-        band: highest frequency of the modes; at most half of the Nyquist frequency is used.
+        band: highest frequency of the modes; at most half of the Nyquist frequency of the slowest
+            output is used.
     """
-    band = min(band, 0.5 * np.pi / record.sample_period)
+    record = record.bridged
+    band = min(band, 0.5 * np.pi / float(np.max(record.output_periods)))
     substeps = int(np.ceil(band * record.sample_period / _FINE))
     substeps = max(1, min(substeps, _MOST_SUBSTEPS)) if any(plant.degrees) else 1
     cutoff = smoothing_cutoff(plant, record)
@@ -157,7 +160,8 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
     slopes = state_slopes(plant, time, y, u)
-    good = _usable(plant, raw, smooth, velocity_noise(plant.degrees, record, cutoff or False), band)
+    noise = velocity_noise(plant.degrees, record, cutoff or False)
+    good = _usable(plant, raw, smooth, noise, band, entering(plant, [raw], [u]))
     weight = _weights(plant, record, smooth, good, h, band)
     if plant.has_algebraic:
         weight = _at_samples(plant, weight, substeps)
@@ -242,14 +246,14 @@ def smoothing_cutoff(plant: Plant, record: Record) -> float | None:
 
 
 def _usable(
-    plant: Plant, raw: Record, smooth: Record, noise: Any, band: float
+    plant: Plant, raw: Record, smooth: Record, noise: Any, band: float, enters: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steps that are used: measured, and not at rest, where friction would be only a reaction.
 
     Returns:
         A mask that excludes every moment of rest, and one that excludes only long ones.
     """
-    good = np.repeat(valid_steps(raw)[:, None], len(plant.outputs), axis=1)
+    good = valid_steps(raw, enters)
     resting = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     resting &= ~plant.algebraic
     shortest = int(_SHORTEST_REST / (band * raw.sample_period))
@@ -284,7 +288,7 @@ def _weights(
         )
         size = np.std(np.diff(smooth.outputs[:, j], degree)) / h**degree
         leak = record.noise[j] * np.sqrt(np.mean(np.diff(sharp, degree) ** 2)) / h**degree
-        leak *= np.sqrt(record.sample_period * band / np.pi)
+        leak *= np.sqrt(record.output_periods[j] * band / np.pi)
         sufficient = np.sum(sharp) > (1.0 - _MOST_LOST) * np.sum(soft)
         weights.append(sharp if sufficient and leak < _LEAK * size else soft)
     return tuple(weights)
@@ -349,7 +353,7 @@ def _noise(
     noise, sigma = np.zeros((len(omega), len(plant.outputs))), output_noise(plant, record)
     for j, degree in enumerate(plant.degrees):
         for k in range(len(plant.outputs)):
-            density = record.sample_period * sigma[k] ** 2
+            density = record.output_periods[k] * sigma[k] ** 2
             mean, scatter = slopes[:, j, :, k].mean(axis=0), slopes[:, j, :, k].var(axis=0)
             derivative = s**degree if j == k else 0.0 * s
             filtered = derivative - sum(mean[m] * s**m for m in range(len(mean)))
@@ -357,7 +361,7 @@ def _noise(
             noise[:, j] += density * (np.abs(filtered) ** 2 + spread)
         noise[:, j] *= np.mean(weight[j] ** 2)
         # Leakage through the edges of the weights: n times their derivatives (partial integration).
-        density = record.sample_period * sigma[j] ** 2
+        density = record.output_periods[j] * sigma[j] ** 2
         for k in range(1, degree + 1):
             edge = np.mean(np.diff(weight[j], k) ** 2) / h ** (2 * k)
             noise[:, j] += density * comb(degree, k) ** 2 * edge * np.abs(s) ** (2 * (degree - k))

@@ -183,7 +183,8 @@ def _size(views: Sequence[View], j: int) -> tuple[float, float, float]:
 
         C(32, 16) / C(16, 8)² = 3.63, Σ ρ² of the eighth difference of white noise.
         """
-        return 3.63 / len(view.record)
+        record = view.record
+        return 3.63 * float(record.output_periods[j]) / (record.sample_period * len(record))
 
     for view in views:
         e = view.residual[:, j]

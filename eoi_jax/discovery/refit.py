@@ -9,7 +9,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.side_by_side import concurrently
-from eoi_jax.estimation.holdout import INITIAL
+from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.estimation.identify import Identification, bound_notes, estimate
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import frictional
@@ -76,7 +76,7 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
         return task.window
-    return window_length(records, 2 * INITIAL)
+    return window_length(records, 2 * longest_start(task.plant, records))
 
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:

@@ -83,7 +83,8 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         time, states, inputs = _measured_signals(plant, record)
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
-            raw_noise(plant, record),
+            # Samples that are further apart have as much noise in a narrower band.
+            raw_noise(plant, record) * np.sqrt(record.output_periods / h),
             _gain(lowpass, record, substeps, thin),
             thin,
         )

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from eoi_jax._checks import check
-from eoi_jax.data.cleaning import SHORTEST
-from eoi_jax.data.masks import longest_run
+from eoi_jax.data.cleaning import SHORTEST, SLOW
+from eoi_jax.data.masks import longest_run, valid_steps
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
@@ -109,32 +109,34 @@ def too_short(records: Sequence[Record], cutoff: float) -> tuple[bool, ...]:
 
 
 def check_runs_of_samples(records: Sequence[Record]) -> None:
-    """Check that differences between consecutive samples can be taken.
+    """Check that differences between consecutive samples of each output can be taken.
 
     Args:
-        records: of one estimate.
+        records: of one estimate, bridged.
 
     Raises:
         ValueError: no record with a run of valid samples that is long enough.
     """
-    longest = max(_run_length(record) for record in records)
+    runs = np.stack([_run_lengths(record) for record in records])
+    output = int(np.argmin(np.max(runs, axis=0)))
+    longest = int(np.max(runs[:, output]))
     check(
         longest >= SHORTEST,
         "records",
-        f"must hold a run of at least {SHORTEST} valid samples one after the other",
-        f"{longest} at most: values are missing in between",
-        "With two sensors of different rates keep the rows in which both have a value, or fill in "
-        "the slower one; or use `refine`, which scores the samples that are there.",
+        f"must hold a run of at least {SHORTEST} valid samples one after the other of each output",
+        f"{longest} at most of {records[0].output_names[output]}: values are missing in between",
+        "Use `refine`, which scores the samples that are there.",
     )
 
 
-def _run_length(record: Record) -> int:
-    first, stop = longest_run(record)
-    return stop - first
+def _run_lengths(record: Record) -> Int[np.ndarray, " ny"]:
+    """Samples of each output that follow each other, at most."""
+    ends = [longest_run(record, j) for j in range(record.outputs.shape[1])]
+    return np.asarray([stop - first for first, stop in ends])
 
 
 def _torn(record: Record) -> bool:
-    return _run_length(record) < SHORTEST
+    return bool(np.min(_run_lengths(record.bridged)) < SHORTEST)
 
 
 def short_record_notes(records: Sequence[Record], cutoff: float, consequence: str) -> list[str]:
@@ -182,11 +184,14 @@ def _cutoff(
     reason = min(choices, key=lambda key: choices[key])
     cutoff = choices[reason]
     duration = max(record.sample_period * len(record) for record in records)
-    period = max(record.sample_period for record in records)
+    # F acts on all equations, in which the slowest output may stand.
+    period = max(float(np.max(record.output_periods)) for record in records)
+    slow = any(np.max(record.output_periods) > SLOW * record.sample_period for record in records)
+    rate = "a tenth of the sampling rate" + (" of the slowest output" if slow else "")
     for bound_reason, limit, bound in (
         ("below it lies half of the power of the highest derivative", max, half_power),
         ("twenty over the record's length", max, 20.0 / duration),
-        ("a tenth of the sampling rate", min, 0.2 * np.pi / period),
+        (rate, min, 0.2 * np.pi / period),
     ):
         if limit(cutoff, bound) != cutoff:
             reason, cutoff = bound_reason, bound
@@ -294,9 +299,9 @@ def rate_noise(record: Record, smoothing: float | bool) -> Float[np.ndarray, " n
     """Standard deviation of the noise in a velocity taken over one step [unit of y / s].
 
     White noise σ per sample gives √2 σ/h; behind a zero-phase low-pass of cut-off ω it gives
-    σ √(h ω³/3π).
+    σ √(h ω³/3π), with the period h of the output.
     """
-    h = record.sample_period
+    h = record.output_periods
     if smoothing:
         return record.noise * np.sqrt(h * float(smoothing) ** 3 / (3.0 * np.pi))
     return np.sqrt(2.0) * record.noise / h
@@ -311,7 +316,8 @@ def velocity_noise(
     """
     speed = record.noise
     if smoothing:
-        speed = speed * np.sqrt(record.sample_period * float(smoothing) / np.pi)
+        share = np.sqrt(record.output_periods * float(smoothing) / np.pi)
+        speed = speed * np.minimum(share, 1.0)
     return np.where(np.asarray(degrees) == 1, speed, rate_noise(record, smoothing))
 
 
@@ -371,10 +377,11 @@ def _largest_injection(
     """Bound on |y^(r) - f| at the nominal parameters: largest differences plus largest |f|."""
     bounds = []
     for record, u in zip(records, inputs, strict=True):
-        h, valid = record.sample_period, record.valid
-        model = np.abs(_model_values(plant, record, u))[valid[:-1] & valid[1:]]
-        bound = np.max(np.where(np.isfinite(model), model, 0.0), axis=0, initial=0.0)
+        h, steps = record.sample_period, valid_steps(record)
+        model = np.abs(_model_values(plant, record, u))
+        bound = np.max(np.where(np.isfinite(model) & steps, model, 0.0), axis=0, initial=0.0)
         for j, degree in enumerate(plant.degrees):
+            valid = record.output_valid[:, j]
             good = np.convolve(valid, np.ones(degree + 1), "valid") > degree
             size = np.abs(np.diff(record.outputs[:, j], degree)) / h**degree
             bound[j] += np.max(size, where=good, initial=0.0)

@@ -1,13 +1,21 @@
 """Checks of hold-out records, on which models are scored by free-run simulation."""
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
 from eoi_jax._checks import check, check_kind, check_positive
-from eoi_jax.data.masks import constant
+from eoi_jax.data.masks import constant, over_samples
 from eoi_jax.data.record import Record
-from eoi_jax.data.windows import late_starts, plan, window_length
+from eoi_jax.data.windows import (
+    driven_parts,
+    late_starts,
+    plan,
+    restart_notes,
+    start_samples,
+    window_length,
+)
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 
@@ -66,13 +74,16 @@ def _count_common_samples(candidate: Record, record: Record, tolerance: float = 
     if apart or last <= max(first, INITIAL):
         return 0
     in_candidate, in_record = slice(first, last), slice(first + offset, last + offset)
-    valid = candidate.valid[in_candidate] & record.valid[in_record]
-    y = candidate.outputs[in_candidate][valid]
-    is_equal = np.array_equal(y, record.outputs[in_record][valid]) and np.array_equal(
-        candidate.inputs[in_candidate][valid], record.inputs[in_record][valid]
+    measured = candidate.output_valid[in_candidate] & record.output_valid[in_record]
+    known = candidate.input_valid[in_candidate] & record.input_valid[in_record]
+    y = candidate.outputs[in_candidate]
+    is_equal = np.array_equal(y[measured], record.outputs[in_record][measured]) and np.array_equal(
+        candidate.inputs[in_candidate][known], record.inputs[in_record][known]
     )
-    is_moving = len(y) > 0 and bool(np.any(np.ptp(y, axis=0) > 0.0))
-    return int(np.sum(valid[max(INITIAL - first, 0) :])) if is_equal and is_moving else 0
+    columns = zip(y.T, measured.T, strict=True)
+    is_moving = any(np.any(mask) and np.ptp(column[mask]) > 0.0 for column, mask in columns)
+    shared = np.any(measured, axis=1) & known
+    return int(np.sum(shared[max(INITIAL - first, 0) :])) if is_equal and is_moving else 0
 
 
 def check_scored_records(
@@ -95,17 +106,27 @@ def check_scored_records(
     subject = "its free run" if window is None else f"each free run of {window:.4g} s"
     notes = []
     for record in records:
-        runs = plan(record, INITIAL, window, plant.rows)
+        head = start_samples(record, plant.rows)
+        parts = [part for _, part in driven_parts(record, head + 1)]
+        runs = [plan(part, head, window, plant.rows) for part in parts]
         burn_in = f" and a burn-in of {record.burn_in:g} s" if record.burn_in else ""
+        pairs = list(zip(parts, runs, strict=True))
         check(
-            bool(np.any(runs.score & record.valid)),
+            any(np.any(run.score[:, None] & part.output_valid) for part, run in pairs),
             f"{name}[{record.name}]",
-            f"must have valid samples after the {INITIAL} that start {subject}",
-            f"{len(record)} samples, {int(np.sum(record.valid))} of them valid{burn_in}",
+            f"must have valid samples after the {head} that start {subject}",
+            f"{len(record)} samples, {_count_measured(record)} of them valid{burn_in}",
             "Give a longer record, or one with fewer gaps.",
         )
-        notes += late_starts(record, runs, INITIAL, window is None)
+        notes += restart_notes(record, len(parts), head + 1)
+        for part, run in pairs:
+            notes += late_starts(part, run, head, window is None)
     return notes
+
+
+def _count_measured(record: Record) -> int:
+    """Samples with known inputs at which an output was measured."""
+    return int(np.sum(record.input_valid & np.any(record.output_valid, axis=1)))
 
 
 def check_runs(
@@ -140,15 +161,25 @@ def check_runs(
     for name, group in (("records", records), ("validation", validation)):
         length = window
         if window is None and group:
-            length = window_length(group, 2 * INITIAL)
+            length = window_length(group, 2 * longest_start(plant, group))
         if length is not None:
             late_notes = check_scored_records(plant, name, group, length)
             notes += late_notes if group is scored else []
-    return notes + [
+    return [*dict.fromkeys(notes)] + [
         _WINDOW_TOO_LONG.format(window, record.name, len(record) * record.sample_period)
         for record in scored
         if window is not None and window >= (len(record) - 1) * record.sample_period
     ]
+
+
+def longest_start(plant: Plant, records: Sequence[Record]) -> int:
+    """Samples from which the state of a free run is estimated, of the record that takes most.
+
+    Args:
+        plant: whose state it is.
+        records: of one data set.
+    """
+    return max(start_samples(record, plant.rows) for record in records)
 
 
 def resting_outputs(
@@ -168,12 +199,14 @@ def resting_outputs(
         motion_ratio: the same over its standard deviation in the fit, at most: the noise estimate
             of a coarse record contains motion.
     """
-    fit_spread = np.max(
-        [np.std(record.outputs[record.valid], axis=0) for record in records], axis=0
-    )
+
+    def spread_of(record: Record) -> np.ndarray:
+        return over_samples(record, partial(np.std, axis=0))
+
+    fit_spread = np.max([spread_of(record) for record in records], axis=0)
     sentences = []
     for record in validation:
-        spread = np.std(record.outputs[record.valid], axis=0)
+        spread = spread_of(record)
         highest = np.minimum(noise_ratio * record.noise, motion_ratio * fit_spread)
         resting = (spread < highest) | constant(record)
         sentences += [

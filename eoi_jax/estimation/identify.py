@@ -41,6 +41,7 @@ from eoi_jax.estimation.preparation import (
     TAPER,
     PreparedRecords,
     at_samples,
+    check_common_samples,
     check_observer,
     check_preparation,
     prepare_records,
@@ -250,6 +251,7 @@ def estimate(
             plant, resampled, prepared.inputs, lowpass.cutoff, prepared.substeps
         )
         reasons += chosen
+    check_common_samples(plant, resampled, prepared.inputs)
     if transient is None:
         transient = default_transient(prepared.records, lowpass, explicit)
     steps = prepare_steps(

@@ -19,12 +19,14 @@ T. Söderström, P. Stoica, *Instrumental Variable Methods for System Identifica
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax.data.masks import over_samples
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import too_short
 from eoi_jax.estimation.instrument_kernel import PairSums, Rows, Simulated, run_pairs, sum_over_runs
@@ -202,9 +204,8 @@ def _long_enough(
 
 
 def _spread(records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
-    return np.sqrt(
-        np.mean([np.var(record.outputs[record.valid], axis=0) for record in records], axis=0)
-    )
+    variances = [over_samples(record, partial(np.var, axis=0)) for record in records]
+    return np.sqrt(np.mean(variances, axis=0))
 
 
 _ALGEBRAIC = (
@@ -259,13 +260,22 @@ def _simulate_runs(
                 samples = slice(first, first + length)
                 pieces.append((record, samples))
                 owner.append(i)
-                simulated.append(run.predictions[0][samples].without_inputs())
+                simulated.append(run.predictions[0].without_inputs().part(*_ends(record, samples)))
         if follows and previous is not None:
             return _SimulatedRuns(previous.measured, tuple(simulated), count, previous.owner)
         if follows:
-            measured = tuple(_prepared(record[samples], prepared) for record, samples in pieces)
+            measured = tuple(
+                _prepared(record.bridged.part(*_ends(record, samples)), prepared)
+                for record, samples in pieces
+            )
             return _SimulatedRuns(measured, tuple(simulated), count, tuple(owner))
     return _RUNS_DEPART
+
+
+def _ends(record: Record, samples: slice) -> tuple[int, int]:
+    """First sample and last sample, plus one, of a slice of a record."""
+    start, stop, _ = samples.indices(len(record))
+    return start, stop
 
 
 def _start_length(record: Record, length: int, prepared: PreparedRecords) -> int | None:
@@ -475,9 +485,10 @@ def _noise_powers(
     omega = np.linspace(0.0, np.pi / record.sample_period, _SETTINGS.noise_frequencies)
     gain = 1.0 / (1.0 + (omega / prepared.lowpass.cutoff) ** (2 * prepared.lowpass.order))
     means = np.mean(gain * omega ** (2 * np.arange(degree + 1)[:, None]), axis=1)
-    return means[:, None] * record.noise**2
+    density = record.output_periods / record.sample_period  # in a narrower band
+    return means[:, None] * (record.noise**2 * density)
 
 
 def _noise_level(record: Record) -> Float[np.ndarray, " ny"]:
-    rms = np.sqrt(np.mean(record.outputs[record.valid] ** 2, axis=0))
+    rms = over_samples(record, lambda y: np.sqrt(np.mean(y**2, axis=0)))
     return record.noise / np.where(rms > 0, rms, np.inf)

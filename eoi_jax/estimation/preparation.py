@@ -15,7 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._checks import check, check_count, check_kind, real
-from eoi_jax.data.masks import beyond_starts, tapered, transient_samples, usable_steps
+from eoi_jax.data.masks import (
+    beyond_starts,
+    tapered,
+    transient_samples,
+    usable_steps,
+    valid_steps,
+)
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import (
     check_runs_of_samples,
@@ -28,6 +34,7 @@ from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.observers.per_output import PerOutput
+from eoi_jax.models.jacobians import entering_outputs
 from eoi_jax.models.plant import Plant
 
 # Weights rise over this many time constants of F beside steps that do not count.
@@ -148,7 +155,7 @@ class PreparedRecords:
     """Records prepared for passes of any model with the same outputs.
 
     Attributes:
-        records: smoothed, if `smoothing` is not False.
+        records: bridged (`Record.bridged`), and smoothed if `smoothing` is not False.
         fine: the same with sub-steps.
         inputs: during each step of `fine`, one array (S, nu) per record.
         velocity_noise: as `defaults.velocity_noise`, per record.
@@ -196,6 +203,7 @@ def prepare_records(
         "it no longer belongs to the input at the same instant",
         smoothing,
     )
+    records = tuple(record.bridged for record in records)
     check_kind("lowpass", lowpass, (LowPass, NoneType), "a filter `LowPass(cutoff, order)`")
     check_runs_of_samples(records)
     if lowpass is None:
@@ -252,19 +260,23 @@ def prepare_steps(
         substeps: steps per sample; outputs of relative degree 0 count at samples only.
     """
     length = max(len(record) for record in records) - 1
+    enters = entering(plant, records, inputs)
     jumps = plant.jumps  # probed once, however many records there are
     total = duration or sum(len(record) * record.sample_period for record in records)
     block = _block_duration(total, memory)
     batch: list[np.ndarray] = []
     for i, (record, u, noise) in enumerate(zip(records, inputs, velocity_noise, strict=True)):
         h = record.sample_period
-        usable, restart = usable_steps(record, taps, plant.degrees, jumps, noise)
+        usable, restart = usable_steps(record, taps, plant.degrees, jumps, noise, enters=enters)
         use = tapered(usable.astype(float), taper / h)
         if plant.has_algebraic and substeps > 1:
             # As much weight in all as the steps of other outputs.
             at_sample = substeps * (np.arange(len(use)) % substeps == 0)[:, None]
             use = np.where(plant.algebraic, at_sample * use, use)
         usable[: transient_samples(record, transient)] = False
+        if plant.internal is not None or plant.actuator is not None:
+            # Where they are behind a gap of the inputs is a guess, as at the start of the record.
+            usable &= beyond_starts(_driven_again(record), round(transient / h))[:, None]
         if explicit:
             usable &= beyond_starts(restart, round(transient / h))[:, None]
         score = usable.astype(float)
@@ -318,6 +330,61 @@ def _block_duration(
     these limits.
     """
     return max(min(memories * memory, total / min_blocks), total / max_blocks, memory)
+
+
+def entering(
+    plant: Plant, records: Sequence[Record], inputs: Sequence[Float[np.ndarray, "_ nu"]]
+) -> Bool[np.ndarray, "ny ny"] | None:
+    """Whether output j enters the equation of output i, at [i, j]; None where all are valid alike.
+
+    Args:
+        plant: the model.
+        records: uniformly sampled.
+        inputs: during each of their steps.
+    """
+    if all(np.all(record.output_valid == record.output_valid[:, :1]) for record in records):
+        return None
+    if plant.internal is not None:  # which any of them may move
+        return np.ones((len(plant.outputs),) * 2, dtype=bool)
+    return np.any(
+        [entering_outputs(plant, record.time[:-1], record.outputs[:-1], u)
+         for record, u in zip(records, inputs, strict=True)], axis=0
+    )  # fmt: skip
+
+
+def check_common_samples(
+    plant: Plant, records: Sequence[Record], inputs: Sequence[Float[np.ndarray, "_ nu"]]
+) -> None:
+    """Check that every equation has steps in which all that stands in it was measured.
+
+    Args:
+        plant: the model.
+        records: uniformly sampled.
+        inputs: during each of their steps.
+
+    Raises:
+        ValueError: an output that is never valid together with those in its equation.
+    """
+    enters = entering(plant, records, inputs)
+    if enters is None:
+        return
+    valid = np.any([np.any(valid_steps(record, enters), axis=0) for record in records], axis=0)
+    for i, name in enumerate(plant.outputs):
+        partners = [other for j, other in enumerate(plant.outputs) if enters[i, j] and j != i]
+        check(
+            bool(valid[i]),
+            f"records.outputs[{name}]",
+            f"must be measured at the same time as what stands in its equation: "
+            f"{', '.join(partners)}",
+            "no such step",
+            "Use `refine`, which scores the samples of each output by itself.",
+        )
+
+
+def _driven_again(record: Record) -> Bool[np.ndarray, " steps"]:
+    """The first step behind each gap of the inputs."""
+    known = record.input_valid[:-1] & record.input_valid[1:]
+    return known & np.concatenate([[False], ~known[:-1]])
 
 
 def _blocks(

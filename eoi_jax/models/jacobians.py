@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.compiler.programs import jit
@@ -40,6 +40,31 @@ def input_slopes(
     """∂f/∂u_i at every instant, for the inputs behind the actuator; arguments as above."""
     rows = (time, y, driven(plant, time, u))
     return along(_input_slope, ("fixed", "rows"), plant, rows)[..., i]
+
+
+def entering_outputs(
+    plant: Plant, time: Values, y: np.ndarray, u: Values, instants: int = 20
+) -> Bool[np.ndarray, "ny ny"]:
+    """Whether output j, or a derivative of it, enters the equation of output i, at [i, j].
+
+    It does where its absence is felt: with NaN in its place, at some instants.
+
+    Args:
+        plant: with its parameter values.
+        time: (S,) [s].
+        y: outputs, (S, ny).
+        u: inputs before any actuator, (S, nu).
+        instants: at so many of them.
+    """
+    chosen = np.unique(np.linspace(0, len(y) - 1, instants).astype(int))
+    ny, (time, u) = y.shape[1], (np.asarray(part)[chosen] for part in (time, u))
+    states = np.repeat(y[chosen, None], plant.rows, axis=1)
+    enters = np.zeros((ny, ny), dtype=bool)
+    for j in range(ny):
+        without = states.copy()
+        without[:, :, j] = np.nan
+        enters[:, j] = np.any(np.isnan(derivatives(plant, time, without, u)), axis=0)
+    return enters
 
 
 def driven(plant: Plant, time: Values, u: Values) -> Values:

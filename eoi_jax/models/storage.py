@@ -19,6 +19,7 @@ from eoi_jax import _display
 from eoi_jax._atomic import write_file
 from eoi_jax._checks import check
 from eoi_jax._limits import MAX_GIGABYTES
+from eoi_jax._types import WHERE_SET
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.resampling import Real
@@ -293,7 +294,11 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         return {kind: [_encode(element, arrays) for element in value]}
     value = stored_form(value)
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
-    content = {field.name: _encode(getattr(value, field.name), arrays) for field in fields}
+    content = {
+        field.name: _encode(getattr(value, field.name), arrays)
+        for field in fields
+        if getattr(value, field.name) is not None or field.metadata != WHERE_SET
+    }
     if isinstance(value, MissingEffect):
         content = {key: _encode(element, arrays) for key, element in value.fields.items()}
         return {"effect": value.kind, "name": value.name, "fields": content}

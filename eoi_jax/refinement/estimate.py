@@ -10,12 +10,13 @@ from jaxtyping import Float
 from eoi_jax._status import Status
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
+from eoi_jax.data.windows import restart_notes
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.fit import Fit, log_cost, rms
-from eoi_jax.refinement.problem import CONVERGED, Span
+from eoi_jax.refinement.problem import CONVERGED, FEWEST_STEPS, Span
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.simulation.sensitivity import Host, RunKernel
 
@@ -60,6 +61,7 @@ def refinement_of(
         (
             *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
             *_unsettled(fit),
+            *_restarts(records, spans),
         ),
         certainty.information,
         certainty.freedom,
@@ -77,6 +79,15 @@ def _unsettled(fit: Fit) -> tuple[str, ...]:
     return (f"the weights of the outputs still changed by {change}; refine again from here",)
 
 
+def _restarts(records: Sequence[Record], spans: Sequence[Span]) -> list[str]:
+    """Notes on runs that start again after gaps in the inputs."""
+    notes = []
+    for i, record in enumerate(records):
+        starts = {span.segment for span in spans if span.record == i}
+        notes += restart_notes(record, len(starts), FEWEST_STEPS + 1)
+    return notes
+
+
 def _per_sample(
     error: np.ndarray, use: np.ndarray, records: Sequence[Record], spans: Sequence[Span]
 ) -> list[np.ndarray]:
@@ -84,7 +95,8 @@ def _per_sample(
     residuals = [np.full(record.outputs.shape, np.nan) for record in records]
     for span, run_error, keep in zip(spans, error, use, strict=True):
         (index,) = np.nonzero(np.any(keep, axis=1))
-        residuals[span.record][span.first + index] = run_error[index]
+        scored = np.where(keep[index], run_error[index], np.nan)
+        residuals[span.record][span.first + index] = scored
     return residuals
 
 

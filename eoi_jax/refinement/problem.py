@@ -23,6 +23,7 @@ from eoi_jax.compiler.callback import on_host
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
+from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
@@ -31,6 +32,7 @@ from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 from eoi_jax.simulation.simulate import actuated, drive
 
 CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
+FEWEST_STEPS = 8  # steps of a run, at least
 
 
 # -- runs -------------------------------------------------------------------------------------
@@ -38,31 +40,47 @@ CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
 
 @dataclass(frozen=True)
 class Span:
-    """One run: samples `first` to `first + count` of a record, and which of them it scores."""
+    """One run: samples `first` to `first + count` of a record, and which of them it scores.
+
+    All inputs are known in the segment (start, stop) of the record in which it lies.
+    """
 
     record: int
     first: int
     count: int
-    use: Bool[np.ndarray, " time"]
+    use: Bool[np.ndarray, "time ny"]
+    segment: tuple[int, int]
 
 
-def spans_of(records: Sequence[Record], window: float | None, min_samples: int = 8) -> list[Span]:
+def spans_of(
+    records: Sequence[Record], window: float | None, min_samples: int = FEWEST_STEPS
+) -> list[Span]:
     """Records cut into runs of about `window` seconds, of equal length within a record.
 
-    A run has at least `min_samples` sample periods, unless its record is shorter.
+    A run has at least `min_samples` sample periods, unless its record is shorter. Where an input is
+    unknown, a run ends before and another one starts behind; parts that are shorter have none.
     """
     spans = []
     for i, record in enumerate(records):
-        length = (len(record) - 1) * record.sample_period
-        pieces = 1 if window is None else max(round(length / window), 1)
-        pieces = min(pieces, max((len(record) - 1) // min_samples, 1))
-        edges = np.round(np.linspace(0, len(record) - 1, pieces + 1)).astype(int)
         scored = scored_samples(record)
-        for first, last in itertools.pairwise(edges):
-            use = scored[first : last + 1].copy()
-            use[-1] &= last == edges[-1]  # else it is the first one of the next run
-            spans.append(Span(i, int(first), int(last - first), use))
+        for segment in driven_segments(record, min_samples):
+            start, steps = segment[0], segment[1] - segment[0] - 1
+            pieces = 1 if window is None else max(round(steps * record.sample_period / window), 1)
+            pieces = min(pieces, max(steps // min_samples, 1))
+            edges = start + np.round(np.linspace(0, steps, pieces + 1)).astype(int)
+            for first, last in itertools.pairwise(edges):
+                use = scored[first : last + 1].copy()
+                use[-1] &= last == edges[-1]  # else it is the first one of the next run
+                spans.append(Span(i, int(first), int(last - first), use, segment))
     return spans
+
+
+def driven_segments(record: Record, min_samples: int) -> list[tuple[int, int]]:
+    """Runs (start, stop) of samples with known inputs, of so many steps at least."""
+    segments = record.input_segments()
+    if len(segments) == 1:
+        return segments
+    return [segment for segment in segments if segment[1] - segment[0] > min_samples]
 
 
 def used_window(
@@ -107,8 +125,8 @@ class Problem(eqx.Module):
         theta: all parameters; those of `free` are replaced.
         tables: rows of each run, in the order of `RunRow`; beyond its end the last one again.
         counts: rows of each run. steps: their length [s].
-        record_drives: of a plant with actuators, what drives each record: behind them its inputs
-            change with θ, and with all that came before a run. places: rows of these, one record
+        record_drives: of a plant with actuators, what drives each segment: behind them its inputs
+            change with θ, and with all that came before a run. places: rows of these, one segment
             after the other, that each run takes.
         declared: 1 where the run starts a record: internal states are then the plant's own.
         squares: sums of squares of the scored outputs of each run.
@@ -182,7 +200,7 @@ def problem_of(
     plant: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int
 ) -> Problem:
     """The least squares of these runs, with the outputs weighed by their spread."""
-    drives = [drive(record.time, record.inputs, record.hold, substeps) for record in records]
+    drives = _segment_drives(records, spans, substeps)
     tables = _tables(records, drives, spans)
     kernel = kernel_of(plant, "sums")
     free = np.asarray(kernel.free)
@@ -197,8 +215,8 @@ def problem_of(
         theta=np.asarray(plant.theta),
         tables=jnp.asarray(tables),
         counts=np.asarray([substeps * span.count + 1 for span in spans]),
-        steps=np.asarray([float(drives[span.record].step) for span in spans]),
-        record_drives=tuple(jax.tree.map(jnp.asarray, drives)) if acting else (),
+        steps=np.asarray([float(_drive_of(drives, span).step) for span in spans]),
+        record_drives=tuple(jax.tree.map(jnp.asarray, list(drives.values()))) if acting else (),
         places=_places(drives, spans, int(plant.has_algebraic)) if acting else None,
         declared=np.asarray([float(span.first == 0) for span in spans]),
         squares=np.sum(y**2, axis=1),
@@ -256,47 +274,68 @@ def _inverse(sigma: Float[np.ndarray, " ny"]) -> Float[np.ndarray, " ny"]:
     return 1.0 / np.where(sigma > 0, sigma, 1.0)
 
 
+# What drives each segment of each record; by record and first sample.
+Drives = dict[tuple[int, int], Drive]
+
+
+def _segment_drives(records: Sequence[Record], spans: Sequence[Span], substeps: int) -> Drives:
+    """What drives each segment with a run: nothing in it depends on inputs outside."""
+    drives: Drives = {}
+    for span in spans:
+        part, record = slice(*span.segment), records[span.record]
+        key = (span.record, span.segment[0])
+        if key not in drives:
+            drives[key] = drive(record.time[part], record.inputs[part], record.hold, substeps)
+    return drives
+
+
+def _drive_of(drives: Drives, span: Span) -> Drive:
+    return drives[span.record, span.segment[0]]
+
+
 def _tables(
-    records: Sequence[Record], drives: Sequence[Drive], spans: Sequence[Span]
+    records: Sequence[Record], drives: Drives, spans: Sequence[Span]
 ) -> Float[np.ndarray, "runs rows columns"]:
     """Rows of every run; a last row scores its last sample."""
-    n, longest = drives[0].substeps, max(span.count for span in spans)
+    n, longest = _drive_of(drives, spans[0]).substeps, max(span.count for span in spans)
     nu, ny = records[0].inputs.shape[1], records[0].outputs.shape[1]
     time, inputs, y, use = compiled_runs.columns(nu, ny)
     # Written in place: the tables are the largest arrays of a fit.
     tables = np.zeros((len(spans), n * longest + 1, use.stop))
     for table, span in zip(tables, spans, strict=True):
-        record, record_drive = records[span.record], drives[span.record]
-        first, count = n * span.first, n * span.count
+        record, record_drive = records[span.record], _drive_of(drives, span)
+        first, count = n * (span.first - span.segment[0]), n * span.count
         last = min(first + count, len(record_drive.time) - 1)
         rows, steps = table[:count], slice(first, first + count)
         rows[:, time] = record_drive.time[steps, None]
         rows[:, inputs] = np.reshape(record_drive.inputs[steps], (count, 3 * nu))
-        table[count:, time] = record_drive.time[last] if last == first + count else record.time[-1]
-        after = record_drive.inputs[last] if last == first + count else (record_drive.last,) * 3
+        is_last = last == first + count
+        end = record.time[span.segment[1] - 1]
+        table[count:, time] = record_drive.time[last] if is_last else end
+        after = record_drive.inputs[last] if is_last else (record_drive.last,) * 3
         table[count:, inputs] = np.ravel(after)
         samples, part = table[: count + 1 : n], slice(span.first, span.first + span.count + 1)
-        samples[:, y] = np.where(span.use[:, None], record.outputs[part], 0.0)
-        samples[:, use] = span.use[:, None]
+        samples[:, y] = np.where(span.use, record.outputs[part], 0.0)
+        samples[:, use] = span.use
     return tables
 
 
-def _places(
-    drives: Sequence[Drive], spans: Sequence[Span], beyond: int
-) -> Int[np.ndarray, "runs rows"]:
-    """Rows of each run among those of all records; beyond the end of a record its last one.
+def _places(drives: Drives, spans: Sequence[Span], beyond: int) -> Int[np.ndarray, "runs rows"]:
+    """Rows of each run among those of all segments; beyond the end of a segment its last one.
 
     Args:
-        drives: of the records.
+        drives: of the segments.
         spans: runs.
-        beyond: rows that `actuated` gives beyond the steps of a record.
+        beyond: rows that `actuated` gives beyond the steps of a segment.
     """
-    ends = np.cumsum([len(record_drive.time) + beyond for record_drive in drives])
+    lengths = [len(part.time) + beyond for part in drives.values()]
+    ends = dict(zip(drives, np.cumsum(lengths), strict=True))
     longest, rows = max(span.count for span in spans), []
     for span in spans:
-        n, length = drives[span.record].substeps, len(drives[span.record].time) + beyond
-        index = np.minimum(n * span.first + np.arange(n * longest + 1), length - 1)
-        rows.append(ends[span.record] - length + index)
+        segment_drive, first = _drive_of(drives, span), span.first - span.segment[0]
+        n, length = segment_drive.substeps, len(segment_drive.time) + beyond
+        index = np.minimum(n * first + np.arange(n * longest + 1), length - 1)
+        rows.append(ends[span.record, span.segment[0]] - length + index)
     return np.stack(rows)
 
 
@@ -305,14 +344,28 @@ def guessed_starts(
 ) -> Float[np.ndarray, "runs unknowns"]:
     """Initial states fitted to the first `samples` of each run, at the plant's own parameters."""
     kernel, substeps = problem.kernel, problem.substeps
-    count = min([samples, *(span.count for span in spans)])
-    run = Run(kernel.plant, kernel.friction, count, substeps)
-    heads = [slice(span.first, span.first + count) for span in spans]
-    pairs = list(zip(spans, heads, strict=True))
-    valid = np.stack([records[span.record].valid[part] for span, part in pairs])
-    y = np.stack([records[span.record].outputs[part] for span, part in pairs])
+    required = kernel.plant.rows
+    longest = max(start_samples(record, required, samples) for record in records)
+    count = min(longest, _common_length(spans))
+    run = Run(kernel.plant, kernel.friction, substeps)
+    shape = (len(spans), count, len(kernel.plant.outputs))
+    y, valid = np.zeros(shape), np.zeros(shape, dtype=bool)
+    for i, span in enumerate(spans):
+        head = slice(span.first, span.first + count)
+        record, last = records[span.record], min(count, span.segment[1] - span.first)
+        y[i, :last], y[i, last:] = record.outputs[head][:last], record.outputs[span.first]
+        valid[i, :last] = record.output_valid[head][:last]
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
         return initial_states(run, _heads(problem, count - 1), y, valid)
+
+
+def _common_length(spans: Sequence[Span]) -> int:
+    """Length of the shortest run [steps] but for what gaps have shortened."""
+    longest: dict[int, int] = {}
+    for span in spans:
+        longest[span.record] = max(longest.get(span.record, 0), span.count)
+    # Runs of equal length differ by one by rounding.
+    return min(span.count for span in spans if span.count >= longest[span.record] - 1)
 
 
 def _heads(problem: Problem, count: int) -> Drive:

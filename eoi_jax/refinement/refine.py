@@ -74,6 +74,10 @@ class RefinementSettings:
 _SETTINGS = RefinementSettings()
 
 
+_SCORED = "must have a sample behind the burn-in and where the inputs are known"
+_WHERE = "Take such an output out of the model, or fill in the inputs where they are certain."
+
+
 @one_thread()
 def refine(
     plant: Plant | Identification,
@@ -94,7 +98,8 @@ def refine(
 
     Args:
         plant: the model with the parameters to start from, or an identification.
-        records: one or several; masked samples and a record's burn-in are not scored.
+        records: one or several; masked samples and a record's burn-in are not scored, each output
+            by itself. Where an input is unknown the run ends, and another one starts behind it.
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
             anew at the start of each. None: whole records.
@@ -206,6 +211,9 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     window = used_window(records, spans, question.window)
     if not any(np.any(span.use) for span in spans):
         return unanswered(nominal, records, window, Status("no_data", NO_DATA))
+    scored = np.any([np.any(span.use, axis=0) for span in spans], axis=0)
+    for name, any_scored in zip(nominal.outputs, scored, strict=True):
+        check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []

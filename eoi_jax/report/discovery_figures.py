@@ -8,7 +8,7 @@ from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.models.units import derivative_unit
 from eoi_jax.models.velocities import velocity_rows
 from eoi_jax.report.decimate import decimate
-from eoi_jax.report.figures import draw_free_runs, free_run_height
+from eoi_jax.report.figures import draw_free_runs, free_run_height, simulated_outputs
 from eoi_jax.report.style import (
     ACCENT,
     BASE,
@@ -268,7 +268,7 @@ def _draw_free_run(figure: Any, discovery: Discovery, record: int = 0) -> None:
         figure.subplots().set_title("no free run")
         return
     runs = [
-        (run.predictions[record].outputs, colour, label)
+        (simulated_outputs(run.predictions[record]), colour, label)
         for run, colour, label in _pair(discovery, discovery.before, discovery.after)
     ]
     measured = discovery.held_out[record]

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.data.cleaning import is_slow
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.report.decimate import decimate
@@ -154,7 +155,8 @@ def record_figure(record: Record) -> Any:
     panels = figure.subplots(len(outputs) + len(inputs), 1, sharex=True, squeeze=False)[:, 0]
     for i, (axes, (name, channel)) in enumerate(zip(panels, [*outputs, *inputs], strict=True)):
         is_input = i >= len(outputs)
-        points = decimate(record.time, np.where(record.valid, channel, np.nan))
+        mask = record.input_valid if is_input else record.output_valid[:, i]
+        points = decimate(record.time, np.where(mask, channel, np.nan))
         stepped = is_input and record.hold == "zero"
         axes.plot(
             *points,
@@ -185,7 +187,7 @@ def validation_figure(result: Validation, record: int = 0) -> Any:
     prediction = result.predictions[record]
     measured = result.records[record] if result.records else None
     units = dict(zip(result.outputs, result.units, strict=True))
-    runs = [(prediction.outputs, series(BASE), "free run")]
+    runs = [(simulated_outputs(prediction), series(BASE), "free run")]
     figure = new_figure(WIDTH, free_run_height(len(result.outputs)))
     has_measurement = measured is not None
     draw_free_runs(
@@ -197,6 +199,11 @@ def validation_figure(result: Validation, record: int = 0) -> Any:
         measured_outputs=has_measurement,
     )
     return fix_theme(figure)
+
+
+def simulated_outputs(prediction: Record) -> np.ndarray:
+    """Outputs of a free run, NaN where an unknown input interrupts it, (N, ny)."""
+    return np.where(prediction.output_valid, prediction.outputs, np.nan)
 
 
 def free_run_height(outputs: int) -> float:
@@ -234,13 +241,26 @@ def draw_free_runs(
         upper.set_ylabel(with_unit(name, units.get(name)))
         lower.set_ylabel(with_unit("error", units.get(name)))
         time = np.asarray(measured.time)
-        y = np.where(measured.valid & measured_outputs, measured.outputs[:, j], np.nan)
+        mask = measured.output_valid[:, j] & measured_outputs
+        y = np.where(mask, measured.outputs[:, j], np.nan)
+        slow = is_slow(mask)  # no line: few samples have a neighbour
+        marker, line = (".", "none") if slow else ("none", "-")
+        shown = mask if slow else slice(None)
         if measured_outputs:
-            upper.plot(*decimate(time, y), color=text_colour(), linewidth=2.0, label="measured")
+            points = decimate(time[shown], y[shown])
+            upper.plot(
+                *points,
+                color=text_colour(),
+                linewidth=2.0,
+                marker=marker,
+                linestyle=line,
+                label="measured",
+            )
         for prediction, colour, label in runs:
             y_hat = prediction[:, j]
             upper.plot(*decimate(time, y_hat), color=colour, linewidth=1.0, label=label)
-            lower.plot(*decimate(time, y - y_hat), color=colour, linewidth=0.9)
+            points = decimate(time[shown], (y - y_hat)[shown])
+            lower.plot(*points, color=colour, linewidth=0.9, marker=marker, linestyle=line)
         if measured_outputs:
             mean = np.nanmean(y)
             size = max_range * np.nanmax(np.abs(y - mean))

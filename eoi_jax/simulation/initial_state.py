@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.gauss_newton import gauss_newton
@@ -43,14 +44,23 @@ class Run:
 
     plant: Plant
     friction: tuple[int, ...]
-    initial_samples: int
     substeps: int
 
 
 def initial_states(
-    run: Run, heads: Drive, y: Float[np.ndarray, "runs time ny"], valid: np.ndarray
+    run: Run,
+    heads: Drive,
+    y: Float[np.ndarray, "runs time ny"],
+    valid: Bool[np.ndarray, "runs time ny"],
 ) -> Starts:
-    """Least squares of each free run over its first samples, by Gauss-Newton."""
+    """Least squares of each free run over its first samples, by Gauss-Newton.
+
+    Args:
+        run: what all runs share.
+        heads: what drives the first samples of each run.
+        y: outputs there.
+        valid: which of them were measured.
+    """
     period = float(heads.step[0]) * heads.substeps
     z = run.plant.initial_internal
     starts = np.stack(
@@ -68,7 +78,7 @@ def initial_states(
         # Internal states stay where the model starts them, unless the first samples tell (BIC):
         # from a few noisy ones they would come out anywhere.
         freed_cost, freed_values = _descend(first_samples, values[:, None], np.ones_like(measured))
-        count = np.maximum(np.sum(valid, axis=1) * y.shape[2], 2)
+        count = np.maximum(np.sum(valid, axis=(1, 2)), 2)
         significant = freed_cost < cost * np.exp(-2.0 * len(z) * np.log(count) / count)
         values = np.where(significant[:, None], freed_values, values)
     return values
@@ -170,7 +180,7 @@ class _Heads:
     run: Run
     heads: Drive
     y: Float[np.ndarray, "runs time ny"]
-    valid: Bool[np.ndarray, "runs time"]
+    valid: Bool[np.ndarray, "runs time ny"]
     period: float
     spread: Float[np.ndarray, " ny"]
 
@@ -194,7 +204,7 @@ class _Heads:
         Each output counts by its own spread: metres and radians add up to nothing.
         """
         outputs = self._simulated(values)
-        error = np.where(self.valid[:, None, :, None], self.y[:, None] - outputs, 0.0) / self.spread
+        error = np.where(self.valid[:, None], self.y[:, None] - outputs, 0.0) / self.spread
         error = error.reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = np.sum(error**2, axis=-1)
@@ -253,7 +263,7 @@ class _Heads:
 
 
 def _polynomial_starts(
-    plant: Plant, y: Samples, valid: Bool[np.ndarray, " time"], period: float
+    plant: Plant, y: Samples, valid: Bool[np.ndarray, "time ny"], period: float
 ) -> Float[np.ndarray, "trials owned"]:
     """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
 
@@ -261,7 +271,16 @@ def _polynomial_starts(
     The last one is repeated where the head is too short for more.
     """
     degree = plant.relative_degree + 1
-    rows, columns = owned(plant)
+    values = np.zeros((_SETTINGS.trials, degree + 1, y.shape[1]))
+    for columns, mask in channel_groups(valid):
+        values[..., columns] = _polynomials(y[:, columns], mask, degree, period)
+    return values[:, *owned(plant)]
+
+
+def _polynomials(
+    y: Samples, valid: Bool[np.ndarray, " time"], degree: int, period: float
+) -> Float[np.ndarray, "trials derivatives ny"]:
+    """Derivatives at the first sample of outputs that share a mask; zeros where none is valid."""
     factorial = np.cumprod([1.0, *range(1, degree + 1)])
     (samples,) = np.nonzero(valid)
     starts, count, trials = [], len(samples), _SETTINGS.trials
@@ -273,9 +292,9 @@ def _polynomial_starts(
         coefficients = np.zeros((degree + 1, y.shape[1]))
         coefficients[: powers.shape[1]] = np.linalg.lstsq(powers, y[index], rcond=None)[0]
         scale = (factorial / (reach * period) ** np.arange(degree + 1))[:, None]
-        starts.append((coefficients * scale)[rows, columns])
+        starts.append(coefficients * scale)
         count //= 2
-    starts = starts or [np.zeros(len(rows))]
+    starts = starts or [np.zeros((degree + 1, y.shape[1]))]
     return np.stack([*starts, *[starts[-1]] * (trials - len(starts))])
 
 

@@ -71,6 +71,7 @@ def fastest_mode(
         quantile: of |λ| over the samples; None: that of the rules.
         rules: how many samples are looked at, and which quantile counts.
     """
+    record = record.bridged
     usable = record.valid if np.any(record.valid) else np.ones(len(record), dtype=bool)
     signals = record.time, record.inputs, record.outputs
     return mode_along(plant, *signals, usable, quantile, rules)

@@ -4,7 +4,6 @@ The initial state (outputs, their derivatives, internal states) is part of no mo
 estimated from the first samples of each run (`initial_state.py`), which are not scored.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,11 +14,20 @@ from jaxtyping import Bool, Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
+from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.holds import best_hold, ratios_to, undeclared_hold, with_hold
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
-from eoi_jax.data.windows import joined, late_starts, plan
+from eoi_jax.data.windows import (
+    Plan,
+    driven_parts,
+    joined,
+    late_starts,
+    plan,
+    restart_notes,
+    start_samples,
+)
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
@@ -43,7 +51,7 @@ class Validation(Result):
         nrmse: `rmse` over the standard deviation of y.
         fit: 100 (1 − ‖y − ŷ‖ / ‖y − mean y‖) [%].
         predictions: ŷ, one record for each one given.
-        scored: number of scored samples.
+        scored: number of samples at which an output is scored.
         outputs: names.
         units: of the outputs, "" where unknown.
         notes: sentences on what limits the numbers.
@@ -66,7 +74,7 @@ def validate(
     plant: Plant,
     records: Record | Sequence[Record],
     *,
-    initial_samples: int = 50,
+    initial_samples: int | None = None,
     window: float | None = None,
     substeps: int | None = None,
 ) -> Validation:
@@ -75,14 +83,16 @@ def validate(
     Where records do not declare the hold of their inputs, the one with the smallest error is used,
     and a note gives the evidence.
 
-    Masked samples are run through on their interpolated inputs, and are not scored. A run whose
-    first samples are masked starts later, as soon as enough are valid, and says so in a note.
+    Each output is scored at the samples at which it was measured. Where an input is unknown the run
+    ends, and another one starts behind it, from its own estimated state; parts that are too short
+    for that are not scored. A run whose first samples are masked starts later, as soon as enough
+    are valid. All of it stands in the notes.
 
     Args:
         plant: the model with the parameters to judge.
         records: one or several; a record's burn-in is not scored.
         initial_samples: samples at the start of each run from which its initial state is estimated;
-            they are not scored.
+            they are not scored. None: fifty, more where an output is measured rarely.
         window: length of each run [s]; the state is then estimated anew at the start of every
             window. None: one run through the whole record, the harder test.
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
@@ -113,26 +123,32 @@ def validate(
 
 def _judged(
     plant: Plant,
-    initial_samples: int,
+    initial_samples: int | None,
     window: float | None,
     substeps: int | None,
     records: tuple[Record, ...],
 ) -> Validation:
     """The free runs of records whose hold is declared."""
     choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
-    run = Run(plant, frictional(plant), initial_samples, choice.count)
-    prediction = _Prediction.of(run, records, window)
+    heads = [_head(plant, record, initial_samples) for record in records]
+    pieces = _pieces(plant, records, heads, window)
+    run = Run(plant, frictional(plant), choice.count)
+    prediction = _Prediction.of(run, records, pieces)
     if not choice.exact:
-        prediction = _halved(prediction, run, records, window)
-    notes = [choice.note, *itertools.chain.from_iterable(prediction.notes)]
-    y, y_hat = prediction.samples(records)
-    rmse, nrmse, fit = _errors(y, y_hat)
+        prediction = _halved(prediction, run, records, pieces)
+    notes = [choice.note, *_start_notes(records, pieces, heads, window), *prediction.notes]
+    samples = prediction.samples(records)
+    for name, counts in zip(plant.outputs, samples[2].T, strict=True):
+        check(bool(np.any(counts)), f"records.outputs[{name}]",
+              "must have a sample that is scored, behind the start of a free run", "none",
+              "Give longer records, or take that output out of the model.")  # fmt: skip
+    rmse, nrmse, fit = _errors(*samples)
     return Validation(
         rmse,
         nrmse,
         fit,
-        tuple(map(_record, records, prediction.outputs)),
-        len(y),
+        tuple(map(_record, records, prediction.outputs, prediction.simulated)),
+        len(samples[0]),
         plant.outputs,
         tuple(plant.units.get(key, "") for key in plant.outputs),
         tuple(filter(None, notes)),
@@ -155,16 +171,27 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
     return full_runs, None if window is None else validate(plant, records, window=window)
 
 
-def _check_record(plant: Plant, record: Record, initial_samples: int, window: float | None) -> None:
+def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
+    """Samples that start each run on a record."""
+    if initial_samples is None:
+        return start_samples(record, plant.rows)
+    return initial_samples
+
+
+def _check_record(
+    plant: Plant, record: Record, initial_samples: int | None, window: float | None
+) -> None:
     unknowns = plant.rows + len(plant.initial_internal)
-    check_count("initial_samples", initial_samples)
+    if initial_samples is not None:
+        check_count("initial_samples", initial_samples)
+    head = _head(plant, record, initial_samples)
     check(
-        initial_samples > unknowns,
+        head > unknowns,
         "initial_samples",
         f"must exceed {unknowns}, the number of initial values of an output",
-        initial_samples,
+        head,
     )
-    unscored = max(initial_samples, transient_samples(record))
+    unscored = max(head, transient_samples(record))
     rule = f"must have valid samples after the first {unscored}, which are not scored"
     good = bool(np.any(scored_samples(record, unscored)))
     check(good, f"record {record.name}", rule, f"{len(record)} samples",
@@ -172,17 +199,70 @@ def _check_record(plant: Plant, record: Record, initial_samples: int, window: fl
     if window is not None:
         check_positive("window", window)
         count = round(window / record.sample_period)
-        rule = f"must be longer than {initial_samples} samples, which start each run"
-        check(count > initial_samples, "window", rule, f"{count} samples")
-    runs = plan(record, initial_samples, window, plant.rows)
-    rule = f"must have {runs.need} valid samples among {initial_samples}, from which a free run "
+        rule = f"must be longer than {head} samples, which start each run"
+        check(count > head, "window", rule, f"{count} samples")
+    longest = max(stop - start for start, stop in record.input_segments())
+    check(
+        longest > head,
+        f"record {record.name}",
+        f"must have known inputs for more than {head} samples, from which a free run starts",
+        f"{longest} samples at most between two gaps",
+        "Fill in the inputs where they are certain, or lower `initial_samples`.",
+    )
+    parts = [part for _, part in driven_parts(record, head + 1)]
+    runs = [plan(part, head, window, plant.rows) for part in parts]
+    most = max(runs, key=lambda part_runs: part_runs.available - part_runs.need)
+    rule = f"must have {most.need} valid samples among {head}, from which a free run "
     rule += "starts, and others that follow in it"
-    check(bool(np.any(runs.score & record.valid)), f"record {record.name}", rule,
-          f"{runs.available} at most", "Raise `initial_samples`, or the window, or leave it out."
+    scored = [np.any(part_runs.score[:, None] & part.output_valid, axis=0)
+              for part_runs, part in zip(runs, parts, strict=True)]  # fmt: skip
+    check(bool(np.any(scored)), f"record {record.name}", rule,
+          f"{most.available} at most", "Raise `initial_samples`, or the window, or leave it out."
           )  # fmt: skip
 
 
 # -- runs ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """The runs on a part of a record in which all inputs are known.
+
+    Attributes:
+        owner: index of the record. first: its sample at which the part begins.
+        part: the samples. plan: the runs along them.
+    """
+
+    owner: int
+    first: int
+    part: Record
+    plan: Plan
+
+
+def _pieces(
+    plant: Plant, records: Sequence[Record], heads: Sequence[int], window: float | None
+) -> list[_Piece]:
+    """All parts of all records with runs; a part that has no sample after its start has none."""
+    return [
+        _Piece(owner, first, part, plan(part, head, window, plant.rows))
+        for owner, (record, head) in enumerate(zip(records, heads, strict=True))
+        for first, part in driven_parts(record, head + 1)
+    ]
+
+
+def _start_notes(
+    records: Sequence[Record],
+    pieces: Sequence[_Piece],
+    heads: Sequence[int],
+    window: float | None,
+) -> list[str]:
+    notes = []
+    for owner, (record, head) in enumerate(zip(records, heads, strict=True)):
+        own = [piece for piece in pieces if piece.owner == owner]
+        notes += restart_notes(record, len(own), head + 1)
+        for piece in own:
+            notes += late_starts(piece.part, piece.plan, head, window is None)
+    return notes
 
 
 @dataclass(frozen=True)
@@ -191,63 +271,79 @@ class _Prediction:
 
     Attributes:
         outputs: of each record, shape (N, ny). scored: which samples count, shape (N,).
-        notes: sentences on each record.
+        simulated: which were simulated, shape (N,). notes: on runs that diverge.
     """
 
     outputs: tuple[np.ndarray, ...]
     scored: tuple[np.ndarray, ...]
-    notes: tuple[list[str], ...]
+    simulated: tuple[np.ndarray, ...]
+    notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, run: Run, records: Sequence[Record], window: float | None) -> "_Prediction":
+    def of(cls, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]) -> "_Prediction":
         """The runs of these records."""
-        parts = [_predict(run, record, window) for record in records]
-        return cls(*zip(*parts, strict=True))
+        outputs = [np.full(record.outputs.shape, np.nan) for record in records]
+        scored = [np.zeros(len(record), dtype=bool) for record in records]
+        simulated = [np.zeros(len(record), dtype=bool) for record in records]
+        notes = []
+        for piece in pieces:
+            samples = slice(piece.first, piece.first + len(piece.part))
+            prediction, note = _predict(run, piece)
+            outputs[piece.owner][samples] = prediction
+            scored[piece.owner][samples] = piece.plan.score
+            simulated[piece.owner][samples] = True
+            notes += note
+        outputs = [joined(*arrays) for arrays in zip(outputs, simulated, strict=True)]
+        return cls(tuple(outputs), tuple(scored), tuple(simulated), tuple(notes))
 
-    def samples(self, records: Sequence[Record]) -> tuple[Samples, Samples]:
-        """Measured and predicted outputs where both count, one record after the other."""
-        keep = [score & record.valid for score, record in zip(self.scored, records, strict=True)]
+    def samples(
+        self, records: Sequence[Record]
+    ) -> tuple[Samples, Samples, Bool[np.ndarray, "time ny"]]:
+        """Measured and predicted outputs where one counts, and which; one record after the other.
+
+        Args:
+            records: that were simulated.
+        """
+        masks = [score[:, None] & record.output_valid
+                 for score, record in zip(self.scored, records, strict=True)]  # fmt: skip
+        keep = [np.any(mask, axis=1) for mask in masks]
         y = [record.outputs[use] for record, use in zip(records, keep, strict=True)]
         y_hat = [part[use] for part, use in zip(self.outputs, keep, strict=True)]
-        return np.concatenate(y), np.concatenate(y_hat)
+        counts = [mask[use] for mask, use in zip(masks, keep, strict=True)]
+        return np.concatenate(y), np.concatenate(y_hat), np.concatenate(counts)
 
     def agrees_with(self, finer: "_Prediction", records: Sequence[Record]) -> bool:
         """Whether shorter steps change the outputs by less than what would show in the residual."""
-        (y, coarse), (_, fine) = self.samples(records), finer.samples(records)
+        (y, coarse, counts), (_, fine, _) = self.samples(records), finer.samples(records)
         with np.errstate(all="ignore"):
-            change = np.sqrt(np.mean((fine - coarse) ** 2, axis=0))
-            residual = np.sqrt(np.mean((y - fine) ** 2, axis=0))
+            change, residual = _rms(fine - coarse, counts), _rms(y - fine, counts)
         return bool(np.all(change <= RULES.visible * residual))
 
 
 def _halved(
-    prediction: _Prediction, run: Run, records: Sequence[Record], window: float | None
+    prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
 ) -> _Prediction:
     """The runs with the longest steps that half as long ones agree with."""
     most = min(run.substeps * 2**RULES.halvings, finest_steps(records) // 2)
     while run.substeps <= most:
         run = replace(run, substeps=2 * run.substeps)
-        finer = _Prediction.of(run, records, window)
+        finer = _Prediction.of(run, records, pieces)
         if prediction.agrees_with(finer, records):
             break
         prediction = finer
     return prediction
 
 
-def _predict(
-    run: Run, record: Record, window: float | None
-) -> tuple[Samples, Bool[np.ndarray, " time"], list[str]]:
-    """Free runs along a record: prediction, which samples count, and notes."""
-    notes = []
-    runs = plan(record, run.initial_samples, window, run.plant.rows)
+def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
+    """Free runs along a part of a record: prediction, and a note if one diverges."""
+    record, runs, diverged = piece.part, piece.plan, None
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
     record_drive = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
-    diverged = None
     for start, sample_range, y_hat in zip(
         runs.starts,
         runs.predicted,
-        _free_runs(run, record, record_drive, runs.starts, runs.steps),
+        _free_runs(run, record, record_drive, runs),
         strict=True,
     ):
         bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
@@ -258,24 +354,26 @@ def _predict(
             y_hat[sample_range.start - start : sample_range.stop - start],
             True,
         )
+    notes = []
     if diverged is not None:
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
-    notes += late_starts(record, runs, run.initial_samples, window is None)
-    return joined(prediction, predicted), runs.score, notes
+    return joined(prediction, predicted), notes
 
 
 def _free_runs(
-    run: Run, record: Record, record_drive: Drive, starts: Sequence[int], count: int
+    run: Run, record: Record, record_drive: Drive, runs: Plan
 ) -> Float[np.ndarray, "runs time ny"]:
-    """Runs of `count` steps from samples `starts`, each from its own estimated initial state."""
-    first = min(run.initial_samples, count + 1)
-    first_samples = np.asarray(starts)[:, None] + np.arange(first)
-    head = _parts(record_drive, starts, first - 1)
-    values = initial_states(run, head, record.outputs[first_samples], record.valid[first_samples])
-    begun = states_of(run.plant, values)
-    return outputs_of(run.plant, _parts(record_drive, starts, count), begun, run.friction)
+    """The runs of a plan, each from its own estimated initial state."""
+    if not runs.starts:
+        return np.zeros((0, runs.steps + 1, record.outputs.shape[1]))
+    first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
+    head = _parts(record_drive, runs.starts, runs.head - 1)
+    y, valid = record.outputs[first_samples], record.output_valid[first_samples]
+    begun = states_of(run.plant, initial_states(run, head, y, valid))
+    drives = _parts(record_drive, runs.starts, runs.steps)
+    return outputs_of(run.plant, drives, begun, run.friction)
 
 
 def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
@@ -292,20 +390,36 @@ def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
 # -- scores -------------------------------------------------------------------------------
 
 
-def _errors(y: Samples, y_hat: Samples) -> tuple[PerOutput, PerOutput, PerOutput]:
-    finite = np.all(np.isfinite(y_hat), axis=0)
-    error = np.where(finite, y - np.where(finite, y_hat, 0.0), 0.0)
+def _errors(
+    y: Samples, y_hat: Samples, counts: Bool[np.ndarray, "time ny"]
+) -> tuple[PerOutput, PerOutput, PerOutput]:
+    finite = np.all(np.isfinite(y_hat) | ~counts, axis=0)
+    error = np.where(finite & counts, y - np.where(finite & counts, y_hat, 0.0), 0.0)
+    spread = np.zeros(len(finite))
+    for columns, mask in channel_groups(counts):
+        spread[columns] = np.std(y[mask, columns], axis=0) if np.any(mask) else np.nan
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        rmse = np.where(finite, np.sqrt(np.mean(error**2, axis=0)), np.inf)
+        rmse = np.where(finite, _rms(error, counts), np.inf)
         # A constant output leaves nothing to explain: any error is infinitely large beside it.
-        nrmse = np.where(rmse > 0, rmse / np.std(y, axis=0), 0.0)
+        nrmse = np.where(rmse > 0, rmse / spread, 0.0)
     return rmse, nrmse, 100.0 * (1.0 - nrmse)
 
 
-def _record(record: Record, prediction: Samples) -> Record:
+def _rms(values: Samples, counts: Bool[np.ndarray, "time ny"]) -> PerOutput:
+    """Root mean square of each output over the samples that count; NaN where none does."""
+    rms = np.full(values.shape[1], np.nan)
+    for columns, mask in channel_groups(counts):
+        if np.any(mask):
+            rms[columns] = np.sqrt(np.mean(values[mask, columns] ** 2, axis=0))
+    return rms
+
+
+def _record(
+    record: Record, prediction: Samples, simulated: Bool[np.ndarray, " time"] | None = None
+) -> Record:
     """The prediction as a record; a diverged one is kept within what a figure can show."""
     middle, reach = np.mean(record.outputs, axis=0), np.ptp(record.outputs, axis=0) + 1e-300
     bound = 1e3 * reach
     bounded = np.clip(np.where(np.isfinite(prediction), prediction, np.inf), middle - bound,
                     middle + bound)  # fmt: skip
-    return record.with_outputs(bounded, f"{record.name} (free run)")
+    return record.with_outputs(bounded, f"{record.name} (free run)", simulated)

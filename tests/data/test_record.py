@@ -545,11 +545,12 @@ def test_a_record_prints_its_channels_and_notes():
     assert "Hold taken as linear" in shown
 
 
-def test_a_record_plots_each_channel_and_leaves_masked_samples_out():
+def test_a_record_plots_each_channel_and_leaves_its_masked_samples_out():
     y = np.c_[np.sin(TIME), np.cos(TIME)]
     y[7, 0] = np.nan
     with pytest.warns(RecordWarning):
         record = Record(TIME, np.ones(N), y, units={"y2": "m"})
     axes = record.plot().get_axes()
     assert [axis.get_ylabel() for axis in axes] == ["y1", "y2 [m]", "u"]
-    assert np.isnan(axes[1].lines[0].get_ydata()[7])
+    assert np.isnan(axes[0].lines[0].get_ydata()[7])
+    assert not np.any(np.isnan(axes[1].lines[0].get_ydata()))  # y2 was measured throughout

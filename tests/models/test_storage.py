@@ -265,7 +265,7 @@ def test_jax_arrays_are_stored_as_arrays(tmp_path):
 
 
 # Fields that these files do not have, with their defaults.
-LATER_FIELDS = {"kind_items": {"tuple": []}, "hold_declared": True}
+LATER_FIELDS = {"kind_items": {"tuple": []}, "hold_declared": True, "output": {"tuple": []}}
 
 
 def tags(tree):

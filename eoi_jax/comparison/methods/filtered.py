@@ -236,6 +236,7 @@ def equation(plant: Plant, records: Sequence[Record]) -> Equation:
         plant: without internal states.
         records: checked against the plant.
     """
+    records = [record.bridged for record in records]
     filters = default_filters(plant, records)
     records = [record.resample(filters.substeps) for record in records]
     motions = [motion(plant, record, filters.wide) for record in records]
