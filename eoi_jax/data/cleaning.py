@@ -390,6 +390,24 @@ def interpolate(
     return inputs, outputs, known, measured
 
 
+def between_own_samples(outputs: Outputs, measured: OutputMask) -> tuple[Outputs, OutputMask]:
+    """Outputs interpolated by cubic splines, each through its own samples, and where that holds.
+
+    Args:
+        outputs: on a uniform grid; samples that were measured are kept as they are.
+        measured: where each output was measured.
+    """
+    query = np.arange(len(outputs), dtype=float)
+    bridged, valid = np.array(outputs), np.array(measured)
+    for j, column in enumerate(measured.T):
+        position = np.flatnonzero(column).astype(float)
+        segments = own_segments(position)
+        values = _cubic(position, outputs[column, j : j + 1], segments, query)[:, 0]
+        bridged[:, j] = np.where(column, outputs[:, j], values)
+        valid[:, j] = covered(position, segments, query)
+    return bridged, valid
+
+
 def channel_groups(masks: OutputMask) -> list[tuple[slice, Mask]]:
     """Columns that share a mask: all of them at once, or else each by itself."""
     if np.all(masks == masks[:, :1]):

@@ -24,6 +24,7 @@ from eoi_jax.data.cleaning import (
     Names,
     OutputMask,
     Outputs,
+    between_own_samples,
     channel_groups,
     channel_names,
     check_labels,
@@ -50,9 +51,7 @@ from eoi_jax.data.resampling import (
     low_pass,
     low_pass_noise,
     own_period,
-    own_segments,
     runs,
-    spline,
     staircase_to_smooth,
     sub_stepped,
     sub_stepped_inputs,
@@ -178,11 +177,6 @@ class Record(Result):
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
-        if grid.resolution:
-            hold_notes.append(
-                f"Time is written in steps of {grid.resolution:g} s; the deviation from a "
-                "uniform clock is no more than that rounding."
-            )
         masks = known & measured.all(axis=1), certain, measured
         self._set(inputs, outputs, masks, grid.time, grid.sample_period)
         labels = {
@@ -193,7 +187,7 @@ class Record(Result):
             "hold": hold,
             "hold_declared": hold_declared,
             "burn_in": float(burn_in),
-            "notes": (*notes, *hold_notes),
+            "notes": (*notes, *hold_notes, *grid.notes),
             "smoothed": (),
             "_noise": noise,
             "_quantum": quantum,
@@ -352,14 +346,7 @@ class Record(Result):
 
     @cached_property
     def _bridged(self) -> "Record":
-        query = np.arange(len(self), dtype=float)
-        outputs, valid = np.array(self.outputs), np.array(self.output_valid)
-        for j, measured in enumerate(self.output_valid.T):
-            position = np.flatnonzero(measured).astype(float)
-            segments = own_segments(position)
-            values = spline(position, self.outputs[measured, j : j + 1], segments, query, 3)[:, 0]
-            outputs[:, j] = np.where(measured, self.outputs[:, j], values)
-            valid[:, j] = covered(position, segments, query)
+        outputs, valid = between_own_samples(self.outputs, self.output_valid)
         new = self._changed(None)
         masks = self.input_valid & valid.all(axis=1), self.input_valid, valid
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)

@@ -56,6 +56,14 @@ class Grid:
     deviation: float
     resolution: float
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence where stamps are taken to be rounded."""
+        if not self.resolution:
+            return ()
+        note = f"Time is written in steps of {self.resolution:g} s; the deviation from a uniform "
+        return (note + "clock is no more than that rounding.",)
+
 
 def uniform_grid(stamps: TimeAxis) -> Grid:
     """The uniform grid of strictly increasing stamps; missing samples leave holes in it.
