@@ -107,20 +107,24 @@ def plan(
     return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost, head)
 
 
-def start_samples(record: Record, required: int, fewest: int = 50) -> int:
+def start_samples(record: Record, required: int, usual: int = 50, share: float = 1 / 3) -> int:
     """Samples from which the state at the start of a run is estimated.
 
     Args:
         record: along which the run is.
         required: samples of each output that a state needs.
-        fewest: so many at least.
+        usual: so many where the record is long enough.
+        share: of a short record, or of its longest part with known inputs.
 
     Returns:
-        `fewest`; more where an output is measured so rarely that fewer than one more than the
-        required ones would lie among them.
+        `usual`, less in a short record, but three times as many as are required and three; more
+        where an output is measured so rarely that fewer than one more than the required ones would
+        lie among them.
     """
+    longest = max((stop - start for start, stop in record.input_segments()), default=len(record))
+    count = min(usual, max(int(share * longest), 3 * required + 3))
     periods = np.round(record.output_periods / record.sample_period, 6)
-    return max(fewest, int(np.ceil((required + 1) * np.max(periods))))
+    return max(count, int(np.ceil((required + 1) * np.max(periods))))
 
 
 def driven_parts(record: Record, shortest: int = 2) -> list[tuple[int, Record]]:

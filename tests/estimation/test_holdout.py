@@ -78,19 +78,25 @@ def gaps(record: eoi.Record) -> eoi.Record:
         return eoi.Record(record.time, record.inputs, y, "gaps")
 
 
+def settling(record: eoi.Record) -> eoi.Record:
+    """Forty samples, all of them within the burn-in."""
+    part = record[:40]
+    return eoi.Record(part.time, part.inputs, part.outputs, part.name, hold="zero", burn_in=9.0)
+
+
 @pytest.mark.parametrize(
     ("held", "window", "message"),
     [
-        ([run(2)[:40]], None, r"start its free run, got 40 samples, 40 of them valid. Give a long"),
-        ([run(2)[:40]], None, r"`validation\[run 2\]` must have valid samples after the 50 that"),
-        ([], None, r"`records\[run 1\]` must have valid samples after the 50"),
+        ([settling(run(2))], None, "start its free run, got 40 samples, 40 of them valid and"),
+        ([settling(run(2))], None, r"`validation\[run 2\]` must have valid samples after the 13"),
+        ([], None, r"`records\[run 1\]` must have valid samples after the 13"),
         ([run(2)], 0.5, "`window` must be longer than 0.5 s, the 50 samples of run"),
         ([run(2)], -1.0, "`window` must be positive and finite, got -1.0. It is a time"),
         ([gaps(run(2))], 0.55, "start each free run of 0.55 s, got 1000 samples, 17 of them valid"),
     ],
 )  # fmt: skip
 def test_records_of_which_no_free_run_can_be_made_are_named(held, window, message):
-    short = run(1) if held else run(1)[:50]
+    short = run(1) if held else settling(run(1))
     with pytest.raises(ValueError, match=message):
         check_runs(PLANT, [short], held, window)
 
@@ -122,7 +128,9 @@ def test_notes_of_the_runs_are_in_the_answer_and_their_errors_come_before_the_fi
     assert any("is no part of other" in one for one in found.notes)
     stages = []
     with pytest.raises(ValueError, match=r"`validation\[other\]` must have valid samples"):
-        eoi.discover(PLANT, record, other[:40], few, callback=lambda *told: stages.append(told))
+        eoi.discover(
+            PLANT, record, settling(other), few, callback=lambda *told: stages.append(told)
+        )
     assert stages == []
 
 

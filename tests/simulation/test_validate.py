@@ -309,3 +309,14 @@ def test_a_diverged_prediction_is_shown_within_a_thousand_ranges_of_the_measurem
     diverged = np.full((100, 1), np.inf)
     shown = _record(record, diverged).outputs
     np.testing.assert_allclose(shown, np.mean(record.outputs) + 1e3 * np.ptp(record.outputs))
+
+
+def test_a_short_record_starts_from_a_third_of_itself():
+    """Of forty samples fifty cannot start a run."""
+    time = 0.25 * np.arange(40)
+    decay = Plant(lambda t, x, u, p: -p.rate * x.y[0], {"rate": 0.4}, inputs=())
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(40)
+    record = Record(time, np.zeros((40, 0)), np.exp(-0.4 * time) + noise)
+    result = validate(decay, record)
+    assert result.scored == 40 - 13
+    assert result.rmse[0] == pytest.approx(1e-3, rel=0.3)
