@@ -92,8 +92,8 @@ def validate(
         plant: the model with the parameters to judge.
         records: one or several; a record's burn-in is not scored.
         initial_samples: samples at the start of each run from which its initial state is estimated;
-            they are not scored. None: fifty, a third of a record of less than 150 samples, more where
-            an output is measured rarely.
+            they are not scored. None: fifty, a third of a record of less than 150 samples; more
+            where an output is measured rarely.
         window: length of each run [s]; the state is then estimated anew at the start of every
             window. None: one run through the whole record, the harder test.
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
