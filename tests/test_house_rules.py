@@ -291,6 +291,13 @@ def test_imports_stand_at_the_top(path):
                 assert {name, name.split(".")[0]} & IN_FUNCTIONS, f"{function.name} imports {name}"
 
 
+def test_the_root_of_the_package_is_short():
+    """What is there besides the rooms: the ground, and the names that users import from."""
+    entries = [path for path in PACKAGE.iterdir() if path.name not in ("__pycache__", "py.typed")]
+    assert sum(path.is_file() for path in entries) <= 14
+    assert sum(path.is_dir() for path in entries) <= 11
+
+
 def _is_number(value):
     if isinstance(value, ast.Constant):
         return isinstance(value.value, int | float) and not isinstance(value.value, bool)

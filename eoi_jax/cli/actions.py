@@ -13,7 +13,6 @@ import numpy as np
 
 from eoi_jax._atomic import write_file, write_folder
 from eoi_jax._checks import check, check_choice
-from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.cli import build, html_report, run_folder
 from eoi_jax.cli.config import Config, IdentifyTable, load
 from eoi_jax.cli.signals import ExitCode
@@ -27,6 +26,7 @@ from eoi_jax.cli.template import checked, draft
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.inspection import inspect as inspect_file
+from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification

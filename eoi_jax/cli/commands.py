@@ -13,7 +13,6 @@ from typing import Annotated
 import typer
 
 from eoi_jax import cli
-from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.cli.options import (
     RUNS,
     AsJson,
@@ -36,6 +35,7 @@ from eoi_jax.cli.terminal import (
     progress,
     show,
 )
+from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 
 app = typer.Typer(
     cls=Commands,

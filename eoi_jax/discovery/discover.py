@@ -131,9 +131,11 @@ def discover(
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, fit_records, held_out, window)
+    progress = callback or _no_progress
+    progress("fitting the declared model", 0, _STAGES)
     search = _Search(
         plant, lowpass, tried_effects, rare_effects, alpha, most, window, refine,
-        effects is not None, callback or _no_progress,
+        effects is not None, progress,
     )  # fmt: skip
     indices = hold_indices(plant, fit_records, declared_index, lowpass)
     if indices is None:

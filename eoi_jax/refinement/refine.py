@@ -194,7 +194,8 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
             errors[hold] = _mean_error(other) if other.status.ok else np.inf
     best_fitting = best_hold(errors, rule)
     if best_fitting != rule:
-        result = _refined(plant, with_hold(records, best_fitting), question)
+        again = _refined(plant, with_hold(records, best_fitting), question)
+        result, best_fitting = (again, best_fitting) if again.status.ok else (result, rule)
     note = f"hold {best_fitting}: the error is {ratios_to(errors, best_fitting)}"
     return replace(result, notes=(*result.notes, note))
 

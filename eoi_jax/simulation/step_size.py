@@ -57,9 +57,7 @@ class StepRules:
 RULES = StepRules()
 
 
-def fastest_mode(
-    plant: Plant, record: Record, quantile: float | None = None, rules: StepRules = RULES
-) -> float:
+def fastest_mode(plant: Plant, record: Record, quantile: float = RULES.quantile) -> float:
     """Largest |λ| of the linearised plant along a record [1/s]; 0 where there is none.
 
     Derivatives of outputs are differences of the samples, internal states are where the plant
@@ -68,13 +66,12 @@ def fastest_mode(
     Args:
         plant: with its parameter values.
         record: of its inputs and outputs.
-        quantile: of |λ| over the samples; None: that of the rules.
-        rules: how many samples are looked at, and which quantile counts.
+        quantile: of |λ| over the samples.
     """
     record = record.bridged
     usable = record.valid if np.any(record.valid) else np.ones(len(record), dtype=bool)
     signals = record.time, record.inputs, record.outputs
-    return mode_along(plant, *signals, usable, quantile, rules)
+    return mode_along(plant, *signals, usable, quantile)
 
 
 def mode_along(
@@ -83,8 +80,7 @@ def mode_along(
     inputs: Float[np.ndarray, "time nu"],
     outputs: Float[np.ndarray, "time ny"],
     usable: Bool[np.ndarray, " time"] | None = None,
-    quantile: float | None = None,
-    rules: StepRules = RULES,
+    quantile: float = RULES.quantile,
 ) -> float:
     """`fastest_mode` along signals that are no record.
 
@@ -95,21 +91,21 @@ def mode_along(
         outputs: likewise.
         usable: instants that count; None: all.
         quantile: as of `fastest_mode`.
-        rules: likewise.
     """
     rows = [outputs]
     for _ in range(1, plant.relative_degree):
         rows.append(np.gradient(rows[-1], time[1] - time[0], axis=0))
     acted_inputs = np.asarray(driven(plant, time, inputs))
     instants = np.arange(len(time)) if usable is None else np.flatnonzero(usable)
-    index = instants[np.unique(np.linspace(0, len(instants) - 1, rules.instants).astype(int))]
+    # Always as many, so that a plant which only XLA evaluates is compiled once.
+    index = instants[np.linspace(0, len(instants) - 1, RULES.instants).astype(int)]
     signals = time[index], np.stack(rows, axis=1)[index], acted_inputs[index]
     slopes = along(_state_slope, ("fixed", "rows"), plant, signals)
     slopes = slopes[np.all(np.isfinite(slopes), axis=(1, 2))]
     if not slopes.size:
         return 0.0
     sizes = np.max(np.abs(np.linalg.eigvals(slopes)), axis=1)
-    return float(np.quantile(sizes, rules.quantile if quantile is None else quantile))
+    return float(np.quantile(sizes, quantile))
 
 
 @dataclass(frozen=True)
@@ -132,20 +128,19 @@ class StepChoice:
         return self.rate <= RULES.exact * self.count
 
 
-def choose_steps(plant: Plant, records: Sequence[Record], rules: StepRules = RULES) -> StepChoice:
+def choose_steps(plant: Plant, records: Sequence[Record]) -> StepChoice:
     """Steps per sample by which the fastest mode of a plant is followed along all records.
 
     Args:
         plant: with its parameter values.
         records: of its inputs and outputs.
-        rules: the bounds.
     """
-    rates = [fastest_mode(plant, record, rules=rules) * record.sample_period for record in records]
+    rates = [fastest_mode(plant, record) * record.sample_period for record in records]
     number = int(np.argmax(rates))
-    count, limit = rules.coarsest, finest_steps(records, rules)
-    while count * rules.mode < rates[number] and 2 * count <= limit:
+    count, limit = RULES.coarsest, finest_steps(records)
+    while count * RULES.mode < rates[number] and 2 * count <= limit:
         count *= 2
-    if count * rules.mode >= rates[number]:
+    if count * RULES.mode >= rates[number]:
         return StepChoice(count, rates[number])
     period = records[number].sample_period
     return StepChoice(count, rates[number], (
@@ -155,9 +150,9 @@ def choose_steps(plant: Plant, records: Sequence[Record], rules: StepRules = RUL
     ))  # fmt: skip
 
 
-def finest_steps(records: Sequence[Sized], rules: StepRules = RULES) -> int:
+def finest_steps(records: Sequence[Sized]) -> int:
     """Steps per sample that records of these lengths may have at most."""
-    return min(rules.finest, max(rules.total // sum(map(len, records)), rules.coarsest))
+    return min(RULES.finest, max(RULES.total // sum(map(len, records)), RULES.coarsest))
 
 
 def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Float[Array, "states states"]:

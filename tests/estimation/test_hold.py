@@ -69,6 +69,17 @@ def test_a_record_keeps_what_its_caller_declared():
     assert undeclared_hold([held().without_inputs()]) is None
 
 
+def test_an_interpolated_record_follows_its_hold():
+    """`bridged` is computed once; of another hold it is another record."""
+    whole = held()
+    y = whole.outputs.copy()
+    y[700:703] = np.nan
+    with pytest.warns(eoi.RecordWarning):
+        record = eoi.Record(whole.time, whole.inputs, y)
+    assert record.bridged.hold == "linear"
+    assert record.with_hold("zero").bridged.hold == "zero"
+
+
 def test_another_hold_must_be_clearly_better():
     assert best_hold({"zero": 0.5, "linear": 1.0, "smooth": 0.9}, "linear") == "zero"
     assert best_hold({"zero": 0.995, "linear": 1.0, "smooth": 1.0}, "linear") == "linear"

@@ -4,7 +4,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 from eoi_jax._checks import check_positive
-from eoi_jax._limits import MAX_GIGABYTES
+from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 from eoi_jax.data.resampling import Real
 
 PIECE = 1 << 20  # bytes that are unpacked at a time, to be counted

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
-from eoi_jax._limits import MAX_GIGABYTES
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.matlab import read_mat
+from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
