@@ -56,14 +56,19 @@ def best_hold(values: Mapping[str, float], rule: str) -> str:
     return best if values[best] < (1.0 - SETTINGS.least_fall) * values[rule] else rule
 
 
-def ratios_to(values: Mapping[str, float], best: str) -> str:
-    """``"39 times as large with linear, 40 times as large with smooth"``.
+def evidence(quantity: str, values: Mapping[str, float], best: str) -> tuple[str, ...]:
+    """``"hold zero: the index is 39 times as large with linear, 40 times as large with smooth"``.
 
     Args:
+        quantity: what was compared, as "the index".
         values: by hold.
-        best: the hold that the others are compared with.
+        best: the hold that was chosen.
+
+    Returns:
+        One sentence; none where its value is 0 or not finite, so that there is no ratio.
     """
-    others = [hold for hold in HOLDS if hold in values and hold != best and values[best] > 0]
-    return ", ".join(
-        f"{values[hold] / values[best]:.3g} times as large with {hold}" for hold in others
-    )
+    if not 0.0 < values[best] < float("inf"):
+        return ()
+    others = [hold for hold in HOLDS if hold in values and hold != best]
+    ratios = (f"{values[hold] / values[best]:.3g} times as large with {hold}" for hold in others)
+    return (f"hold {best}: {quantity} is {', '.join(ratios)}",)

@@ -7,7 +7,7 @@ input. So the hold is decided with the effects in the model, not before.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from eoi_jax.data.holds import ratios_to, with_hold
+from eoi_jax.data.holds import evidence, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.hold import HoldIndices
@@ -56,6 +56,8 @@ def with_best_hold(
     """
     first, *others = indices.possible
     answer = search(with_hold(records, first), with_hold(held_out, first))
+    if not answer.found.status.ok:  # with any hold
+        return answer
     answers, index = {first: answer}, {first: mean_index(answer.found)}
     in_doubt = bool(set(answer.effects) & set(_RULES.stand_ins))
     for hold in others:
@@ -76,8 +78,8 @@ def with_best_hold(
     chosen = min(answers, key=order)
     note = indices.evidence
     if others:
-        note = f"hold {chosen}: the index of the final model is {ratios_to(index, chosen)}"
-    return replace(answers[chosen], notes=(note, *answers[chosen].notes))
+        note = evidence("the index of the final model", index, chosen)
+    return replace(answers[chosen], notes=(*note, *answers[chosen].notes))
 
 
 def _refitted_index(answer: Discovery, records: Records, indices: HoldIndices) -> float:

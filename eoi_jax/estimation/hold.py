@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eoi_jax.data.holds import SETTINGS, best_hold, ratios_to, undeclared_hold, with_hold
+from eoi_jax.data.holds import SETTINGS, best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.lowpass import LowPass
@@ -56,9 +56,9 @@ class HoldIndices:
         return tuple(kept) or (self.rule,)
 
     @property
-    def evidence(self) -> str:
+    def evidence(self) -> tuple[str, ...]:
         """The ratios as a sentence."""
-        return f"hold {self.best}: the index is {ratios_to(self.by_hold, self.best)}"
+        return evidence("the index", self.by_hold, self.best)
 
 
 def hold_indices(
@@ -98,4 +98,4 @@ def decided(
     indices = hold_indices(plant, records, index_of, lowpass)
     if indices is None or not np.isfinite(indices.by_hold[indices.best]):
         return tuple(records), ()
-    return with_hold(records, indices.best), (indices.evidence,)
+    return with_hold(records, indices.best), indices.evidence

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
-from eoi_jax.data.holds import best_hold, ratios_to, undeclared_hold, with_hold
+from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
@@ -196,8 +196,7 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
     if best_fitting != rule:
         again = _refined(plant, with_hold(records, best_fitting), question)
         result, best_fitting = (again, best_fitting) if again.status.ok else (result, rule)
-    note = f"hold {best_fitting}: the error is {ratios_to(errors, best_fitting)}"
-    return replace(result, notes=(*result.notes, note))
+    return replace(result, notes=(*result.notes, *evidence("the error", errors, best_fitting)))
 
 
 def _mean_error(result: Refinement) -> float:

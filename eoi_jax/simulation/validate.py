@@ -15,7 +15,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
 from eoi_jax.data.cleaning import channel_groups
-from eoi_jax.data.holds import best_hold, ratios_to, undeclared_hold, with_hold
+from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
@@ -118,8 +118,7 @@ def validate(
     with np.errstate(divide="ignore"):
         errors = {hold: float(np.exp(np.mean(np.log(run.rmse)))) for hold, run in runs.items()}
     best = best_hold(errors, rule)
-    note = f"hold {best}: the error is {ratios_to(errors, best)}"
-    return replace(runs[best], notes=(*runs[best].notes, note))
+    return replace(runs[best], notes=(*runs[best].notes, *evidence("the error", errors, best)))
 
 
 def _judged(

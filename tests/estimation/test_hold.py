@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import eoi_jax as eoi
-from eoi_jax.data.holds import best_hold, undeclared_hold, with_hold
+from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 
 PERIOD = 0.05
 TRUTH = {"k": 40.0, "c": 1.5, "g": 30.0}
@@ -83,6 +83,13 @@ def test_an_interpolated_record_follows_its_hold():
 def test_another_hold_must_be_clearly_better():
     assert best_hold({"zero": 0.5, "linear": 1.0, "smooth": 0.9}, "linear") == "zero"
     assert best_hold({"zero": 0.995, "linear": 1.0, "smooth": 1.0}, "linear") == "linear"
+
+
+def test_without_an_error_there_is_no_ratio():
+    assert evidence("the error", {"zero": 0.0, "linear": 1.0}, "zero") == ()
+    assert evidence("the error", {"zero": 0.5, "linear": 1.0, "smooth": 2.0}, "zero") == (
+        "hold zero: the error is 2 times as large with linear, 4 times as large with smooth",
+    )
 
 
 @pytest.mark.parametrize(("made", "hold"), [(held, "zero"), (continuous, "smooth")])
