@@ -26,7 +26,7 @@ from eoi_jax.cli.template import checked, draft
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.inspection import inspect as inspect_file
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
@@ -211,7 +211,7 @@ def inspect(
     path: Path,
     output: Path,
     progress: ProgressCallback | None,
-    max_gigabytes: float = MAX_GIGABYTES,
+    max_gigabytes: float | None = None,
 ) -> Outcome:
     """Inspect a data file.
 
@@ -219,7 +219,7 @@ def inspect(
         path: of the file.
         output: folder in which a folder with the figure is written.
         progress: called with the progress of the work.
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
 
     Returns:
         The outcome.
@@ -231,7 +231,7 @@ def inspect(
     run_folder.check_place(folder, "file")
     if progress is not None:
         progress("reading", 0, None, "")
-    inspection = inspect_file(path, max_gigabytes)
+    inspection = inspect_file(path, MAX_GIGABYTES if max_gigabytes is None else max_gigabytes)
     if progress is not None:
         progress("drawing", 0, None, "")
     summary, text = inspection.summary(), str(inspection)
@@ -242,7 +242,7 @@ def inspect(
 
 
 def init(
-    path: Path, target: Path | None, force: bool, max_gigabytes: float = MAX_GIGABYTES
+    path: Path, target: Path | None, force: bool, max_gigabytes: float | None = None
 ) -> Outcome:
     """Write a config for a data file that runs unchanged; its comments list every guess.
 
@@ -250,7 +250,7 @@ def init(
         path: of the data file.
         target: path of the config; None: named after the file, in the working folder.
         force: replace an existing config.
-        max_gigabytes: what a compressed file may unpack to [1e9 bytes].
+        max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
 
     Returns:
         The outcome.
@@ -268,7 +268,7 @@ def init(
     check(not config_path.is_dir(), "--output", "must be a file", config_path)
     run_folder.check_place(config_path, "--output")
     with run_folder.quiet_records():
-        inspection = inspect_file(path, max_gigabytes)
+        inspection = inspect_file(path, MAX_GIGABYTES if max_gigabytes is None else max_gigabytes)
         text = checked(draft(inspection, config_path), config_path)
 
     def fill(new: Path) -> None:

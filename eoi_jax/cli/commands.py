@@ -35,7 +35,6 @@ from eoi_jax.cli.terminal import (
     progress,
     show,
 )
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 
 app = typer.Typer(
     cls=Commands,
@@ -190,7 +189,7 @@ def sweep(
 def inspect(
     file: DataFile,
     output: Output = RUNS,
-    max_gigabytes: MaxGigabytes = MAX_GIGABYTES,
+    max_gigabytes: MaxGigabytes = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -215,7 +214,7 @@ def init(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing config.")] = False,
-    max_gigabytes: MaxGigabytes = MAX_GIGABYTES,
+    max_gigabytes: MaxGigabytes = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:

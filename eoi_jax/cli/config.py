@@ -13,7 +13,7 @@ import msgspec
 
 from eoi_jax._checks import check, is_shallow, printable
 from eoi_jax._schema import struct
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.models.equations.text_model import ModelTable
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]

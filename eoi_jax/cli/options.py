@@ -90,6 +90,11 @@ AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print only the path of the result.")]
+# The default is that of `data/readers/limits.py`, which help does not import.
 MaxGigabytes = Annotated[
-    float, typer.Option(help="Limit of the unpacked size of a compressed file [GB]; inf: no limit.")
+    float | None,
+    typer.Option(
+        help="Limit of the unpacked size of a compressed file [GB]; inf: no limit; default: 4.",
+        show_default=False,
+    ),
 ]

@@ -17,7 +17,7 @@ from eoi_jax._checks import RecordWarning, check
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST, STAIRCASE
 from eoi_jax.data.clipping import saturations
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record

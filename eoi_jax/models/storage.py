@@ -20,8 +20,7 @@ from eoi_jax._atomic import write_file
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.readers.archive import read_arrays
-from eoi_jax.data.readers.limits import Allowance
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
+from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.resampling import Real
 from eoi_jax.models.effects import AbstractEffect
 from eoi_jax.models.equations.text_model import plant_from_json

@@ -20,6 +20,7 @@ from eoi_jax.cli import actions
 from eoi_jax.cli.commands import app
 from eoi_jax.cli.options import complete_config, complete_data
 from eoi_jax.cli.terminal import progress, say
+from eoi_jax.data.readers.limits import MAX_GIGABYTES
 
 START = [sys.executable, "-c", "from eoi_jax.cli.main import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -72,6 +73,12 @@ def on_a_terminal(tmp_path: Path, *words: str, **more: str) -> tuple[int, str]:
             break
     os.close(ours)
     return done.wait(timeout=30), shown.decode(errors="replace")
+
+
+@pytest.mark.parametrize("command", ["inspect", "init"])
+def test_help_names_the_limit_that_readers_have(command):
+    shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).output
+    assert f"default: {MAX_GIGABYTES:g}." in shown
 
 
 def test_help_and_completion_do_not_import_jax(tmp_path: Path):

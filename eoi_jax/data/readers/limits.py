@@ -4,9 +4,9 @@ from pathlib import Path
 from zipfile import ZipFile
 
 from eoi_jax._checks import check_positive
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 from eoi_jax.data.resampling import Real
 
+MAX_GIGABYTES = 4.0  # [1e9 bytes], largest unpacked size of a file
 PIECE = 1 << 20  # bytes that are unpacked at a time, to be counted
 
 

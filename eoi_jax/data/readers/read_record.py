@@ -18,9 +18,8 @@ from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
-from eoi_jax.data.readers.limits import Allowance
+from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.matlab import read_mat
-from eoi_jax.data.readers.max_size import MAX_GIGABYTES
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
