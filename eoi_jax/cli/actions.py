@@ -3,7 +3,7 @@
 An action prints nothing: it returns an `Outcome`, which `terminal.show` prints.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -242,25 +242,36 @@ def inspect(
 
 
 def init(
-    path: Path, target: Path | None, force: bool, max_gigabytes: float | None = None
+    paths: Sequence[Path],
+    target: Path | None,
+    force: bool,
+    max_gigabytes: float | None = None,
+    *,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
 ) -> Outcome:
-    """Write a config for a data file that runs unchanged; its comments list every guess.
+    """Write a config for data files that runs unchanged; its comments list every guess.
 
     Args:
-        path: of the data file.
-        target: path of the config; None: named after the file, in the working folder.
+        paths: of the data files.
+        target: path of the config; None: named after the first file, in the working folder.
         force: replace an existing config.
         max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
+        time: its column; None: guessed.
+        inputs: their columns; None: guessed.
+        outputs: their columns; None: guessed.
 
     Returns:
         The outcome.
 
     Raises:
-        ValueError: the file cannot be read, or the config exists already.
+        ValueError: a file cannot be read or lacks a column, or the config exists already.
     """
-    is_text = path.name == path.name.encode("utf-8", "replace").decode()
-    check(is_text, "file", "must have a name in Unicode", path, "Rename it.")
-    config_path = target or Path(f"{_stem(path)}.toml")
+    for path in paths:
+        is_text = path.name == path.name.encode("utf-8", "replace").decode()
+        check(is_text, "file", "must have a name in Unicode", path, "Rename it.")
+    config_path = target or Path(f"{_stem(paths[0])}.toml")
     rule = "must not exist"
     check(
         force or not config_path.exists(), "--output", rule, config_path, "Replace it with --force."
@@ -268,8 +279,12 @@ def init(
     check(not config_path.is_dir(), "--output", "must be a file", config_path)
     run_folder.check_place(config_path, "--output")
     with run_folder.quiet_records():
-        inspection = inspect_file(path, MAX_GIGABYTES if max_gigabytes is None else max_gigabytes)
-        text = checked(draft(inspection, config_path), config_path)
+        size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
+        inspections = [
+            inspect_file(path, size, time=time, inputs=inputs, outputs=outputs) for path in paths
+        ]
+        inspection = inspections[0]
+        text = checked(draft(inspections, config_path), config_path)
 
     def fill(new: Path) -> None:
         new.write_text(text, encoding="utf-8")

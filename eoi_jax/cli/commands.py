@@ -18,6 +18,7 @@ from eoi_jax.cli.options import (
     AsJson,
     Data,
     DataFile,
+    DataFiles,
     MaxGigabytes,
     Output,
     Quiet,
@@ -201,10 +202,11 @@ def inspect(
     epilog=_examples(
         ("eoi init run.csv", "writes run.toml, for identify and discover"),
         ("eoi init run.csv --output rig.toml", "under another name"),
+        ("eoi init a.csv b.csv --inputs volt", "b.csv is held out"),
     )
 )
 def init(
-    file: DataFile,
+    files: DataFiles,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -213,13 +215,41 @@ def init(
             autocompletion=complete_config,
         ),
     ] = None,
+    time: Annotated[
+        str | None, typer.Option(help="Column of time; default: guessed.", show_default=False)
+    ] = None,
+    inputs: Annotated[
+        str | None,
+        typer.Option(help="Columns of inputs, separated by commas.", show_default=False),
+    ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option(help="Columns of outputs, separated by commas.", show_default=False),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing config.")] = False,
     max_gigabytes: MaxGigabytes = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a commented config for a data file: ready to run, with every guess marked."""
-    _answer(as_json, quiet, lambda _: cli.actions.init(file, output, force, max_gigabytes))
+    """Write a commented config for data files: ready to run, with every guess marked.
+
+    Of several files of the same columns the last one is held out.
+    """
+    u, y = _columns(inputs), _columns(outputs)
+    _answer(
+        as_json,
+        quiet,
+        lambda _: cli.actions.init(
+            files, output, force, max_gigabytes, time=time, inputs=u, outputs=y
+        ),
+    )
+
+
+def _columns(text: str | None) -> list[str] | None:
+    """Names of columns that are separated by commas; "" names none."""
+    if text is None:
+        return None
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 @app.command(

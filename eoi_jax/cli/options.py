@@ -68,6 +68,11 @@ DataFile = Annotated[
     Path, typer.Argument(help="Data file, as of `eoi_jax.read_record`.",
                          autocompletion=complete_data)
 ]  # fmt: skip
+DataFiles = Annotated[
+    list[Path],
+    typer.Argument(help="Data files, as of `eoi_jax.read_record`; records of the same columns.",
+                   autocompletion=complete_data, show_default=False)
+]  # fmt: skip
 Run = Annotated[
     Path,
     typer.Argument(help="Folder of a run, or a file with a model.", autocompletion=complete_folder),

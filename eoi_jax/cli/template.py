@@ -1,4 +1,4 @@
-"""A draft of a config for a data file: ready to run, with every guess in a comment."""
+"""A draft of a config for data files: ready to run, with every guess in a comment."""
 
 import json
 import os
@@ -17,6 +17,7 @@ from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
+from eoi_jax.models.kinds import kind_of
 
 
 @dataclass(frozen=True)
@@ -26,37 +27,44 @@ class DraftSettings:
     held_out: float = 0.3  # share of the samples, at the end
     bandwidths: float = 4.0  # of the output, within which the first guess is fitted
     first_order_share: float = 0.95  # of ẏ, that a first-order model must explain to be chosen
+    # What is stored or dragged along, and has no inertia of its own.
+    first_order_kinds: tuple[str, ...] = (
+        "temperature", "level", "pressure", "concentration", "flow", "speed"
+    )  # fmt: skip
 
 
 _SETTINGS = DraftSettings()
 
 
-def draft(inspection: Inspection, target: Path) -> str:
-    """A commented config for a data file.
+def draft(inspections: Sequence[Inspection], target: Path) -> str:
+    """A commented config for data files of the same columns.
 
     The model is linear, of first or second order, in one output; its nominal values are a rough
-    least-squares fit, from which the passes start.
+    least-squares fit, from which the passes start. Of several files the last one is held out.
 
     Args:
-        inspection: of `inspect`.
-        target: path of the config, to which the path of the file is relative.
+        inspections: of `inspect`; roles and first guesses are those of the first.
+        target: path of the config, to which the paths of the files are relative.
 
     Returns:
         TOML that `config.load` reads.
 
     Raises:
-        ValueError: no column that can be an output, or no valid record.
+        ValueError: no column that can be an output, or no valid record; a file that lacks a column
+            of the first.
     """
+    inspection = inspections[0]
     outputs = _outputs(inspection)
     inputs = inspection.inputs
     output = next(channel for channel in inspection.channels if channel.name == outputs[0])
     record = _record(inspection, inputs, output)
     order, values = _rough_fit(record, output)
+    _check_columns(inspections, [*inputs, outputs[0]])
     name = _plain_name(inspection.path.name.split(".")[0]) or "run"
     blocks = [
         _head(inspection, name),
         _model_lines(inspection, inputs, output, order, values),
-        _data_lines(inspection, inputs, output, outputs[1:], target),
+        _data_lines(inspections, inputs, output, outputs[1:], target),
         _option_lines(),
     ]
     return "\n".join(blocks)
@@ -90,6 +98,17 @@ def _outputs(inspection: Inspection) -> list[str]:
         f"Its columns: {', '.join(roles)}.",
     )
     return outputs
+
+
+def _check_columns(inspections: Sequence[Inspection], names: Sequence[str]) -> None:
+    """All files must have the columns that the config reads from them."""
+    first = inspections[0]
+    for inspection in inspections[1:]:
+        columns = [channel.name for channel in inspection.channels]
+        for name in (*names, *([first.clock.column] if first.clock.column else [])):
+            rule = f"must have the column `{name}`, as {first.path.name} has"
+            value = f"{', '.join(columns[:10])} in {inspection.path.name}"
+            check(name in columns, "file", rule, value, "Draft a config for each kind of file.")
 
 
 def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> Record:
@@ -127,6 +146,8 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
         accelerations.append(np.gradient(rate, h)[2:-2])
     table, rate, acceleration = (np.concatenate(parts) for parts in (rows, rates, accelerations))
     first_order, remainder = _least_squares(np.delete(table, 1, axis=1), rate)
+    if kind_of(output.name, output.unit, 2) in _SETTINGS.first_order_kinds:
+        return 1, first_order
     if remainder < 1.0 - _SETTINGS.first_order_share and first_order[0] > 0:
         return 1, first_order
     second_order, _ = _least_squares(table, acceleration)
@@ -213,19 +234,21 @@ def _model_lines(
 
 
 def _data_lines(
-    inspection: Inspection,
+    inspections: Sequence[Inspection],
     inputs: Sequence[str],
     output: Channel,
     further_outputs: Sequence[str],
     target: Path,
 ) -> str:
-    """[data], and [validation] with the end of the record, which the fit does not use."""
+    """[data], and [validation] with data that the fit does not use."""
+    inspection = inspections[0]
+    files = [_path_in(one.path, target) for one in inspections]
     cut = int((1.0 - _SETTINGS.held_out) * inspection.samples)
     units = {channel.name: channel.unit for channel in inspection.channels if channel.unit}
     units = {key: unit for key, unit in units.items() if key in (*inputs, output.name)}
     lines = [
         "[data]",
-        f"files = {_list([_path_in(inspection.path, target)])}",
+        f"files = {_list(files[:-1] or files)}",
         *_time_lines(inspection),
         f"inputs = {_list(inputs)}",
         f"outputs = {_list([output.name])}",
@@ -236,13 +259,17 @@ def _data_lines(
         lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
+    if len(files) == 1:
+        lines.append(f"slice = [0, {cut}]")
+        held_out = "the end of the record", f"slice = [{cut}, {inspection.samples}]"
+    else:
+        held_out = "the last file", f"files = {_list(files[-1:])}"
     lines += [
-        f"slice = [0, {cut}]",
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth"',
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
-        "[validation]                    # the end of the record, which the fit does not use",
-        f"slice = [{cut}, {inspection.samples}]",
+        f"[validation]                    # {held_out[0]}, which the fit does not use",
+        held_out[1],
         "",
     ]
     return "\n".join(lines)

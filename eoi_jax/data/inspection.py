@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check
+from eoi_jax._checks import RecordWarning, check, check_choice
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST, STAIRCASE
 from eoi_jax.data.clipping import saturations
@@ -22,7 +22,7 @@ from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import Clock, find_clock
+from eoi_jax.data.time_axis import NAMED, Clock, find_clock
 
 _INPUT = frozenset((
     "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
@@ -36,7 +36,17 @@ _OUTPUT = frozenset((
     "omega", "rpm", "temp", "temperature", "pressure", "meas", "measured", "enc", "encoder",
     "sensor", "dist", "distance", "displacement", "response",
 ))  # fmt: skip
-_REFERENCES = frozenset(("ref", "reference", "referencia", "target", "setpoint", "demand"))
+# What a controller is to reach or sends, wherever the word stands: `speed_cmd`, `Tsoll`.
+_REFERENCES = frozenset((
+    "ref", "refs", "reference", "referencia", "référence", "riferimento", "target", "setpoint",
+    "sp", "demand", "desired", "des", "wanted", "goal", "soll", "sollwert", "consigne", "consigna",
+    "objetivo", "ziel",
+))  # fmt: skip
+_COMMANDS = frozenset((
+    "cmd", "command", "commanded", "befehl", "commande", "comando", "stellgroesse", "stellgröße",
+    "stellwert",
+))  # fmt: skip
+_ENDINGS = ("soll", "sollwert", "setpoint", "cmd", "ref", "consigne", "consigna")
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
 
@@ -49,6 +59,9 @@ class InspectionSettings:
     spectrum_samples: int = 1 << 17  # samples of which the spectrum is taken
     band_power: float = 0.99  # share of a signal's power that lies in its band
     max_motion: float = 0.25  # share of the range: a mass moves less from one sample to the next
+    # Of a signal that is held between rare changes, the changes that are larger than 1.5 quanta:
+    # from this share on they are levels that somebody set, not a coarse sensor's.
+    set_levels: float = 0.5
 
 
 _SETTINGS = InspectionSettings()
@@ -148,26 +161,39 @@ class Inspection(Result):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # columns may hold numbers of any size
-def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection:
+def inspect(
+    path: str | Path,
+    max_gigabytes: Real = MAX_GIGABYTES,
+    *,
+    time: str | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> Inspection:
     """Inspect a data file before anything is configured.
 
     Args:
         path: a file of a kind that `read_record` reads.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
             limit.
+        time: its column; None: guessed.
+        inputs: their columns; None: guessed.
+        outputs: their columns; None: guessed.
 
     Returns:
         The columns, the clock, and guesses of the roles: time [s], inputs and outputs.
 
     Raises:
         ValueError: a file that is missing, of an unknown kind, of another kind than its name
-            says, or without a column of numbers of at least 8 rows.
+            says, or without a column of numbers of at least 8 rows; a column that is not in it, or
+            is named in two roles.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes)
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
-    clock = find_clock(table, numbers)
+    named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
+    _check_named(named, numbers)
+    clock = find_clock(table, numbers, time)
     if clock.column is None:
         clock = _declared_period(table, clock)
     channels = [
@@ -176,6 +202,7 @@ def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection
         if len(values) == samples
     ]
     channels = _assign_roles(channels, table, clock, numbers)
+    channels = _with_named_roles(channels, named)
     left_out = [
         f"`{key}` of {len(values)} values"
         for key, values in table.columns.items()
@@ -186,6 +213,36 @@ def inspect(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Inspection
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         table.notes, advice, numbers,
     )  # fmt: skip
+
+
+def _check_named(
+    named: Mapping[str, Sequence[str] | None], numbers: Mapping[str, np.ndarray]
+) -> None:
+    """Columns whose roles the caller knows must be there, each in one role."""
+    roles: dict[str, str] = {}
+    for role, names in named.items():
+        field = "time" if role == "time" else f"{role}s"
+        for name in names or ():
+            check_choice(field, name, tuple(numbers))
+            rule = "must name columns without another role"
+            check(name not in roles, field, rule, f"{name}, also {roles.get(name, '')}")
+            roles[name] = role
+
+
+def _with_named_roles(
+    channels: Sequence[Channel], named: Mapping[str, Sequence[str] | None]
+) -> list[Channel]:
+    """The channels with the roles that the caller knows; none else has a role that is known."""
+    roles = {name: role for role, names in named.items() for name in names or ()}
+    given = {role for role, names in named.items() if names is not None}
+    changed = []
+    for channel in channels:
+        if channel.name in roles:
+            channel = replace(channel, role=roles[channel.name], why=NAMED)
+        elif channel.role in given and channel.role != "time":
+            channel = replace(channel, role="other", why="")
+        changed.append(channel)
+    return changed
 
 
 def _declared_period(table: Table, clock: Clock) -> Clock:
@@ -377,7 +434,11 @@ def _is_held_input(channel: Channel) -> bool:
 def _separate_references(roles: dict[str, tuple[str, str]]) -> None:
     """Take references out of the inputs where another input follows them; keep one output."""
     inputs = [key for key, (role, _) in roles.items() if role == "input"]
-    references = [key for key in inputs if _REFERENCES & set(_words(key))]
+    references = [
+        key
+        for key in inputs
+        if any(word in _REFERENCES or word.endswith(_ENDINGS) for word in _words(key))
+    ]
     if len(references) < len(inputs):
         roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
         inputs = [key for key in inputs if key not in references]
@@ -393,8 +454,11 @@ def _words(name: str) -> list[str]:
 
 
 def _role_of_name(name: str) -> str:
-    """The role that the first known word of a name stands for, or an empty string."""
-    for word in _words(name):
+    """The role that a name stands for, by what is sent or set, else by its first known word."""
+    words = _words(name)
+    if any(word in _REFERENCES | _COMMANDS or word.endswith(_ENDINGS) for word in words):
+        return "input"
+    for word in words:
         if word in _INPUT or word in _OUTPUT:
             return "input" if word in _INPUT else "output"
     return ""
@@ -416,9 +480,19 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
         return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
     if called_output:
         return "output", "its name says so"
+    if staircase and _is_set(steps, channel.quantum):
+        return "input", "it is held between levels that are more than a step of its values apart"
     if jump <= _SETTINGS.max_motion and channel.changes and channel.changes > STAIRCASE:
         return "output", f"it moves smoothly, at most {100 * jump:.2g} % of its range in one sample"
     return "other", "there is no evidence of its role"
+
+
+def _is_set(steps: Float[np.ndarray, " steps"], quantum: float | None) -> bool:
+    """Whether a staircase goes from level to level, and not by the steps of a coarse sensor."""
+    changes = steps[steps > 0]
+    if quantum is None or len(changes) == 0:
+        return False
+    return float(np.mean(changes > 1.5 * quantum)) > _SETTINGS.set_levels
 
 
 def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str]:

@@ -25,6 +25,7 @@ _UNITS = {
     "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
     "d": 86400.0, "days": 86400.0,
 }  # fmt: skip
+NAMED = "named by the caller"
 # Units since 1970, the smallest value of each, and its seconds, for dates from 2001 to 2065.
 _EPOCHS = (("seconds", 1e9, 1.0), ("ms", 1e12, 1e-3), ("µs", 1e15, 1e-6), ("ns", 1e18, 1e-9))
 _SPREADSHEET = (36000.0, 73000.0)  # days since 1900, for dates from 1998 to 2099
@@ -61,13 +62,21 @@ class Clock:
     others: tuple[str, ...] = ()
 
 
-def find_clock(table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]]) -> Clock:
+def find_clock(
+    table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]], column: str | None = None
+) -> Clock:
     """The column that is most likely the time.
 
     Args:
         table: contents of the file.
         numbers: its columns of numbers and dates, in float64.
+        column: the time as the caller says; None: the most likely one.
     """
+    if column is not None:
+        dates = table.columns[column].dtype.kind in "Mm"
+        factor, unit_reason = _unit(column, numbers[column], table.units.get(column, ""), dates)
+        values = numbers[column] * factor
+        return _clock_of(column, values, factor, f"{NAMED}; {unit_reason}", ())
     scores = {key: _score(key, values, table) for key, values in numbers.items()}
     likely = sorted((key for key in scores if scores[key] > 0), key=lambda key: -scores[key])
     if not likely:

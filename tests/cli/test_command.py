@@ -356,6 +356,22 @@ def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, 
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+def test_init_takes_several_files_and_the_names_of_columns(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "b.csv"):
+        motor(tmp_path / name)
+    columns = ["--inputs", "angle [rad]", "--outputs", "voltage [V]"]
+    done = CliRunner().invoke(app, ["init", "a.csv", "b.csv", *columns, "--json"])
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert (answer["inputs"], answer["outputs"]) == (["angle [rad]"], ["voltage [V]"])
+    text = (tmp_path / "a.toml").read_text()
+    assert 'files = ["b.csv"]' in text[text.index("[validation]") :]
+    done = CliRunner().invoke(app, ["init", "a.csv", "--force", "--time", "clock"])
+    assert done.exit_code == 2
+    assert "`time` must be one of" in done.stderr
+
+
 @pytest.mark.parametrize("command", ["inspect", "init"])
 def test_a_file_that_cannot_be_read_is_one_sentence(command: str, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -117,7 +117,7 @@ def test_a_file_without_time_may_say_its_sample_period(tmp_path):
     assert (found.clock.column, found.clock.sample_period) == (None, 0.01)
     savemat(tmp_path / "run.mat", {"u": U, "y": Y, "fs": 200.0})
     assert inspect(tmp_path / "run.mat").clock.sample_period == pytest.approx(0.005)
-    assert "\nsample_period = 0.005" in draft(inspect(tmp_path / "run.mat"), tmp_path / "run.toml")
+    assert "\nsample_period = 0.005" in draft([inspect(tmp_path / "run.mat")], tmp_path / "run.toml")
     found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
     assert found.clock.sample_period is None
     assert "give sample_period" in found.advice[0]
@@ -260,7 +260,7 @@ def test_a_file_without_a_record_is_named(tmp_path, text, message):
 
 
 def drafted(path, target):
-    text = checked(draft(inspect(path), target), target)
+    text = checked(draft([inspect(path)], target), target)
     target.write_text(text, encoding="utf-8")
     settings = config.load(target)
     model = build.plant(settings, target.parent)
@@ -323,7 +323,7 @@ def test_the_drafted_model_has_the_units_of_its_columns(tmp_path):
     file = tmp_path / "run.csv"
     file.write_text(FILES["units row"][0], encoding="utf-8")
     target = tmp_path / "run.toml"
-    target.write_text(checked(draft(inspect(file), target), target), encoding="utf-8")
+    target.write_text(checked(draft([inspect(file)], target), target), encoding="utf-8")
     plant = build.plant(config.load(target), tmp_path)
     assert plant.units["y"] == "rad"
     assert plant.units["u"] == "V"
@@ -364,7 +364,7 @@ def test_a_first_order_record_is_drafted_as_one(tmp_path, constant):
     for i in range(N - 1):
         y[i + 1] = decay * y[i] + (1.0 - decay) / 4.0 * (3.0 * U[i] + constant)
     file = written(tmp_path / "run.csv", t=T, u=U, y=y)
-    text = draft(inspect(file), tmp_path / "run.toml")
+    text = draft([inspect(file)], tmp_path / "run.toml")
     assert 'y = "-decay*y + gain*u + offset"' in text
     found = re.search(r"^decay = ([0-9.]+)", text, re.MULTILINE)
     assert found
@@ -374,7 +374,7 @@ def test_a_first_order_record_is_drafted_as_one(tmp_path, constant):
 def test_a_file_without_an_output_gets_no_draft(tmp_path):
     file = written(tmp_path / "run.csv", t=T, still=np.ones(N))
     with pytest.raises(ValueError, match="`path` must have a column that can be an output"):
-        draft(inspect(file), tmp_path / "run.toml")
+        draft([inspect(file)], tmp_path / "run.toml")
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
 
@@ -392,3 +392,58 @@ def test_the_band_does_not_depend_on_the_unit(unit):
     band = _band(unit * (np.sin(2.0 * np.pi * time) + 5.0), 0.01)
     assert band == pytest.approx(1.0, abs=0.15)
     assert _band(np.full(100, unit), 0.01) is None
+
+
+# -- what users name, and what names say --------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["T_soll", "speed_cmd", "angle ref", "posSetpoint", "level_target", "desired_speed",
+             "consigne_temp", "Tsoll", "velocidad_consigna"],
+)  # fmt: skip
+def test_what_a_controller_sends_or_is_to_reach_is_an_input(tmp_path, name):
+    file = written(tmp_path / "run.csv", t=T, **{"speed": Y, name: U})
+    assert roles(inspect(file)) == {"t": "time", name: "input", "speed": "output"}
+
+
+def test_levels_that_somebody_set_are_no_coarse_sensor(tmp_path):
+    """Neither name tells; small set points differ by many steps of their values."""
+    levels = np.cumsum(np.where(np.arange(20) % 2, 1.3, -0.7))
+    held = 20.0 + np.round(0.1 * levels, 2)[np.arange(N) // 30]
+    coarse = np.round(Y / np.ptp(Y) * 12.0)  # thirteen levels, one after another
+    found = inspect(written(tmp_path / "run.csv", t=T, a=held, b=coarse))
+    assert channel(found, "a").role == "input"
+    assert channel(found, "b").role != "input"
+
+
+@pytest.mark.parametrize(("name", "order"), [("room temperature", 1), ("angle", 2)])
+def test_a_temperature_has_no_inertia(tmp_path, name, order):
+    file = written(tmp_path / "run.csv", t=T, u=U, **{name: Y})
+    text = draft([inspect(file)], tmp_path / "run.toml")
+    assert ("stiffness = " in text) == (order == 2)
+    assert ("decay = " in text) == (order == 1)
+
+
+def test_roles_that_the_caller_knows_are_taken(tmp_path):
+    file = written(tmp_path / "run.csv", t=T, n=np.arange(N), u=U, y=Y, z=Y**2)
+    found = inspect(file, time="n", inputs=["y"], outputs=["z"])
+    assert roles(found) == {"t": "other", "n": "time", "u": "other", "y": "input", "z": "output"}
+    assert inspect(file, inputs=[]).inputs == ()
+    with pytest.raises(ValueError, match="`outputs` must be one of t, n, u, y, z, got 'w'"):
+        inspect(file, outputs=["w"])
+    with pytest.raises(ValueError, match="without another role, got y, also input"):
+        inspect(file, inputs=["y"], outputs=["y"])
+
+
+def test_of_several_files_the_last_is_held_out(tmp_path):
+    files = [written(tmp_path / name, t=T, u=U, y=Y) for name in ("a.csv", "b.csv", "c.csv")]
+    target = tmp_path / "run.toml"
+    target.write_text(checked(draft([inspect(file) for file in files], target), target))
+    read = config.load(target)
+    assert read.data is not None
+    assert read.validation is not None
+    assert (read.data.files, read.validation.files) == (("a.csv", "b.csv"), ("c.csv",))
+    assert read.data.slice is None
+    other = written(tmp_path / "d.csv", t=T, v=U, y=Y)
+    with pytest.raises(ValueError, match="`file` must have the column `u`, as a.csv has"):
+        draft([inspect(files[0]), inspect(other)], target)
