@@ -17,7 +17,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.equations.display import equation_latex, equation_lines, equation_text
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report.discovery import answer
+from eoi_jax.report.discovery import answer, strengths
 from eoi_jax.report.sweep import gain_names, statuses
 from eoi_jax.report.tables import identification_answer, refinement_answer
 from eoi_jax.simulation.validate import Validation
@@ -68,6 +68,7 @@ def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
         "status": _status(result),
         "effects": result.effects,
         "added": _added(added),
+        "at_input": _at_input(result),
         "ranking": [_fields(evidence) for evidence in result.ranking],
         "ambiguous_with": result.ambiguous_with,
         "advice": result.advice,
@@ -221,6 +222,20 @@ def _fields(row: Any) -> dict[str, Any]:
 
 def _added(effects: Sequence[Added]) -> list[dict[str, Any]]:
     return [{**_fields(added), "effect": added.effect.name} for added in effects]
+
+
+def _at_input(result: Discovery) -> list[dict[str, Any]]:
+    """Strengths of effects in the unit of the input that drives the model."""
+    return [
+        {
+            "parameter": name,
+            "input": strength.input,
+            "value": value,
+            "standard_error": error,
+            "unit": strength.unit,
+        }
+        for name, (strength, value, error) in strengths(result).items()
+    ]
 
 
 def _lead(lead: PartialExplanation | None) -> dict[str, Any] | None:

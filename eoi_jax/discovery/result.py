@@ -88,6 +88,7 @@ class Texts:
         added, lead: each effect with its parameters, of the answer and of the lead.
         equation, values: the augmented equation, with names and with values.
         latex: the equation with names, in LaTeX.
+        at_input: strengths of effects in the unit of the input, a line each.
     """
 
     added: tuple[str, ...]
@@ -95,6 +96,7 @@ class Texts:
     equation: str
     values: str
     latex: str
+    at_input: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -190,6 +190,16 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
     return tuple(placed)
 
 
+def added_effects(plant: Plant) -> tuple[Placed, ...]:
+    """Effects that were added to a plant, the first one first."""
+    placed: list[Placed] = []
+    dynamics = plant.dynamics
+    while isinstance(dynamics, _Dynamics):
+        placed = [*dynamics.placed, *placed]
+        dynamics = dynamics.base
+    return tuple(placed)
+
+
 def own_states(plant: Plant) -> int:
     """Number of internal states of the declared plant, without those of effects."""
     start, count = plant.internal_initial, len(plant.initial_internal)

@@ -11,11 +11,11 @@ from eoi_jax.discovery.confirm import only_short
 from eoi_jax.discovery.result import Added, Discovery, Evidence, PartialExplanation, Texts
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
 from eoi_jax.models.equations.display import equation_text
-from eoi_jax.models.jacobians import input_slopes
-from eoi_jax.models.plant import Plant
+from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 
+_FORCES = ("N", "N m", "Nm", "N·m")
 _DRIFT = " (over whole records the free run drifts)"
 
 
@@ -35,6 +35,7 @@ def discovery_text(discovery: Discovery) -> str:
         "" if str(discovery.status) in sentence else str(discovery.status),
         lead(discovery),
         change_table(discovery) if discovery.changed else parameter_table(discovery.declared),
+        "\n".join(_strength_lines(discovery)),
         error_table(discovery),
         _explained(discovery),
         *_equations(discovery),
@@ -93,6 +94,7 @@ def texts(discovery: Discovery) -> Texts:
         equation=names,
         values=values,
         latex=discovery.latex,
+        at_input=_strength_lines(discovery),
     )
 
 
@@ -123,17 +125,20 @@ def phrase(discovery: Discovery, added: Added) -> str:
     internal = isinstance(added.effect, AbstractInternalEffect)
     channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
     position = f" at {_position(added)}" if len(channels) > 1 or internal else ""
-    values = []
+    at_inputs, values = strengths(discovery), []
     for (name, value), parameter in zip(
         added.parameters.items(), added.effect.parameters, strict=True
     ):
         error = added.standard_errors.get(name, np.nan)
         unit = discovery.plant.units.get(name, "")
-        if parameter.unit == "{f}" and not (_acts_on_input(added) or added.through):
-            value, error, unit = _as_input(discovery, added.output, value, error, unit)
-        values.append(
-            (parameter.name, f"{with_error(value, error)} {'' if unit == '1' else unit}".strip())
-        )
+        text = f"{with_error(value, error)} {'' if unit == '1' else unit}".strip()
+        if name in at_inputs and at_inputs[name][0].unit:
+            strength, *at_input = at_inputs[name]
+            quantity_text = f"{with_error(*at_input)} {strength.unit}"
+            # An acceleration is told as the force that causes it.
+            is_force = strength.unit in _FORCES
+            text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
+        values.append((parameter.name, text))
     if len(values) == 1:
         return f"{description}{position} of {values[0][1]}"
     return f"{description}{position} ({', '.join(f'{name} {text}' for name, text in values)})"
@@ -151,6 +156,32 @@ def _position(candidate: Added | Evidence) -> str:
 def change_table(discovery: Discovery) -> str:
     """Parameters with standard errors before and after the effects were added."""
     return columns(change_rows(discovery), "<>>>>><")
+
+
+def strengths(discovery: Discovery) -> dict[str, tuple[InputStrength, float, float]]:
+    """Parameters of the effects in the unit of the input: where, value and standard error."""
+    outputs, model = discovery.plant.outputs, discovery.declared_part
+    at_inputs = {}
+    for added in discovery.added:
+        on_output = not (_acts_on_input(added) or isinstance(added.effect, AbstractInternalEffect))
+        if not on_output or added.through:
+            continue
+        names, output = list(added.parameters), outputs.index(added.output)
+        for strength in strengths_of(model, added.effect, names, output):
+            value = added.parameters[strength.parameter] * strength.factor
+            error = added.standard_errors.get(strength.parameter, np.nan) * abs(strength.factor)
+            at_inputs[strength.parameter] = strength, value, error
+    return at_inputs
+
+
+def _strength_lines(discovery: Discovery) -> tuple[str, ...]:
+    """Strengths of the effects in the unit of the input, a line each."""
+    if discovery.texts is not None:
+        return discovery.texts.at_input
+    return tuple(
+        f"At the input {strength.input}: {name} {with_error(value, error)} {strength.unit}".rstrip()
+        for name, (strength, value, error) in strengths(discovery).items()
+    )
 
 
 def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
@@ -307,30 +338,3 @@ def _free_run_errors(discovery: Discovery) -> str:
         )
     extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
     return f"free-run error on {data}{extent} {'; '.join(errors)}{remark}"
-
-
-def _as_input(
-    discovery: Discovery, output: str, value: float, error: float, unit: str
-) -> tuple[float, float, str]:
-    """An acceleration as the force that causes it, where the model is f = … + u/m."""
-    plant: Plant = discovery.declared.nominal
-    gain = _input_gain(plant, discovery.found.parameters, plant.outputs.index(output))
-    drive = plant.units.get(plant.inputs[0], "") if plant.inputs else ""
-    # A gain in other units (rad/s² per volt) does not convert to a force.
-    if gain is None or drive not in ("N", "N m", "Nm", "N·m"):
-        return value, error, unit
-    return value / gain, error / abs(gain), drive
-
-
-def _input_gain(plant: Plant, parameters: dict[str, float], output: int) -> float | None:
-    """∂f/∂u of a single input where it is constant; else None."""
-    if len(plant.inputs) != 1 or plant.internal is not None:
-        return None
-    estimate = plant.with_parameters({name: parameters[name] for name in plant.names})
-    draw = np.random.default_rng(0)
-    shape = (plant.rows, len(plant.outputs))
-    points = [(draw.uniform(0.1, 1.0, shape), draw.uniform(-1, 1, 1)) for _ in range(3)]
-    y, u = (np.stack(values) for values in zip(*points, strict=True))
-    gains = input_slopes(estimate, np.zeros(3), y, u, 0)[:, output].tolist()
-    constant = np.ptp(gains) <= 1e-9 * abs(gains[0]) and gains[0] != 0.0
-    return gains[0] if constant else None

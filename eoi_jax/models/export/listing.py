@@ -58,9 +58,10 @@ class Listing:
         """Values of those that are used."""
         return [
             self.assigned.format(self.names[variable.symbol], repr(value))
-            + (self.remark.format(comment(variable.unit)) if variable.unit else "")
+            + (self.remark.format(comment(remark)) if remark else "")
             for variable, value in self.model.parameters
             if variable.symbol in self.used
+            for remark in (", ".join(filter(None, (variable.unit, variable.note))),)
         ]
 
     def elements(self, element: Callable[[str, int], str]) -> list[str]:

@@ -18,6 +18,7 @@ from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Expression, Symbol
 from eoi_jax.models.equations.from_plant import SymbolicPlant, plain_formulas, shared_formulas
 from eoi_jax.models.equations.system import TextDynamics
+from eoi_jax.models.input_strength import input_strengths
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.velocities import velocity_rows
 
@@ -130,6 +131,10 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     algebraic = [j for j, degree in enumerate(plant.degrees) if degree == 0]
     output_trees, output_definitions = shared_formulas([f[j] for j in algebraic], free)
     names = [Symbol(name) for name in internal_names(plant)]
+    strengths = {
+        strength.parameter: strength.text(plant.parameters[strength.parameter])
+        for strength in input_strengths(plant)
+    }
     values = plant.initial_internal.tolist()
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
@@ -140,7 +145,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         dict(zip(names, values, strict=True)),
         tuple(_variable(plant, Symbol(name), name) for name in plant.inputs),
         tuple(
-            (_variable(plant, Symbol(name, parameter=True), name), value)
+            (_variable(plant, Symbol(name, parameter=True), name, strengths.get(name, "")), value)
             for name, value in plant.parameters.items()
         ),
         tuple(definitions),
