@@ -175,7 +175,7 @@ def inspect(
         path: a file of a kind that `read_record` reads.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
             limit.
-        time: its column; None: guessed.
+        time: column of the stamps [s]; None: guessed.
         inputs: their columns; None: guessed.
         outputs: their columns; None: guessed.
 

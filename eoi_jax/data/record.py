@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
-from eoi_jax._display import Result
+from eoi_jax._display import Result, text
 from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
     LONGEST_HELD,
@@ -47,6 +47,7 @@ from eoi_jax.data.resampling import (
     HOLDS,
     Real,
     covered,
+    delayed_inputs,
     fill,
     low_pass,
     low_pass_noise,
@@ -98,6 +99,7 @@ class Record(Result):
         valid: (N,), False where a sample was missing or not finite in any channel.
         input_valid: (N,), True where all inputs are known; everywhere without inputs.
         output_valid: (N, ny), True where each output was measured.
+        skew: (nu,), time by which each input acts later than it was logged [s].
         output_periods: (ny,), mean time between two samples of each output, without gaps [s].
         sample_period: step of `time` [s].
         hold_declared: whether the caller named the hold; else the samples decided it, and an
@@ -133,6 +135,8 @@ class Record(Result):
     # None: as `valid` says.
     _input_valid: Mask | None = field(default=None, metadata=WHERE_SET)
     _output_valid: OutputMask | None = field(default=None, metadata=WHERE_SET)
+    # By which the inputs act later than they were logged [s]; None: they do not.
+    _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -314,13 +318,36 @@ class Record(Result):
         new._assign({"hold": hold, "hold_declared": True, "_middle": middle})
         return new
 
+    def with_delayed_inputs(self, delays: Any) -> "Record":
+        """The same samples with inputs that act later than they were logged.
+
+        Channels of a logger may be a part of a sample period apart. `inputs` stay as they are; what
+        acts between the samples is shifted. Where a neighbour is not known the values stay.
+
+        Args:
+            delays: of each input, (nu,), negative for earlier [s].
+
+        Raises:
+            ValueError: not a finite time for each input.
+        """
+        steps = np.asarray(delays, dtype=float) / self.sample_period
+        rule = f"must hold a time for each of the {self.inputs.shape[1]} inputs"
+        check(steps.shape == (self.inputs.shape[1],), "delays", rule, f"shape {steps.shape}")
+        rule = "must hold finite times"
+        check(bool(np.all(np.isfinite(steps))), "delays", rule, delays)
+        if not np.any(steps):
+            return self
+        new = self._changed(None)
+        new._assign({"_skew": np.asarray(delays, dtype=float), "_middle": None})
+        return new
+
     def without_inputs(self) -> "Record":
         """The record with its outputs only."""
         new = self._changed(None)
         no_inputs = np.zeros((len(self), 0))
         masks = self.valid, np.ones(len(self), bool), self.output_valid
         new._set(no_inputs, self.outputs, masks, self.time, self.sample_period)
-        new._assign({"input_names": ()})
+        new._assign({"input_names": (), "_skew": None})
         return new
 
     def segments(self) -> list[tuple[int, int]]:
@@ -378,7 +405,7 @@ class Record(Result):
         """
         is_count = isinstance(substeps, int | np.integer) and substeps >= 1
         check(bool(is_count), "substeps", "must be an integer ≥ 1", substeps)
-        if substeps == 1:
+        if substeps == 1 and self._skew is None:
             return self
         if self._is_slow:
             return self.bridged.resample(substeps)
@@ -392,7 +419,7 @@ class Record(Result):
             valid += [covering] * outputs[:, columns].shape[1]
         # A single spline for sub-steps and midpoints: a second one would only take longer.
         known_segments = self.input_segments()
-        inputs = sub_stepped_inputs(self.inputs, known_segments, 2 * int(substeps), self.hold)
+        inputs, middle = self._between(int(substeps))
         known = covered(position, known_segments, query)
         sample_period = self.sample_period / int(substeps)
         new = self._changed(
@@ -401,10 +428,25 @@ class Record(Result):
         )
         time = self.time[0] + sample_period * np.arange(count)
         masks = covered(position, self.segments(), query), known, np.stack(valid, axis=1)
-        new._set(inputs[::2], outputs, masks, time, sample_period)
+        new._set(inputs, outputs, masks, time, sample_period)
         new._assign(self._of_the_samples)
-        new._assign({"_middle": inputs[1::2]})
+        new._assign({"_middle": middle, "_skew": None})
         return new
+
+    def _between(
+        self, substeps: int
+    ) -> tuple[Float[np.ndarray, "points nu"], Float[np.ndarray, "steps nu"]]:
+        """Inputs at the points of a finer grid, and in the middle of its steps."""
+        segments = self.input_segments()
+        if self._skew is None:
+            fine = sub_stepped_inputs(self.inputs, segments, 2 * substeps, self.hold)
+            return fine[::2], fine[1::2]
+        delays = self._skew / self.sample_period
+        if self.hold == "zero":
+            means = delayed_inputs(self.inputs, segments, delays, substeps, self.hold)
+            return means, means[:-1]
+        fine = delayed_inputs(self.inputs, segments, delays, 2 * substeps, self.hold)
+        return fine[::2], fine[1::2]
 
     def smooth(self, cutoff: Real) -> "Record":
         """The record filtered by a zero-phase low-pass, the same for inputs and outputs.
@@ -462,7 +504,7 @@ class Record(Result):
         """The inputs in the middle of each of the N − 1 steps, by their hold."""
         if self._middle is not None:
             return self._middle
-        return sub_stepped_inputs(self.inputs, self.input_segments(), 2, self.hold)[1::2]
+        return self._between(1)[1]
 
     # -- properties -----------------------------------------------------------------------
 
@@ -472,6 +514,11 @@ class Record(Result):
         if self._input_valid is None:
             return self.valid if self.inputs.shape[1] else np.ones(len(self), dtype=bool)
         return self._input_valid
+
+    @property
+    def skew(self) -> Float[np.ndarray, " nu"]:
+        """Time by which each input acts later than it was logged, (nu,) [s]."""
+        return np.zeros(self.inputs.shape[1]) if self._skew is None else self._skew
 
     @property
     def output_valid(self) -> OutputMask:
@@ -555,12 +602,13 @@ class Record(Result):
         """
         settings = f"{self.data_hash} {self.sample_period!r} {self.hold} {self.burn_in!r}"
         arrays = [self._noise, self._quantum, self._middle]
+        arrays += [] if self._skew is None else [self._skew]
         if self._is_slow or np.any(self.output_periods > self.sample_period):
             arrays.append(self.output_periods)
         return _digest(settings, arrays)
 
     def __repr__(self) -> str:
-        return _table(self)
+        return text(self)
 
     # -- construction ---------------------------------------------------------------------
 
@@ -610,37 +658,3 @@ def _digest(header: str, arrays: Iterable[np.ndarray | None]) -> str:
         digest.update(str(np.shape(array)).encode() if array is not None else b"none")
         digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
-
-
-def _label(record: Record, key: str) -> str:
-    unit = record.units.get(key)
-    return f"{key} [{unit}]" if unit else key
-
-
-def _table(record: Record) -> str:
-    h = record.sample_period
-    size = f"{len(record)} samples, {len(record) * h:.4g} s, every {h:.6g} s ({1 / h:.5g} Hz)"
-    lines = [f"Record `{record.name}`: {size}"]
-    rows = [("", "channel", "min", "max", "rms", "noise", "quantum")]
-    known = record.input_valid
-    for key, channel in zip(record.input_names, record.inputs[known].T, strict=True):
-        rows.append(("input", _label(record, key), *_spread(channel), "", ""))
-    for i, (noise, quantum) in enumerate(zip(record.noise, record.quantum, strict=True)):
-        key, channel = record.output_names[i], record.outputs[record.output_valid[:, i], i]
-        accuracy = (f"{noise:.2g}", f"{quantum:.3g}" if quantum else "–")
-        rows.append(("output", _label(record, key), *_spread(channel), *accuracy))
-    widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
-    for row in rows:
-        label = f"  {row[0]:{widths[0]}}  {row[1]:{widths[1]}}"
-        cells = "".join(f"  {cell:>{w}}" for cell, w in zip(row[2:], widths[2:], strict=True))
-        lines.append((label + cells).rstrip())
-    facts = [f"hold {record.hold}", f"{100 * record.valid.mean():.4g} % valid"]
-    if record.burn_in:
-        facts.append(f"burn-in {record.burn_in:g} s")
-    lines.append("  " + ", ".join(facts))
-    return "\n".join([*lines, *(f"  - {note}" for note in record.notes)])
-
-
-def _spread(channel: TimeAxis) -> tuple[str, str, str]:
-    rms = float(np.sqrt(np.mean(channel**2)))
-    return f"{channel.min():.4g}", f"{channel.max():.4g}", f"{rms:.4g}"

@@ -260,6 +260,48 @@ def sub_stepped_inputs(
     return hold_inputs(position.astype(float), inputs, segments, query / count, hold)
 
 
+def delayed_inputs(
+    inputs: Float[np.ndarray, "time nu"],
+    segments: Segments,
+    delays: Float[np.ndarray, " nu"],
+    count: int,
+    hold: str,
+) -> Float[np.ndarray, "points nu"]:
+    """`sub_stepped_inputs` of inputs that act later: at the points, or means behind them.
+
+    A held input that changes within a fine step has no level there; its mean over the step has the
+    same effect. Other inputs are interpolated. At the ends of a segment, where the neighbour is not
+    known, the values stay.
+
+    Args:
+        inputs: on a uniform grid.
+        segments: runs (start, stop) with known inputs.
+        delays: of each input, negative for earlier [samples].
+        count: fine steps in place of each step.
+        hold: of the inputs.
+    """
+    result = sub_stepped_inputs(inputs, segments, count, hold)
+    position = np.arange(len(inputs), dtype=float)
+    for start, stop in segments:
+        places = np.arange(start * count, (stop - 1) * count + 1)
+        for j, delay in enumerate(delays):
+            if hold == "zero":
+                whole = int(np.floor(delay * count))
+                share = delay * count - whole
+                levels = inputs[start:stop, j]
+                late, later = (
+                    levels[np.clip((places - shift) // count, start, stop - 1) - start]
+                    for shift in (whole, whole + 1)
+                )
+                result[places, j] = late + share * (later - late)
+            else:
+                query = np.clip(places / count - delay, start, stop - 1)
+                column = inputs[:, j : j + 1]
+                moved = hold_inputs(position, column, [(start, stop)], query, hold)
+                result[places, j] = moved[:, 0]
+    return result
+
+
 def inputs_within_steps(
     inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: str
 ) -> Float[np.ndarray, "steps places nu"]:

@@ -1,17 +1,20 @@
-"""The hold of the inputs under which the final model of a discovery fits best.
+"""The hold and the skew of the inputs under which the final model of a discovery fits best.
 
-What the declared model lacks may hide the hold, and a wrong hold looks like a delay or a lag of the
-input. So the hold is decided with the effects in the model, not before.
+What the declared model lacks may hide them, and a wrong hold or a skew looks like a delay or a lag
+of the input. So they are decided with the effects in the model, not before.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from eoi_jax.data.holds import evidence, with_hold
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax.data.holds import SETTINGS, evidence, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.estimation.hold import HoldIndices
-from eoi_jax.estimation.identify import declared_index, mean_index
+from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew
+from eoi_jax.estimation.identify import Identification, declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
 
 Records = tuple[Record, ...]
@@ -23,16 +26,37 @@ class HoldRules:
 
     Attributes:
         same: relative difference of their indices that counts as none.
-        passes: of the fit of a final model with another hold.
-        stand_ins: effects that a wrong hold takes the shape of.
+        stand_ins: effects that a wrong hold or a skew takes the shape of; their parameter is a
+            time.
+        longest: such time that may be one of the logger [sample periods]: a skew of one, and half
+            a one between what was held and what goes on.
+        shortest: skew that is told from none [sample periods].
     """
 
     same: float = 0.02
-    passes: int = 4
     stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag")
+    longest: float = 1.5
+    shortest: float = 0.02
 
 
 _RULES = HoldRules()
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A search, or only a fit of another one's final model, under a hold and a skew.
+
+    Attributes:
+        hold: zero, linear or smooth.
+        fit: of the final model.
+        answer: of the search; None for a fit alone.
+        skew: of the inputs; None: they are where they were logged.
+    """
+
+    hold: str
+    fit: Identification
+    answer: Discovery
+    skew: Skew | None = None
 
 
 def with_best_hold(
@@ -45,8 +69,9 @@ def with_best_hold(
 
     The search runs with the hold that the declared model fits best. It runs with another one that
     the declared model does not refute if the final model fits as well with it, or has an effect
-    that may stand for it. The smallest index decides; of nearly equal ones the answer that
-    explains, with fewest effects.
+    that may stand for it. It runs on shifted inputs if the final model fits clearly better with
+    them, or has an effect that may stand for the shift. The smallest index decides; of nearly equal
+    ones the answer that explains, with fewest effects.
 
     Args:
         search: the discovery on records to fit and records that judge, on the filter of `indices`.
@@ -54,35 +79,117 @@ def with_best_hold(
         held_out: that judge.
         indices: of the declared model.
     """
-    first, *others = indices.possible
-    answer = search(with_hold(records, first), with_hold(held_out, first))
-    if not answer.found.status.ok:  # with any hold
-        return answer
-    answers, index = {first: answer}, {first: mean_index(answer.found)}
-    in_doubt = bool(set(answer.effects) & set(_RULES.stand_ins))
-    for hold in others:
-        index[hold] = _refitted_index(answer, with_hold(records, hold), indices)
-        if in_doubt or index[hold] <= (1.0 + _RULES.same) * index[first]:
-            answers[hold] = search(with_hold(records, hold), with_hold(held_out, hold))
-            index[hold] = mean_index(answers[hold].found)
-    smallest = min(index[hold] for hold in answers)
 
-    def order(hold: str) -> tuple:
+    def searched(hold: str, skew: Skew | None = None) -> _Trial:
+        delays = None if skew is None else skew.delays
+        answer = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
+        return _Trial(hold, answer.found, answer, skew)
+
+    first, *others = indices.possible
+    best = searched(first)
+    if not best.fit.status.ok:  # with any hold
+        return best.answer
+    in_doubt = bool(_stand_ins(best.answer))
+    trials, fits = [best], {first: best.fit}
+    for hold in others:
+        fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
+        if in_doubt or _as_good(fits[hold], best.fit):
+            trials.append(searched(hold))
+            fits[hold] = trials[-1].fit
+    best = _best(trials)
+    notes = indices.evidence
+    if others:
+        powers = dict(zip(fits, _powers(list(fits.values())), strict=True))
+        notes = evidence("the index of the final model", powers, best.hold)
+    for skew in _possible_skews(best, records, indices):
+        shifted = searched(skew.hold, skew)
+        if _best([best, shifted]) is shifted and _preferred(shifted, best):
+            notes = notes if skew.hold == best.hold else (f"hold {skew.hold}",)
+            best, notes = shifted, (*notes, skew.evidence(records[0]))
+            break
+    return replace(best.answer, notes=(*notes, *best.answer.notes))
+
+
+def _stand_ins(answer: Discovery) -> dict[str, float]:
+    """Times of delays and lags that a hold or a skew may explain, by input [s]."""
+    return {
+        added.output: sum(added.parameters.values())
+        for added in answer.added
+        if added.effect.name in _RULES.stand_ins
+    }
+
+
+def _best(trials: Sequence[_Trial]) -> _Trial:
+    """The one with the smallest index; of nearly equal ones the simplest answer that explains."""
+    powers = _powers([trial.fit for trial in trials])
+
+    def order(place: int) -> tuple:
+        answer = trials[place].answer
         return (
-            not index[hold] <= (1.0 + _RULES.same) * smallest,
-            answers[hold].status.code == "unexplained",
-            len(answers[hold].added),
-            hold != indices.best,
+            not powers[place] <= (1.0 + _RULES.same) * min(powers),
+            answer.status.code == "unexplained",
+            len(answer.added),
+            place,
         )
 
-    chosen = min(answers, key=order)
-    note = indices.evidence
-    if others:
-        note = evidence("the index of the final model", index, chosen)
-    return replace(answers[chosen], notes=(*note, *answers[chosen].notes))
+    return trials[min(range(len(trials)), key=order)]
 
 
-def _refitted_index(answer: Discovery, records: Records, indices: HoldIndices) -> float:
-    """The index of the final model, fitted again with another hold on the same filter."""
+def _preferred(shifted: _Trial, best: _Trial) -> bool:
+    """Whether shifted inputs fit clearly better, or need fewer effects."""
+    new, old = _powers([shifted.fit, best.fit])
+    fewer = len(shifted.answer.added) < len(best.answer.added)
+    return fewer or new < (1.0 - _RULES.same) * old
+
+
+def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> list[Skew]:
+    """Holds and delays of the inputs that may explain the final model's delay or lag, or error."""
+    periods = _stand_ins(best.answer)
+    period = records[0].sample_period
+    if not periods:
+        skew = best_skew(best.answer.plant, records, best.hold, declared_index, indices.lowpass)
+        return [] if skew is None else [skew]
+    if max(periods.values()) > _RULES.longest * period:
+        return []
+    delays = np.asarray([periods.get(name, 0.0) for name in records[0].input_names])
+    makings = [(best.hold, delays)]
+    if best.hold != "zero":  # what was held acts half a sample later than what goes on
+        makings.append(("zero", delays - 0.5 * period * (delays > 0)))
+    return [
+        Skew(hold, trial)
+        for hold, trial in makings
+        if _RULES.shortest * period < np.max(np.abs(trial)) <= period
+    ]
+
+
+def _refitted(answer: Discovery, records: Records, indices: HoldIndices) -> Identification:
+    """The final model, fitted again with another hold on the same filter."""
     prepared = prepare_records(answer.plant, records, indices.lowpass)
-    return declared_index(answer.plant, prepared, _RULES.passes)
+    return estimate(answer.plant, prepared, passes=SETTINGS.passes)
+
+
+def _as_good(fit: Identification, best: Identification) -> bool:
+    new, old = _powers([fit, best])
+    return new <= (1.0 + _RULES.same) * old
+
+
+def _powers(fits: Sequence[Identification]) -> list[float]:
+    """Power of the injection of each fit, on samples that all of them score.
+
+    Geometric mean over the outputs; infinite without an estimate. Indices count each fit's own
+    samples: behind a gap those of a plant with a lag begin later.
+    """
+    good = [fit for fit in fits if fit.status.ok]
+    if not good:
+        return [float("inf")] * len(fits)
+    injections = [np.concatenate(fit.injection) for fit in good]
+    common = np.all([np.isfinite(injection) for injection in injections], axis=0)
+    values = iter([_power(injection, common) for injection in injections])
+    return [next(values) if fit.status.ok else float("inf") for fit in fits]
+
+
+def _power(
+    injection: Float[np.ndarray, "samples ny"], common: Bool[np.ndarray, "samples ny"]
+) -> float:
+    means = [np.mean(injection[use, j] ** 2) for j, use in enumerate(common.T) if np.any(use)]
+    return float(np.exp(np.mean(np.log(np.maximum(means, 1e-300))))) if means else float("inf")

@@ -1,14 +1,24 @@
-r"""The hold of the inputs by the passes: the one with the smallest index (14), on one filter.
+r"""The hold and the skew of the inputs by the passes: those with the smallest index (14).
 
-The logarithm of the index is that of the likelihood of a white injection.
+The logarithm of the index is that of the likelihood of a white injection. The power of the
+injection is a parabola in a small delay of an input, so three fits find its minimum.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from eoi_jax.data.holds import SETTINGS, best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.data.holds import (
+    SETTINGS,
+    best_hold,
+    evidence,
+    least_of_parabola,
+    skew_text,
+    undeclared_hold,
+    with_hold,
+)
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.lowpass import LowPass
@@ -88,14 +98,108 @@ def hold_indices(
     return HoldIndices(indices, rule, lowpass)
 
 
+@dataclass(frozen=True)
+class Skew:
+    """How far the inputs are from the outputs in the log.
+
+    Attributes:
+        hold: of the inputs, with which the delays were found.
+        delays: by which each input acts later than it was logged, shape (nu,) [s].
+        index: with them; None where they were not found by it.
+        ratio: of the index without them to that with them; None as well.
+    """
+
+    hold: str
+    delays: Float[np.ndarray, " nu"]
+    index: float | None = None
+    ratio: float | None = None
+
+    def evidence(self, record: Record) -> str:
+        """The delays in one of the records, and the ratio, as a sentence."""
+        text = skew_text(record, self.delays)
+        if self.ratio is None:
+            return f"{text}: a delay this short is taken for one of the logger"
+        return f"{text}: without this shift the index is {self.ratio:.3g} times as large"
+
+
+def best_skew(
+    plant: Plant, records: Sequence[Record], hold: str, index_of: IndexOf, lowpass: LowPass
+) -> Skew | None:
+    """The hold and the skew with the smallest index, where the inputs have any skew.
+
+    A held input that acts early and one that goes on and acts late are nearly the same, so all
+    holds are tried once the best one without a skew has shown some.
+
+    Args:
+        plant: with its nominal parameters.
+        records: as they were read.
+        hold: that fits best without a skew.
+        index_of: as for `hold_indices`.
+        lowpass: F of the fits.
+    """
+    first = channel_skew(plant, records, hold, index_of, lowpass)
+    if first is None:
+        return None
+    others = [channel_skew(plant, records, other, index_of, lowpass)
+              for other in HOLDS if other != hold]  # fmt: skip
+    found = [first, *(skew for skew in others if skew is not None)]
+    return min(found, key=lambda skew: skew.index or np.inf)
+
+
+def channel_skew(
+    plant: Plant, records: Sequence[Record], hold: str, index_of: IndexOf, lowpass: LowPass
+) -> Skew | None:
+    """The skew of the inputs with the smallest index, one input after the other.
+
+    Args:
+        plant: with its nominal parameters.
+        records: as they were read; those that declare their hold are not shifted.
+        hold: of the other ones.
+        index_of: as for `hold_indices`.
+        lowpass: F of the fits.
+
+    Returns:
+        None where no shift within a sample period lowers the index clearly: what acts later than
+        that is a delay of the plant.
+    """
+
+    def index(delays: Float[np.ndarray, " nu"]) -> float:
+        shifted = with_hold(records, hold, delays)
+        return index_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
+
+    period = min(record.sample_period for record in records)
+    delays = np.zeros(records[0].inputs.shape[1])
+    without = smallest = index(delays)
+    for step in SETTINGS.trial_skews:
+        for shift in period * step * np.eye(len(delays)):
+            values = index(delays - shift), smallest, index(delays + shift)
+            place = least_of_parabola(values)
+            if place is None:
+                continue
+            trial = delays + place * shift
+            within = np.max(np.abs(trial)) <= period
+            if within and (value := index(trial)) < smallest:
+                delays, smallest = trial, value
+        if not np.any(delays):
+            return None
+    if not smallest < (1.0 - SETTINGS.least_fall) * without:
+        return None
+    return Skew(hold, delays, smallest, without / smallest)
+
+
 def decided(
     plant: Plant, records: Sequence[Record], index_of: IndexOf, lowpass: LowPass | None = None
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:
-    """Records with the hold that the model fits best, and the evidence as a sentence.
+    """Records with the hold and the skew that the model fits best, and the evidence as sentences.
 
     Arguments are those of `hold_indices`.
     """
     indices = hold_indices(plant, records, index_of, lowpass)
     if indices is None or not np.isfinite(indices.by_hold[indices.best]):
         return tuple(records), ()
-    return with_hold(records, indices.best), indices.evidence
+    skew = best_skew(plant, records, indices.best, index_of, indices.lowpass)
+    if skew is None:
+        return with_hold(records, indices.best), indices.evidence
+    shifted = with_hold(records, skew.hold, skew.delays)
+    notes = indices.evidence if skew.hold == indices.best else (f"hold {skew.hold}",)
+    return shifted, (*notes, skew.evidence(records[0]))

@@ -285,7 +285,9 @@ def _segment_drives(records: Sequence[Record], spans: Sequence[Span], substeps: 
         part, record = slice(*span.segment), records[span.record]
         key = (span.record, span.segment[0])
         if key not in drives:
-            drives[key] = drive(record.time[part], record.inputs[part], record.hold, substeps)
+            drives[key] = drive(
+                record.time[part], record.inputs[part], record.hold, substeps, record.skew
+            )
     return drives
 
 

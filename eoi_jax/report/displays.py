@@ -20,6 +20,7 @@ from eoi_jax.report.discovery_figures import discovery_figure
 from eoi_jax.report.estimate_figures import profile_figure, refinement_figure, uncertainty_figure
 from eoi_jax.report.figures import identification_figure, record_figure, validation_figure
 from eoi_jax.report.inspection import inspection_figure, inspection_text
+from eoi_jax.report.record import record_text
 from eoi_jax.report.remaining import remaining_figure, remaining_text
 from eoi_jax.report.tables import (
     identification_text,
@@ -33,6 +34,7 @@ from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty
 
 TABLES: dict[type, Callable] = {
+    Record: record_text,
     Inspection: inspection_text,
     Identification: identification_text,
     Validation: validation_text,

@@ -18,7 +18,7 @@ from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.cleaning import SHORTEST, choose_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS, inputs_within_steps
+from eoi_jax.data.resampling import HOLDS, delayed_inputs, inputs_within_steps
 from eoi_jax.models.plant import Plant, State, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
@@ -148,6 +148,7 @@ def drive(
     inputs: Float[np.ndarray, "time nu"],
     hold: str,
     substeps: int = 1,
+    skew: Float[np.ndarray, " nu"] | None = None,
 ) -> Drive:
     """Inputs on the grid of a run's steps.
 
@@ -156,6 +157,7 @@ def drive(
         inputs: one row a sample.
         hold: ``"zero"``, ``"linear"`` or ``"smooth"``.
         substeps: steps per sample.
+        skew: time by which each input acts later than it was logged [s]; None: by none.
 
     Returns:
         The drive of `trajectory`.
@@ -164,11 +166,14 @@ def drive(
         ValueError: an unknown hold, or less than one sub-step.
     """
     check_count("substeps", substeps)
-    fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
-    values = inputs_within_steps(inputs, fractions, hold)
-    stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
     period = (time[-1] - time[0]) / (len(time) - 1)
     steps = (len(time) - 1) * substeps
+    if skew is not None and np.any(skew):
+        stages = _shifted_stages(inputs, skew / period, hold, substeps)
+    else:
+        fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
+        values = inputs_within_steps(inputs, fractions, hold)
+        stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
     return Drive(
         time[0] + period / substeps * np.arange(steps),
         np.asarray(period / substeps),
@@ -176,6 +181,19 @@ def drive(
         substeps,
         inputs[-1],
     )
+
+
+def _shifted_stages(
+    inputs: Float[np.ndarray, "time nu"], delays: Float[np.ndarray, " nu"], hold: str, substeps: int
+) -> Float[np.ndarray, "steps 3 nu"]:
+    """Inputs that act later [samples], at the start, the middle and the end of each step."""
+    check_choice("hold", hold, HOLDS)
+    whole = [(0, len(inputs))]
+    if hold == "zero":
+        means = delayed_inputs(inputs, whole, delays, substeps, hold)[:-1]
+        return np.repeat(means[:, None], 3, axis=1)
+    fine = delayed_inputs(inputs, whole, delays, 2 * substeps, hold)
+    return np.stack([fine[0:-2:2], fine[1:-1:2], fine[2::2]], axis=1)
 
 
 def acted(plant: Plant, driven_by: Drive) -> Drive:

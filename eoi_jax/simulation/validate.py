@@ -339,7 +339,8 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
     record, runs, diverged = piece.part, piece.plan, None
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
-    record_drive = acted(run.plant, drive(record.time, record.inputs, record.hold, run.substeps))
+    logged = drive(record.time, record.inputs, record.hold, run.substeps, record.skew)
+    record_drive = acted(run.plant, logged)
     for start, sample_range, y_hat in zip(
         runs.starts,
         runs.predicted,

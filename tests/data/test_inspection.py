@@ -117,7 +117,9 @@ def test_a_file_without_time_may_say_its_sample_period(tmp_path):
     assert (found.clock.column, found.clock.sample_period) == (None, 0.01)
     savemat(tmp_path / "run.mat", {"u": U, "y": Y, "fs": 200.0})
     assert inspect(tmp_path / "run.mat").clock.sample_period == pytest.approx(0.005)
-    assert "\nsample_period = 0.005" in draft([inspect(tmp_path / "run.mat")], tmp_path / "run.toml")
+    assert "\nsample_period = 0.005" in draft(
+        [inspect(tmp_path / "run.mat")], tmp_path / "run.toml"
+    )
     found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
     assert found.clock.sample_period is None
     assert "give sample_period" in found.advice[0]
@@ -445,5 +447,5 @@ def test_of_several_files_the_last_is_held_out(tmp_path):
     assert (read.data.files, read.validation.files) == (("a.csv", "b.csv"), ("c.csv",))
     assert read.data.slice is None
     other = written(tmp_path / "d.csv", t=T, v=U, y=Y)
-    with pytest.raises(ValueError, match="`file` must have the column `u`, as a.csv has"):
+    with pytest.raises(ValueError, match=r"`file` must have the column `u`, as a\.csv has"):
         draft([inspect(files[0]), inspect(other)], target)

@@ -128,3 +128,77 @@ def test_a_declared_hold_is_used_as_declared():
     found = eoi.identify(MASS, held(hold="linear"), smoothing=False)
     assert not any(reason.startswith("hold ") for reason in found.reasons)
     assert {record.hold for record in found.records} == {"linear"}
+
+
+# -- channels that a logger reads one after another -----------------------------------------------
+
+
+def apart(samples, count=1500, seed=0, noise=1e-3, hold="zero"):
+    """Outputs read a part of a sample after the inputs (before, where negative); exact."""
+    u = every_step_another(count, seed)
+    block = np.array([[0.0, 1.0, 0.0], [-TRUTH["k"], -TRUTH["c"], TRUTH["g"]], [0.0, 0.0, 0.0]])
+    early = samples % 1.0  # since the last change of the input
+    step, part = expm(PERIOD * block)[:2], expm(PERIOD * early * block)[:2]
+    x, y = np.zeros(2), np.zeros(count)
+    for k in range(count):
+        y[k] = (part @ [*x, u[k]])[0]
+        x = step @ [*x, u[k]]
+    whole = int(np.floor(samples))
+    y = np.roll(y, -whole)[: count - abs(whole)] if whole >= 0 else y[:whole]
+    u = u[: len(y)] if whole >= 0 else u[-whole:]
+    y = y + noise * np.std(y) * np.random.default_rng(seed + 100).standard_normal(len(y))
+    return eoi.Record.from_period(PERIOD, u, y, hold="auto")
+
+
+@pytest.mark.parametrize(("samples", "told"), [(0.5, ""), (0.3, "lags"), (-0.5, "leads")])
+def test_inputs_and_outputs_that_are_logged_apart_do_not_bias_the_estimate(samples, told):
+    """Held and read half a sample later is nearly what goes on between the samples."""
+    found = eoi.identify(MASS, apart(samples))
+    for name, value in TRUTH.items():
+        assert found.parameters[name] == pytest.approx(value, rel=0.005)
+    assert any(f"u {told}" in reason for reason in found.reasons) == bool(told)
+
+
+@pytest.mark.parametrize("samples", [0.5, -0.5])
+def test_a_skew_of_the_channels_is_no_effect(samples):
+    found = eoi.discover(MASS, apart(samples), apart(samples, seed=1))
+    assert (found.effects, found.status.code) == ((), "nothing_missing")
+    assert any("the outputs by " in note for note in found.notes) == (samples < 0)
+    if samples < 0:
+        (held_out,) = found.held_out
+        assert held_out.skew[0] == pytest.approx(-samples * PERIOD, rel=0.02)
+
+
+def test_a_delay_of_many_samples_is_one_of_the_plant():
+    late = apart(-4.0)
+    found = eoi.identify(MASS, late)
+    assert not any("in the log" in reason for reason in found.reasons)
+    assert eoi.discover(MASS, late, apart(-4.0, seed=1)).effects == ("input_delay",)
+
+
+def test_shifted_inputs_are_those_of_the_shifted_signal():
+    time = 0.1 * np.arange(200)
+    record = eoi.Record(time, np.sin(time), np.cos(time), hold="smooth")
+    moved = record.with_delayed_inputs([0.03])
+    np.testing.assert_array_equal(moved.inputs, record.inputs)  # as they were logged
+    fine = moved.resample(4)
+    np.testing.assert_allclose(fine.inputs[20:-20, 0], np.sin(fine.time - 0.03)[20:-20], atol=1e-7)
+    middle = np.sin(time[:-1] + 0.05 - 0.03)
+    np.testing.assert_allclose(moved.midpoint_inputs()[5:-5, 0], middle[5:-5], atol=1e-7)
+    assert record.with_delayed_inputs([0.0]) is record
+    with pytest.raises(ValueError, match="`delays` must hold finite times"):
+        record.with_delayed_inputs([np.nan])
+    with pytest.raises(ValueError, match="`delays` must hold a time for each of the 1 inputs"):
+        record.with_delayed_inputs([0.0, 0.1])
+
+
+@pytest.mark.parametrize(("delay", "row"), [(0.6, [0.6, 0.4, 0.0]), (-0.25, [0.0, 0.75, 0.25])])
+def test_a_held_input_that_is_shifted_keeps_its_mean_over_each_step(delay, row):
+    levels = np.random.default_rng(0).standard_normal(50)
+    record = eoi.Record.from_period(2.0, levels, np.ones(50), hold="zero")
+    moved = record.with_delayed_inputs([2.0 * delay])
+    mean = np.convolve(levels, row[::-1], "valid")  # of the level before, this one, the next
+    np.testing.assert_allclose(moved.midpoint_inputs()[1:48, 0], mean[:47], rtol=1e-12)
+    fine = moved.resample(20).midpoint_inputs()[:, 0].reshape(-1, 20)
+    np.testing.assert_allclose(fine.mean(axis=1)[1:48], mean[:47], rtol=1e-12)
+    assert len(np.unique(fine[5].round(12))) == 2  # it changes where it does
