@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 # Codes of a fit in which every free parameter has an estimate.
-ANSWERED = ("converged", "passes_exhausted", "stalled", "undersampled")
+ANSWERED = ("converged", "passes_exhausted", "stalled", "undersampled", "undetermined")
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,8 @@ class Status:
     Attributes:
         code: for programs: ``"converged"``, ``"passes_exhausted"``,
             ``"stalled"``, ``"undersampled"`` (the estimate has a mode faster than the sampling),
-            ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of a discovery ``"explained"``,
+            ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of `eoi identify`
+            ``"undetermined"`` (all errors exceed the values); of a discovery ``"explained"``,
             ``"nothing_missing"``, ``"unexplained"``; of a method in a comparison
             ``"not_applicable"``, ``"failed"``.
         message: what happened, the likely cause, what to try.

@@ -13,6 +13,7 @@ import numpy as np
 
 from eoi_jax._atomic import write_file, write_folder
 from eoi_jax._checks import check, check_choice
+from eoi_jax._status import Status
 from eoi_jax.cli import build, html_report, run_folder
 from eoi_jax.cli.config import Config, IdentifyTable, load
 from eoi_jax.cli.signals import ExitCode
@@ -43,6 +44,10 @@ from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.simulation.validate import Validation, validate
 
 _MORE_STARTS = "`starts = 200` under [refine] tries that many points around the nominal values"
+_UNDETERMINED = (
+    "no parameter has a standard error below its value: these records do not determine this model. "
+    "Use a model with fewer parameters, or of a lower order, or records with more excitation"
+)
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("explained", "nothing_missing", "unexplained")
 
@@ -72,6 +77,8 @@ def identify(
     source, job = _prepare(config, "pendulum", data, output, progress, passes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
+    if result.status.ok and not _determined(result):
+        result = replace(result, status=Status("undetermined", _UNDETERMINED))
     summary = identification_summary(job, result, validation)
     if not result.status.ok:
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
@@ -85,7 +92,21 @@ def identify(
         ),
     )
     lines = [identification_text(result), "" if validation is None else str(validation)]
-    return Outcome(summary, "\n\n".join(filter(None, lines)), folder)
+    text = "\n\n".join(filter(None, lines))
+    if result.status.code == "undetermined":
+        complaint = f"no answer ({result.status})"
+        return Outcome(summary, text, folder, ExitCode.NO_ANSWER, complaint)
+    return Outcome(summary, text, folder)
+
+
+def _determined(result: Identification) -> bool:
+    """Whether any free parameter has a standard error below its value."""
+    errors = result.standard_errors
+    return any(
+        errors[name] < abs(value)
+        for name, value in result.parameters.items()
+        if name not in result.plant.fixed
+    )
 
 
 def discover(

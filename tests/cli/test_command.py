@@ -382,3 +382,22 @@ def test_a_file_that_cannot_be_read_is_one_sentence(command: str, tmp_path: Path
         assert len(done.stderr.strip().splitlines()) == 1
         assert name in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_a_fit_of_which_nothing_is_known_is_no_answer(tmp_path: Path, monkeypatch):
+    """Sines of two frequencies: the input has nothing to do with the output."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("eoi_jax.compiler.jax_setup.configure", lambda: None)
+    angle = 2.0 * np.pi * np.arange(400) / 400
+    columns = np.stack([0.1 * np.arange(400), np.sin(7 * angle), np.sin(12 * angle)], axis=1)
+    np.savetxt("drift.csv", columns, delimiter=",", header="t,u,y", comments="")
+    Path("drift.toml").write_text(
+        'name = "drift"\n[model]\noutputs = ["y"]\ninputs = ["u"]\n[model.derivatives]\n'
+        'y = "g*u"\n[model.parameters]\ng = 0.0\n[data]\nfiles = ["drift.csv"]\ntime = "t"\n'
+        'inputs = ["u"]\noutputs = ["y"]\n'
+    )
+    done = CliRunner().invoke(app, ["identify", "drift.toml", "--json"])
+    assert done.exit_code == 1, done.output
+    assert "no parameter has a standard error below its value" in done.stderr
+    assert json.loads(done.stdout)["status"]["code"] == "undetermined"
+    assert (tmp_path / "runs" / "drift" / "result.json").exists()
