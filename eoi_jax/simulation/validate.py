@@ -35,6 +35,7 @@ from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
+from eoi_jax.simulation.start_error import sufficient_starts
 from eoi_jax.simulation.step_size import RULES, StepChoice, choose_steps, finest_steps
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -94,7 +95,8 @@ def validate(
         records: one or several; a record's burn-in is not scored.
         initial_samples: samples at the start of each run from which its initial state is estimated;
             they are not scored. None: fifty, a third of a record of less than 150 samples; more
-            where an output is measured rarely.
+            where an output is measured rarely, and, without windows, where the error of a start
+            from so few samples would rule the run (`start_error.py`).
         window: length of each run [s]; the state is then estimated anew at the start of every
             window. None: one run through the whole record, the harder test.
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
@@ -132,8 +134,10 @@ def _judged(
     """The free runs of records whose hold is declared."""
     choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
     heads = [_head(plant, record, initial_samples) for record in records]
-    pieces = _pieces(plant, records, heads, window)
     run = Run(plant, frictional(plant), choice.count)
+    if initial_samples is None and window is None:
+        heads = sufficient_starts(run, records, heads)
+    pieces = _pieces(plant, records, heads, window)
     prediction = _Prediction.of(run, records, pieces)
     if not choice.exact:
         prediction = _halved(prediction, run, records, pieces)
