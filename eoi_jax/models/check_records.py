@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from eoi_jax._checks import check, check_kind
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.data.record import Record
+from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
 
 
@@ -13,7 +14,7 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
 
     Raises:
         ValueError: a forked process, no plant, no record, a wrong number of channels, channels in
-            a different order, different units.
+            a different order, different units, an angle in degrees where the model takes radians.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
@@ -51,4 +52,12 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                     repr(unit),
                     "Convert the column, or correct the unit.",
                 )
+    channels = plant.inputs + plant.outputs
+    units = {
+        name: record.units[label]
+        for record in data_set
+        for name, label in zip(channels, record.input_names + record.output_names, strict=True)
+        if label in record.units
+    }
+    check_angles(plant, {**units, **plant.units})
     return data_set

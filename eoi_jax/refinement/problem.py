@@ -25,11 +25,12 @@ from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
-from eoi_jax.simulation.simulate import actuated, drive
+from eoi_jax.simulation.simulate import drive
 
 CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
 FEWEST_STEPS = 8  # steps of a run, at least
@@ -129,8 +130,11 @@ class Problem(eqx.Module):
             change with θ, and with all that came before a run. places: rows of these, one segment
             after the other, that each run takes.
         declared: 1 where the run starts a record: internal states are then the plant's own.
+        leaders: of a plant with actuators, the run at the beginning of each segment: where an input
+            was before is one of its unknowns.
         squares: sums of squares of the scored outputs of each run.
-        faintest: shorter columns are no trace of a start; of its outputs and their derivatives.
+        faintest: shorter columns are no trace of a start; of its outputs and their derivatives,
+            and of what its inputs were before.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
         start_sums: where a fit begins, and the sums there; None if they are not known.
         substeps: rows of a sample.
@@ -145,8 +149,9 @@ class Problem(eqx.Module):
     record_drives: tuple[Drive, ...]
     places: Int[Host, "runs rows"] | None
     declared: Float[Host, " runs"]
+    leaders: Int[Host, " segments"]
     squares: Float[Host, "runs ny"]
-    faintest: Float[Host, " states"]
+    faintest: Float[Host, " own"]
     scale: Float[Host, " ny"]
     threshold: Float[Host, ""]
     lower: Float[Host, " free"]
@@ -219,8 +224,9 @@ def problem_of(
         record_drives=tuple(jax.tree.map(jnp.asarray, list(drives.values()))) if acting else (),
         places=_places(drives, spans, int(plant.has_algebraic)) if acting else None,
         declared=np.asarray([float(span.first == 0) for span in spans]),
+        leaders=_leaders(drives, spans),
         squares=np.sum(y**2, axis=1),
-        faintest=_faintest(kernel, spread, min(record.sample_period for record in records)),
+        faintest=_faintest(kernel, spread, records),
         scale=_inverse(spread),
         threshold=np.asarray(np.inf),
         lower=np.asarray(plant.lower)[free],
@@ -232,15 +238,26 @@ def problem_of(
 
 
 def _faintest(
-    kernel: RunKernel, spread: Float[np.ndarray, " ny"], period: float, trace: float = 1e-6
-) -> Float[np.ndarray, " states"]:
+    kernel: RunKernel,
+    spread: Float[np.ndarray, " ny"],
+    records: Sequence[Record],
+    trace: float = 1e-6,
+    past_trace: float = 1e-4,
+) -> Float[np.ndarray, " own"]:
     """Length of a column by which a start of the largest conceivable size leaves no trace.
 
     Else a start that a burn-in has forgotten is moved by orders of magnitude, after noise. No trace
-    is a change of the outputs by `trace` of their standard deviation.
+    is a change of the outputs by `trace` of their standard deviation; by `past_trace` for a level
+    of an input before the record, which a lag of next to nothing would else hide behind.
     """
+    period = min(record.sample_period for record in records)
     largest = spread[list(kernel.columns)] / period ** np.asarray(kernel.rows)
-    return trace / np.where(largest > 0, largest, np.inf)
+    starts = trace / np.where(largest > 0, largest, np.inf)
+    if kernel.plant.actuator is None:
+        return starts
+    internal = np.zeros(len(kernel.plant.initial_internal))
+    levels = np.max([np.max(np.abs(record.inputs), axis=0) for record in records], axis=0)
+    return np.concatenate([starts, internal, past_trace / np.where(levels > 0, levels, np.inf)])
 
 
 def kernel_of(plant: Plant, store: str) -> RunKernel:
@@ -322,6 +339,12 @@ def _tables(
     return tables
 
 
+def _leaders(drives: Drives, spans: Sequence[Span]) -> Int[np.ndarray, " segments"]:
+    """The first run of each segment."""
+    keys = [(span.record, span.segment[0]) for span in spans]
+    return np.asarray([keys.index(key) for key in drives])
+
+
 def _places(drives: Drives, spans: Sequence[Span], beyond: int) -> Int[np.ndarray, "runs rows"]:
     """Rows of each run among those of all segments; beyond the end of a segment its last one.
 
@@ -357,8 +380,9 @@ def guessed_starts(
         record, last = records[span.record], min(count, span.segment[1] - span.first)
         y[i, :last], y[i, last:] = record.outputs[head][:last], record.outputs[span.first]
         valid[i, :last] = record.output_valid[head][:last]
+    heads, past = _heads(problem, count - 1)
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return initial_states(run, _heads(problem, count - 1), y, valid)
+        return initial_states(run, heads, y, valid, past)
 
 
 def _common_length(spans: Sequence[Span]) -> int:
@@ -370,23 +394,24 @@ def _common_length(spans: Sequence[Span]) -> int:
     return min(span.count for span in spans if span.count >= longest[span.record] - 1)
 
 
-def _heads(problem: Problem, count: int) -> Drive:
-    """What drives the beginning of each run, runs first."""
+def _heads(problem: Problem, count: int) -> tuple[Drive, np.ndarray | None]:
+    """What drives the beginning of each run, runs first, and how that changes with the past."""
     # A row more than steps: from it on the last input of the head holds.
     plant, rows = problem.kernel.plant, slice(problem.substeps * count + 1)
     head = np.asarray(problem.tables)[:, rows]
     nu, ny = len(plant.inputs), len(plant.outputs)
     time, inputs, _, _ = compiled_runs.columns(nu, ny)
     inputs = head[..., inputs].reshape(*head.shape[:2], 3, nu)
+    past = None
     if problem.places is not None:
-        theta = jnp.asarray(problem.theta)
-        parts = [
-            np.asarray(actuated(plant, theta, record_drive))
-            for record_drive in problem.record_drives
-        ]
-        inputs = np.concatenate(parts)[np.asarray(problem.places)[:, rows]]
+        settled = np.zeros((len(problem.leaders), nu))
+        driving = _driven(problem, jnp.asarray(problem.theta), settled)
+        inputs, past = (
+            np.asarray(driving.inputs)[:, rows],
+            np.asarray(driving.past)[:, rows][:, :-1],
+        )
     times, steps = head[:, :-1, time][..., 0], np.asarray(problem.steps)
-    return Drive(times, steps, inputs[:, :-1], problem.substeps, inputs[:, -1, 0])
+    return Drive(times, steps, inputs[:, :-1], problem.substeps, inputs[:, -1, 0]), past
 
 
 # -- sums and signals -------------------------------------------------------------------------
@@ -461,34 +486,26 @@ def _scanned(
     time, inputs, y, use = (
         tables[..., simulate_run] for simulate_run in compiled_runs.columns(nu, ny)
     )
-    inputs, slope = inputs.reshape(*inputs.shape[:2], 3, nu), None
+    inputs, slope, past = inputs.reshape(*inputs.shape[:2], 3, nu), None, None
     if problem.places is not None:
-        inputs, slope = _acted(problem, theta)
+        driving = _driven(problem, theta, jnp.asarray(starts)[problem.leaders, -nu:])
+        inputs, slope, past = driving.inputs, driving.slope, driving.past
 
     def simulate_run(run: Any) -> Any:
         start, declared, rows, h = run
         lane = RunLane(theta, start, declared, problem.scale, problem.threshold)
         return kernel.run(lane, rows, h)
 
-    rows = RunRow(time[..., 0], inputs, y, use, slope)
+    rows = RunRow(time[..., 0], inputs, y, use, slope, past)
     runs = (starts, problem.declared, rows, problem.steps)
     # One after the other with dry friction: then only the steps with a stop pay for it.
     return jax.lax.map(simulate_run, runs) if any(kernel.friction) else jax.vmap(simulate_run)(runs)
 
 
-def _acted(problem: Problem, theta: Array) -> tuple[Array, Array]:
-    """Inputs of the runs behind the actuators, and their derivatives with θ."""
-
-    def inputs_of_all(theta: Array) -> tuple[Array, Array]:
-        parts = [
-            actuated(problem.kernel.plant, theta, record_drive)
-            for record_drive in problem.record_drives
-        ]
-        inputs = jnp.concatenate(parts)
-        return inputs, inputs
-
-    slope, inputs = jax.jacfwd(inputs_of_all, has_aux=True)(theta)
-    return inputs[problem.places], slope[problem.places]
+def _driven(problem: Problem, theta: Array, levels: Host) -> DrivenInputs:
+    """Inputs of the runs behind the actuators, which had these levels before each segment."""
+    plant, places = problem.kernel.plant, jnp.asarray(problem.places)
+    return driven_inputs(plant, theta, problem.record_drives, levels, places, problem.leaders)
 
 
 def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:

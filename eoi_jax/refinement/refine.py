@@ -129,7 +129,8 @@ def refine(
     Returns:
         The estimate, never worse than its start on these runs. Look at `status` first. At the
         start of a record internal states are those that the plant declares (a function of its
-        parameters, if it says so); at the start of a later window they are estimated.
+        parameters, if it says so); at the start of a later window they are estimated. Behind delays
+        and lags of inputs, their levels before the record are estimated.
 
     Raises:
         ValueError: arguments or records that do not fit the plant, dry friction that cannot be

@@ -1,9 +1,10 @@
 """Initial states of free runs: least squares of each run over its first samples.
 
 Outputs and their derivatives start from local polynomials, internal states from where the model
-declares them. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the
-derivatives of the errors are differences, for one of the simulation would take longer to compile
-than all else. All runs are simulated side by side.
+declares them, delays and lags of inputs as if these had always been at their first values.
+Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the derivatives of
+the errors are differences, for one of the simulation would take longer to compile than all else.
+All runs are simulated side by side.
 """
 
 from collections.abc import Iterable
@@ -33,6 +34,7 @@ class InitialStateSettings:
     trials: int = 5  # starts; and lengths of a step, each half of the one before, tried at once
     difference: float = 1e-6  # step of derivatives, over the size of the variable
     min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
+    past: float = 1e-3  # share of a level before the record below which a run does not see it
 
 
 _SETTINGS = InitialStateSettings()
@@ -52,6 +54,7 @@ def initial_states(
     heads: Drive,
     y: Float[np.ndarray, "runs time ny"],
     valid: Bool[np.ndarray, "runs time ny"],
+    past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -60,6 +63,12 @@ def initial_states(
         heads: what drives the first samples of each run.
         y: outputs there.
         valid: which of them were measured.
+        past: how the inputs there change with their levels before the record (`past_slopes`), of
+            a plant with delays or lags of inputs.
+
+    Returns:
+        Outputs and their derivatives, then z, then the levels before the record, less the first
+        values of the inputs.
     """
     period = float(heads.step[0]) * heads.substeps
     z = run.plant.initial_internal
@@ -69,17 +78,27 @@ def initial_states(
             for outputs, mask in zip(y, valid, strict=True)
         ]
     )
-    starts = np.concatenate([starts, np.broadcast_to(z, (*starts.shape[:2], len(z)))], axis=-1)
-    measured = np.arange(starts.shape[-1]) < starts.shape[-1] - len(z)
+    if past is not None:
+        past = np.where(
+            np.max(np.abs(past), axis=(1, 2, 3), keepdims=True) < _SETTINGS.past, 0.0, past
+        )
+    declared = np.concatenate([z, np.zeros(0 if past is None else past.shape[-1])])
+    shape = (*starts.shape[:2], len(declared))
+    starts = np.concatenate([starts, np.broadcast_to(declared, shape)], axis=-1)
+    measured = np.arange(starts.shape[-1]) < starts.shape[-1] - len(declared)
     spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
-    first_samples = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0))
+    first_samples = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0), past)
     cost, values = _descend(first_samples, starts, measured)
-    if len(z):
-        # Internal states stay where the model starts them, unless the first samples tell (BIC):
-        # from a few noisy ones they would come out anywhere.
+    if len(declared):
+        # Internal states stay where the model starts them, and inputs have always been at their
+        # first values, unless the first samples tell (BIC): from a few noisy ones they would come
+        # out anywhere.
         freed_cost, freed_values = _descend(first_samples, values[:, None], np.ones_like(measured))
         count = np.maximum(np.sum(valid, axis=(1, 2)), 2)
-        significant = freed_cost < cost * np.exp(-2.0 * len(z) * np.log(count) / count)
+        unknown = len(z) + (
+            0 if past is None else np.sum(np.any(past != 0, axis=(1, 2, 3)), axis=1)
+        )
+        significant = freed_cost < cost * np.exp(-2.0 * unknown * np.log(count) / count)
         values = np.where(significant[:, None], freed_values, values)
     return values
 
@@ -183,12 +202,15 @@ class _Heads:
     valid: Bool[np.ndarray, "runs time ny"]
     period: float
     spread: Float[np.ndarray, " ny"]
+    past: Float[np.ndarray, "runs steps 3 nu past"] | None = None
 
     def part(self, runs: Int[np.ndarray, " some"]) -> "_Heads":
         """The first samples of some of the runs."""
         if len(runs) == len(self.y):
             return self
-        return replace(self, heads=self._driving(runs), y=self.y[runs], valid=self.valid[runs])
+        past = None if self.past is None else self.past[runs]
+        y, valid = self.y[runs], self.valid[runs]
+        return replace(self, heads=self._driving(runs), y=y, valid=valid, past=past)
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
@@ -242,7 +264,11 @@ class _Heads:
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
         z = np.abs(values[:, self._reach.shape[1] :])
-        size = np.concatenate([self._reach, np.where(z > 0, z, 1.0)], axis=1)
+        unit = np.ones_like(z)
+        if self.past is not None:
+            levels = np.max(np.abs(self.heads.inputs), axis=(1, 2))
+            unit[:, -levels.shape[1] :] = np.where(levels > 0, levels, 1.0)
+        size = np.concatenate([self._reach, np.where(z > 0, z, unit)], axis=1)
         return _SETTINGS.difference * size
 
     @cached_property
@@ -257,8 +283,10 @@ class _Heads:
         run = self.run
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
-        starts = states_of(run.plant, lanes)
-        outputs = outputs_of(run.plant, self._driving(owner), starts, run.friction)
+        starts, driving = states_of(run.plant, lanes), self._driving(owner)
+        if self.past is not None:
+            driving = with_past(driving, self.past[owner], lanes)
+        outputs = outputs_of(run.plant, driving, starts, run.friction)
         return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
 
 
@@ -310,4 +338,18 @@ def states_of(plant: Plant, values: Starts) -> State:
     rows, columns = owned(plant)
     y = np.zeros((len(values), plant.rows, len(plant.outputs)))
     y[:, rows, columns] = values[:, : len(rows)]
-    return State(y, values[:, len(rows) :])
+    return State(y, values[:, len(rows) : len(rows) + len(plant.initial_internal)])
+
+
+def with_past(
+    drives: Drive, past: Float[np.ndarray, "runs steps 3 nu past"], values: Starts
+) -> Drive:
+    """What drives runs whose inputs were at other levels before the record.
+
+    Args:
+        drives: of each run, if the inputs have always been at their first values.
+        past: how the inputs change with these levels.
+        values: unknowns of each run, of which the last ones are the levels.
+    """
+    moved = np.einsum("rsfup,rp->rsfu", past, values[:, -past.shape[-1] :])
+    return Drive(drives.time, drives.step, drives.inputs + moved, drives.substeps, drives.last)

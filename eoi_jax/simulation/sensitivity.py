@@ -34,7 +34,8 @@ class RunLane(eqx.Module):
 
     Attributes:
         theta: all parameters, shape (np,).
-        start: unknowns of the initial state: outputs and derivatives, then z, shape (own,).
+        start: unknowns of the initial state: outputs and derivatives, then z, then, behind
+            actuators, levels of the inputs before the record, shape (own,).
         declared: 1 where z starts as the plant declares, 0 where `start` says how.
         scale: 1/σ of each output, shape (ny,).
         threshold: κ of Huber's loss; infinite for squares.
@@ -56,6 +57,7 @@ class RunRow(eqx.Module):
         y: outputs at its start, anything finite where not scored.
         use: 1 where scored, 0 where not; shape (ny,).
         slope: derivatives of the inputs with θ at the lane's own, behind actuators; else None.
+        past: derivatives of the inputs with their levels before the record; likewise.
     """
 
     time: Float[Host, "*steps"]
@@ -63,6 +65,7 @@ class RunRow(eqx.Module):
     y: Float[Host, "*steps ny"]
     use: Float[Host, "*steps ny"]
     slope: Float[Host, "*steps 3 nu np"] | None = None
+    past: Float[Host, "*steps 3 nu nu"] | None = None
 
 
 class Direction(eqx.Module):
@@ -109,8 +112,8 @@ class RunKernel(eqx.Module):
         empty = jnp.zeros((self.plant.rows, len(self.plant.outputs)), values.dtype)
         places = (np.asarray(part, dtype=int) for part in (self.rows, self.columns))
         y = empty.at[tuple(places)].set(values[:count])
-        z = jnp.where(declared > 0, self.plant.internal_start(jnp.asarray(theta)), values[count:])
-        return State(y, z)
+        z = self.plant.internal_start(jnp.asarray(theta))
+        return State(y, jnp.where(declared > 0, z, values[count : count + z.size]))
 
     def directions(self, start_size: int) -> Direction:
         """Of each unknown; so many are in the start."""
@@ -156,11 +159,14 @@ class RunKernel(eqx.Module):
         """State after a step, and its derivative in one direction."""
         theta, time, u = (jnp.asarray(part) for part in (lane.theta, row.time, row.inputs))
 
-        def flow(x: State, moved: Array) -> State:
-            inputs = u if row.slope is None else u + row.slope @ (moved - theta)
+        tangents = slope, jnp.asarray(direction.theta, theta.dtype)
+
+        def flow(x: State, moved: Array, inputs: Array) -> State:
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
-        return jax.jvp(flow, (x, theta), (slope, jnp.asarray(direction.theta, theta.dtype)))
+        if row.slope is None:
+            return jax.jvp(lambda x, moved: flow(x, moved, u), (x, theta), tangents)
+        return jax.jvp(flow, (x, theta, u), (*tangents, _input_change(row, direction)))
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
         """A whole run by `lax.scan`: the sums, and what each row shows."""
@@ -196,18 +202,30 @@ class RunKernel(eqx.Module):
             return x.y[0], slope.y[0]
         theta, u = jnp.asarray(lane.theta), jnp.asarray(row.inputs)[0]
 
-        def outputs(x: State, moved: Array) -> Array:
-            inputs = u if row.slope is None else u + row.slope[0] @ (moved - theta)
+        tangents = slope, jnp.asarray(direction.theta, theta.dtype)
+
+        def outputs(x: State, moved: Array, inputs: Array) -> Array:
             time = jnp.asarray(row.time)
             return output_of(self.plant, moved, time, x, inputs, self.friction)
 
-        return jax.jvp(outputs, (x, theta), (slope, jnp.asarray(direction.theta, theta.dtype)))
+        if row.slope is None:
+            return jax.jvp(lambda x, moved: outputs(x, moved, u), (x, theta), tangents)
+        return jax.jvp(outputs, (x, theta, u), (*tangents, _input_change(row, direction)[0]))
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
         weight, excess = _huber(jnp, scored[:, -1], lane.threshold)
         square = (weight[:, None] * scored).T @ scored
         return square.at[-1, -1].add(jnp.sum(excess))
+
+
+def _input_change(row: RunRow, direction: Direction) -> Float[Array, "3 nu"]:
+    """How the inputs behind actuators change in one direction."""
+    assert row.slope is not None
+    assert row.past is not None
+    slope, past = jnp.asarray(row.slope), jnp.asarray(row.past)
+    levels = jnp.asarray(direction.start)[-past.shape[-1] :]
+    return slope @ jnp.asarray(direction.theta) + past @ levels
 
 
 def added_up(

@@ -210,13 +210,16 @@ def acted(plant: Plant, driven_by: Drive) -> Drive:
 
 
 @jit
-def actuated(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "steps 3 nu"]:
+def actuated(
+    plant: Plant, theta: Theta, driven_by: Drive, past: Float[Array, " nu"] | None = None
+) -> Float[Array, "steps 3 nu"]:
     """Inputs behind the actuators of a plant, for use inside other JAX code.
 
     Args:
         plant: with an actuator; its own parameter values are not used.
         theta: parameter values; derivatives with them are those of the actuator.
         driven_by: of a whole record, from whose start on the past of the inputs is known.
+        past: level of the inputs before the record, less their first values. None: zero.
 
     Returns:
         The inputs of `acted`, at the start, the middle and the end of each step. If an output has
@@ -229,7 +232,12 @@ def actuated(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "step
         inputs = jnp.concatenate([inputs, held_on])
     first, middle, last = jnp.moveaxis(inputs, 1, 0)
     mean = (first + 4.0 * middle + last) / 6.0
-    mean = plant.driven(time + 0.5 * driven_by.step, mean, theta)
+    middles = time + 0.5 * driven_by.step
+    if past is None:
+        mean = plant.driven(middles, mean, theta)
+    else:  # a step more, in which an actuator is settled at that level
+        middles = jnp.concatenate([middles[:1] - driven_by.step, middles])
+        mean = plant.driven(middles, jnp.concatenate([mean[:1] + past, mean]), theta)[1:]
     ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     begins, stops = ends[:-1], ends[1:]
     parabolas = jnp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
@@ -238,6 +246,25 @@ def actuated(plant: Plant, theta: Theta, driven_by: Drive) -> Float[Array, "step
     is_held = jnp.all(first == last, axis=0)
     is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
     return jnp.where(is_held, mean[:, None], parabolas)
+
+
+def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu past"]:
+    """How the inputs of `acted` change with the levels of all inputs before the record.
+
+    Delays and lags are linear: the slopes are the same at any level.
+
+    Args:
+        plant: at its parameters.
+        driven_by: of a whole record; no past of inputs matters without an actuator.
+    """
+    return np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
+
+
+@jit
+def _past_slopes(plant: Plant, theta: Theta, driven_by: Drive) -> Array:
+    settled = jnp.zeros(len(plant.inputs), theta.dtype)
+    slopes = jax.jacfwd(lambda past: actuated(plant, theta, driven_by, past))(settled)
+    return slopes[: driven_by.time.shape[0]]
 
 
 # -- starts ------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """Free-run error of a plant on records: what simulation alone, without feedback of y, gets right.
 
-The initial state (outputs, their derivatives, internal states) is part of no model: it is
-estimated from the first samples of each run (`initial_state.py`), which are not scored.
+The initial state (outputs, their derivatives, internal states, and where inputs behind delays and
+lags were before the record) is part of no model: it is estimated from the first samples of each run
+(`initial_state.py`), which are not scored.
 """
 
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
@@ -31,9 +32,10 @@ from eoi_jax.data.windows import (
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
-from eoi_jax.simulation.initial_state import Run, initial_states, states_of
+from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
-from eoi_jax.simulation.simulate import acted, drive
+from eoi_jax.simulation.simulate import acted, drive, past_slopes
+from eoi_jax.simulation.start_error import sufficient_starts
 from eoi_jax.simulation.step_size import RULES, StepChoice, choose_steps, finest_steps
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -93,7 +95,8 @@ def validate(
         records: one or several; a record's burn-in is not scored.
         initial_samples: samples at the start of each run from which its initial state is estimated;
             they are not scored. None: fifty, a third of a record of less than 150 samples; more
-            where an output is measured rarely.
+            where an output is measured rarely, and, without windows, where the error of a start
+            from so few samples would rule the run (`start_error.py`).
         window: length of each run [s]; the state is then estimated anew at the start of every
             window. None: one run through the whole record, the harder test.
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
@@ -131,8 +134,10 @@ def _judged(
     """The free runs of records whose hold is declared."""
     choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
     heads = [_head(plant, record, initial_samples) for record in records]
-    pieces = _pieces(plant, records, heads, window)
     run = Run(plant, frictional(plant), choice.count)
+    if initial_samples is None and window is None:
+        heads = sufficient_starts(run, records, heads)
+    pieces = _pieces(plant, records, heads, window)
     prediction = _Prediction.of(run, records, pieces)
     if not choice.exact:
         prediction = _halved(prediction, run, records, pieces)
@@ -339,12 +344,12 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
     record, runs, diverged = piece.part, piece.plan, None
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
-    logged = drive(record.time, record.inputs, record.hold, run.substeps, record.skew)
-    record_drive = acted(run.plant, logged)
+    driven_by = drive(record.time, record.inputs, record.hold, run.substeps, record.skew)
+    past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
     for start, sample_range, y_hat in zip(
         runs.starts,
         runs.predicted,
-        _free_runs(run, record, record_drive, runs),
+        _free_runs(run, record, acted(run.plant, driven_by), runs, past),
         strict=True,
     ):
         bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
@@ -364,25 +369,36 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
 
 
 def _free_runs(
-    run: Run, record: Record, record_drive: Drive, runs: Plan
+    run: Run, record: Record, record_drive: Drive, runs: Plan, past: np.ndarray | None
 ) -> Float[np.ndarray, "runs time ny"]:
-    """The runs of a plan, each from its own estimated initial state."""
+    """The runs of a plan, each from its own estimated initial state.
+
+    `past`: how the inputs of all steps change with their levels before the record.
+    """
     if not runs.starts:
         return np.zeros((0, runs.steps + 1, record.outputs.shape[1]))
     first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
     head = _parts(record_drive, runs.starts, runs.head - 1)
     y, valid = record.outputs[first_samples], record.output_valid[first_samples]
-    begun = states_of(run.plant, initial_states(run, head, y, valid))
+    head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
+    values = initial_states(run, head, y, valid, head_past)
     drives = _parts(record_drive, runs.starts, runs.steps)
-    return outputs_of(run.plant, drives, begun, run.friction)
+    if past is not None:
+        whole = past[_steps(record_drive, runs.starts, runs.steps)]
+        drives = with_past(drives, whole, values)
+    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+
+
+def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:
+    """Steps of each run; a late one ends beyond the record, where nothing is looked at."""
+    n = record_drive.substeps
+    steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
+    return np.minimum(steps, len(record_drive.time) - 1)
 
 
 def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
     """What drives each run, runs first."""
-    n = record_drive.substeps
-    steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
-    # A run that starts late ends beyond the record, where nothing of it is looked at.
-    steps = np.minimum(steps, len(record_drive.time) - 1)
+    n, steps = record_drive.substeps, _steps(record_drive, starts, count)
     period = np.full(len(starts), record_drive.step)
     last = record_drive.following[steps[:, -1]]
     return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n, last)

@@ -125,7 +125,8 @@ def test_derivatives_are_finite_differences(plant, moved):
             i, k = divmod(j - free, own)
             column[i] = jacobian[k, i]
         # Differences are off by the bend over their step, and by 1e-15 over it.
-        assert np.linalg.norm(slope - column) < 1e-5 * np.linalg.norm(column), j
+        # A run that begins behind another one has none with the level before the record.
+        assert np.linalg.norm(slope - column) <= 1e-5 * np.linalg.norm(column), j
 
 
 @pytest.mark.parametrize("plant", [RUBBING, LAGGED], ids=["machine code", "scan"])

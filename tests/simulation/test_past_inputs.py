@@ -1,0 +1,68 @@
+"""Inputs behind lags and delays that were at another level before the record."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.models.equations.text_model import plant_from_text
+from eoi_jax.simulation.simulate import acted, actuated, drive, past_slopes
+
+SLOW, LAG, NOISE = 3.0, 0.7, 1e-3
+
+
+def _plant(**parameters):
+    return plant_from_text(
+        derivatives={"y": "(u - y)/T"},
+        parameters={"T": SLOW, "lag": LAG, **parameters},
+        inputs=("u",),
+        outputs=("y",),
+        input_lag={"u": "lag"},
+    )
+
+
+def _step_response(seed):
+    """Of both lags in series, from rest; the input is already on at the first sample."""
+    time = np.arange(400) * 0.05
+    parts = SLOW * np.exp(-time / SLOW) - LAG * np.exp(-time / LAG)
+    y = 1.0 - parts / (SLOW - LAG)
+    y += NOISE * np.random.default_rng(seed).standard_normal(len(y))
+    return eoi.Record(
+        time, np.ones(len(y)), y, hold="zero", input_names=("u",), output_names=("y",)
+    )
+
+
+def test_a_step_response_that_begins_with_its_step_is_simulated():
+    judged = eoi.validate(_plant(), _step_response(1))
+    assert judged.rmse[0] < 1.1 * NOISE
+
+
+def test_a_step_response_that_begins_with_its_step_is_refined():
+    refined = eoi.refine(_plant(T=2.0, lag=0.3), [_step_response(2), _step_response(3)])
+    assert refined.status.ok
+    for name, value in {"T": SLOW, "lag": LAG}.items():
+        error = refined.standard_errors[name]
+        assert error < 0.01 * value
+        assert refined.parameters[name] == pytest.approx(value, abs=4.0 * error)
+
+
+def test_levels_before_the_record_fade_behind_a_lag_and_pass_behind_a_delay():
+    time = np.arange(40) * 0.1
+    plant = _plant()
+    driven_by = drive(time, np.ones((40, 1)), "zero")
+    slopes = past_slopes(plant, driven_by)[:, 0, 0, 0]
+    # the input at the start of a step is the mean over the steps around it, (h/T)²/6 larger
+    assert slopes[5:] == pytest.approx(np.exp(-time[5:-1] / LAG), rel=1.05 * (0.1 / LAG) ** 2 / 6)
+    moved = actuated(plant, jnp.asarray(plant.theta), driven_by, jnp.asarray([-1.0]))
+    settled = acted(plant, driven_by)
+    assert np.asarray(moved)[:, 0, 0] == pytest.approx(settled.inputs[:, 0, 0] - slopes)
+    late = plant_from_text(
+        derivatives={"y": "(u - y)/T"},
+        parameters={"T": 3.0, "late": 0.35},
+        inputs=("u",),
+        outputs=("y",),
+        input_delay={"u": "late"},
+    )
+    means = np.mean(past_slopes(late, driven_by)[:, [0, 1, 1, 2], 0, 0], axis=1)
+    assert means[:2] == pytest.approx(1.0)
+    assert means[6:] == pytest.approx(0.0)
