@@ -25,7 +25,11 @@ from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
 from eoi_jax.estimation.engines.single import OnePass, single_pass
 from eoi_jax.estimation.hold import decided
-from eoi_jax.estimation.instrumental_variables import InstrumentalEstimate, correct_bias
+from eoi_jax.estimation.instrumental_variables import (
+    InstrumentalEstimate,
+    correct_bias,
+    refusal,
+)
 from eoi_jax.estimation.iteration import (
     Iteration,
     IterationHistory,
@@ -305,13 +309,19 @@ class _Driver:
                 self.plant.with_parameters(theta), best, self.observer
             )
             reasons += correction_reasons
-        bound = best.bound[0] if corrected is None else corrected.bound
+        sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
         if corrected is not None:
-            theta, increment = corrected.theta, np.zeros_like(theta)
-        if trace is None or corrected is not None:
+            corrected_sums, corrected_trace = self._pass(corrected.theta, "signals")
+            index = mean(corrected_sums.square, corrected_sums.weight)
+            refused = refusal(best.index[0], index, self.plant.outputs)
+            if refused:
+                corrected, reasons = None, (*reasons[: -len(correction_reasons)], refused)
+            else:
+                theta, increment = corrected.theta, np.zeros_like(theta)
+                sums, trace = corrected_sums, corrected_trace
+        bound = best.bound[0] if corrected is None else corrected.bound
+        if trace is None:
             sums, trace = self._pass(theta, "signals")
-        else:
-            sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
         residual = np.asarray(trace.injection - trace.Phi @ increment)
         information = np.einsum("j,jab->ab", best.weights[0], sums.information)
         plant = self.plant.with_parameters(theta)
