@@ -14,7 +14,7 @@ Where the library's simulator agrees, and how closely, is a column of the tables
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -71,9 +71,37 @@ def pendulum(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.nd
     edges = [0, *(np.flatnonzero(np.diff(u)) + 1).tolist(), len(time) - 1]
     state = (0.0, 0.0)
     for first, last in pairwise(edges):
-        stamps = time[first : last + 1]
-        angle[first : last + 1], state = _swing(p, stamps, p["d"] * u[first], state)
+        stamps, push = time[first : last + 1], p["d"] * u[first]
+
+        def smooth(y: float, v: float, push: float = push) -> float:
+            return push - p["a"] * math.sin(y) - p["b"] * v
+
+        angle[first : last + 1], state = _swing(smooth, p["c"], stamps, state)
     return angle[:, None]
+
+
+def body(
+    smooth: Callable[[float, float, float], float],
+    level: float,
+    time: np.ndarray,
+    u: np.ndarray,
+) -> np.ndarray:
+    """y'' = smooth(y, y', u) - level sign(y') from rest under a held input: y, shape (N, 1).
+
+    To nine digits: for records with noise.
+    """
+    y = np.zeros(len(time))
+    edges = [0, *(np.flatnonzero(np.diff(u)) + 1).tolist(), len(time) - 1]
+    state = (0.0, 0.0)
+    for first, last in pairwise(edges):
+        stamps, push = time[first : last + 1], float(u[first])
+
+        def pushed(y: float, v: float, push: float = push) -> float:
+            return smooth(y, v, push)
+
+        longest = 20.0 * _period(time)  # so that no two stops fall into one step
+        y[first : last + 1], state = _swing(pushed, level, stamps, state, longest, 1e-9)
+    return y[:, None]
 
 
 def duffing(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
@@ -105,29 +133,34 @@ def duffing(p: Parameters, time: np.ndarray, u: np.ndarray, hold: str) -> np.nda
 
 
 def _swing(
-    p: Parameters, stamps: np.ndarray, push: float, state: tuple[float, float]
+    smooth: Callable[[float, float], float],
+    level: float,
+    stamps: np.ndarray,
+    state: tuple[float, float],
+    longest: float = 4e-3,
+    rtol: float = 1e-12,
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """Angles at `stamps` under a constant push, and angle and rate at the last one."""
+    """Positions at `stamps`, position and velocity at the last one, with dry friction `level`."""
     y, v = state
     t, end = float(stamps[0]), float(stamps[-1])
     out = np.full(len(stamps), y)
     while t < end:
-        force = push - p["a"] * math.sin(y)
-        if v == 0.0 and abs(force) <= p["c"]:  # it sticks, and nothing changes any more
+        force = smooth(y, 0.0)
+        if v == 0.0 and abs(force) <= level:  # it sticks, and nothing changes any more
             out[stamps >= t] = y
             return out, (y, 0.0)
         way = math.copysign(1.0, v if v != 0.0 else force)
 
         def field(_t: float, x: np.ndarray, way: float = way) -> tuple[float, float]:
-            return x[1], push - p["a"] * math.sin(x[0]) - p["b"] * x[1] - way * p["c"]
+            return x[1], smooth(x[0], x[1]) - way * level
 
         def stop(_t: float, x: np.ndarray) -> float:
             return x[1]
 
-        stop.terminal, stop.direction = True, -way  # type: ignore[attr-defined]
+        stop.terminal, stop.direction = level > 0.0, -way  # type: ignore[attr-defined]
         leg = solve_ivp(
             field, (t, end), (y, v), "DOP853", dense_output=True, events=stop,
-            rtol=1e-12, atol=1e-14, max_step=4e-3,
+            rtol=rtol, atol=1e-2 * rtol, max_step=longest,
         )  # fmt: skip
         inside = (stamps >= t) & (stamps <= leg.t[-1])
         out[inside] = leg.sol(stamps[inside])[0]

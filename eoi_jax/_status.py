@@ -28,6 +28,11 @@ class Status:
         """Whether the fit has an estimate of every free parameter."""
         return self.code in ANSWERED
 
+    @property
+    def fits(self) -> bool:
+        """Whether there is a fit, even if some parameters stay open in it."""
+        return self.ok or self.code == "unidentifiable"
+
     def __str__(self) -> str:
         return f"{self.code}: {self.message}"
 

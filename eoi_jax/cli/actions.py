@@ -166,7 +166,7 @@ def refine(
         if not start.status.ok and job.settings.refine.starts is None:
             summary = identification_summary(job, start, start_run)
             complaint = f"no estimate to refine ({start.status})"
-            if start.status.code != "no_data":
+            if start.status.code != "no_data" and not start.common_factors:
                 complaint += f". {_MORE_STARTS}"
             return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
         if progress is not None:

@@ -50,6 +50,7 @@ def identification_summary(
         "reasons": result.reasons,
         "notes": result.notes,
         "engine": _fields(result.engine),
+        "common_factors": [_fields(factor) for factor in result.common_factors],
         "validation": None if validation is None else _errors(validation),
     }
     return _plain({**summary, **_provenance(job)})
@@ -92,6 +93,7 @@ def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
         "findings": result.diagnosis.findings if result.diagnosis else (),
         "notes": result.notes,
         "engine": _fields(result.engine),
+        "common_factors": [_fields(factor) for factor in result.common_factors],
     }
     return _plain({**summary, **_provenance(job)})
 
@@ -129,6 +131,7 @@ def refinement_summary(
         "window": result.window,
         "notes": result.notes,
         "engine": _fields(result.engine),
+        "common_factors": [_fields(factor) for factor in result.common_factors],
         "identified": {"status": _status(start), **_fit(start)},
         "validation": {
             name: None if validation is None else _errors(validation)

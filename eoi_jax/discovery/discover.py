@@ -39,6 +39,7 @@ from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
+from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
@@ -189,6 +190,10 @@ class _Search:
         declared = estimate(self.plant, prepared, passes=_PASSES)
         if declared.status.code in ("no_data", "diverged"):
             return _failed(declared, held_out, records)
+        determined = without_common_factors(self.plant, declared.common_factors)
+        if determined is not self.plant:
+            discovery = replace(self, plant=determined).on(records, held_out)
+            return replace(discovery, common_factors=declared.common_factors)
         task = Task(
             self.plant, prepared, records, held_out, effects, declared, self.alpha, self.most,
             self.window,

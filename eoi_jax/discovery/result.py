@@ -6,6 +6,7 @@ from eoi_jax._display import Result
 from eoi_jax._status import EngineUsed, Status
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
+from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.equations.display import equation_latex, equation_text
@@ -128,6 +129,7 @@ class Discovery(Result):
         lead: where no effect explains it, the set that comes nearest, if it improves free runs;
             else None. It may represent an effect that the library does not contain.
         texts: of a loaded discovery, the texts when it was saved; else None.
+        common_factors: parameters that no record tells apart; one of each was held.
     """
 
     effects: tuple[str, ...]
@@ -150,6 +152,7 @@ class Discovery(Result):
     diagnosis: Diagnosis | None = None
     lead: PartialExplanation | None = None
     texts: Texts | None = None
+    common_factors: tuple[CommonFactor, ...] = ()
 
     @property
     def engine(self) -> EngineUsed:

@@ -30,6 +30,7 @@ from eoi_jax.models.effects.effect import AbstractActuator, AbstractEffect, Abst
 from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.step_scales import scaled_step, step_room, step_scales
 
 _BAND_RATIO = 2.0  # of the modes over the cut-off of F
 # Largest increase of that band where fast modes are informative: far beyond F a rig has further
@@ -188,9 +189,10 @@ class Round:
         return self._plant_with(self.bounded_fit, added)
 
     def _plant_with(self, fit: Fit, added: dict[Placed, tuple[float, ...]]) -> Plant:
-        """The model with a set; fitted again if internal states make the columns nonlinear."""
-        theta = np.array(self.model.theta)
-        theta[self.base.free] += fit.theta[: len(self.base.free)]
+        """The model with a set; fitted again if the declared model is not affine."""
+        theta, step = np.array(self.model.theta), np.zeros(len(self.model.names))
+        step[self.base.free] = fit.theta[: len(self.base.free)]
+        theta += scaled_step(theta, step, step_scales(self.model))
         theta = np.clip(theta, self.model.lower, self.model.upper)
         values = {
             name: value
@@ -199,7 +201,7 @@ class Round:
         }
         plant = augmented(self.model, list(added), values, self._bounds(list(added)))
         parameters = np.concatenate([theta, np.asarray(plant.theta)[len(theta) :]])
-        if own_states(self.model) == 0:
+        if own_states(self.model) == 0 and self.task.plant.is_affine:
             return plant.with_parameters(parameters)
         return settled(plant, self.stretches, self.candidate_search.power, parameters)
 
@@ -433,6 +435,8 @@ def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
     """The residual and the slopes of the declared model along the records, as modes."""
     error, slopes = model_rows(model, stretches)
     free = np.flatnonzero(model.free)
+    theta, lower, upper = (np.asarray(part) for part in (model.theta, model.lower, model.upper))
+    smallest, largest = step_room(theta, lower, upper, step_scales(model))
     parts, noise, output = [], [], []
     for record in stretches:
         for j in range(len(model.outputs)):
@@ -446,10 +450,7 @@ def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
         np.concatenate(noise),
         np.concatenate(parts),
         np.concatenate(output),
-        (
-            (np.asarray(model.lower) - model.theta)[free],
-            (np.asarray(model.upper) - model.theta)[free],
-        ),
+        (smallest[free], largest[free]),
     )
 
 

@@ -21,11 +21,16 @@ from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
 from eoi_jax.estimation.engines.single import OnePass, single_pass
 from eoi_jax.estimation.hold import decided
-from eoi_jax.estimation.instrumental_variables import InstrumentalEstimate, correct_bias
+from eoi_jax.estimation.instrumental_variables import (
+    InstrumentalEstimate,
+    correct_bias,
+    refusal,
+)
 from eoi_jax.estimation.iteration import (
     Iteration,
     IterationHistory,
@@ -49,9 +54,10 @@ from eoi_jax.estimation.preparation import (
 )
 from eoi_jax.estimation.regression.least_squares import standard_errors, untraced
 from eoi_jax.estimation.regression.robust_covariance import long_run
+from eoi_jax.estimation.runaway import held_runaways
+from eoi_jax.estimation.undersampled import resolved
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.step_size import fastest_mode
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,7 @@ class Identification(Result):
         certainty: covariance and standard errors, computed when they are first read.
         information: Σ φᵀφ at the estimate, summed over the weighted outputs, shape (np, np).
         engine: the engine of the passes, and why it was not the fastest.
+        common_factors: parameters that no record tells apart, where the estimate leaves some open.
     """
 
     parameters: dict[str, float]
@@ -120,6 +127,7 @@ class Identification(Result):
     certainty: Certainty | DeferredCertainty
     information: Float[np.ndarray, "np np"] | None = None
     engine: EngineUsed = NOT_RECORDED
+    common_factors: tuple[CommonFactor, ...] = ()
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -196,19 +204,26 @@ def identify(
     prepared = replace(prepared, reasons=(*evidence, *prepared.reasons))
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
-    if instruments is False or (instruments is None and plain_only):
-        return estimate(plant, prepared, observer, passes, transient, callback)
 
     def correction(estimated: Plant, best: Iteration, used: AbstractObserver) -> tuple:
         return correct_bias(estimated, best, checked, prepared, used, bool(instruments))
 
-    return estimate(plant, prepared, observer, passes, transient, callback, correction)
+    plain = instruments is False or (instruments is None and plain_only)
+    used = None if plain else correction
+
+    def refit(model: Plant) -> Identification:
+        return estimate(model, prepared, observer, passes, transient, callback, used)
+
+    fit = refit(plant)
+    if not fit.status.fits:
+        return fit
+    return held_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
 
 
 def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:
     """Geometric mean over the outputs of the smallest index; infinite without an estimate."""
     fit = estimate(plant, prepared, passes=passes)
-    return mean_index(fit) if fit.status.ok else np.inf
+    return mean_index(fit) if fit.status.fits else np.inf
 
 
 def mean_index(fit: Identification) -> float:
@@ -295,7 +310,8 @@ class _Driver:
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
         history, first_injection, trace = self._iterate(records)
-        best, status = history.best, self._status(history, records)
+        factors = self._common_factors(history)
+        best, status = history.best, self._status(history, records, factors)
         theta, increment = best.theta[0], best.increment[0]
         corrected = None
         if self.bias_correction is not None and status.ok:
@@ -305,13 +321,19 @@ class _Driver:
                 self.plant.with_parameters(theta), best, self.observer
             )
             reasons += correction_reasons
-        bound = best.bound[0] if corrected is None else corrected.bound
+        sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
         if corrected is not None:
-            theta, increment = corrected.theta, np.zeros_like(theta)
-        if trace is None or corrected is not None:
+            corrected_sums, corrected_trace = self._pass(corrected.theta, "signals")
+            index = mean(corrected_sums.square, corrected_sums.weight)
+            refused = refusal(best.index[0], index, self.plant.outputs)
+            if refused:
+                corrected, reasons = None, (*reasons[: -len(correction_reasons)], refused)
+            else:
+                theta, increment = corrected.theta, np.zeros_like(theta)
+                sums, trace = corrected_sums, corrected_trace
+        bound = best.bound[0] if corrected is None else corrected.bound
+        if trace is None:
             sums, trace = self._pass(theta, "signals")
-        else:
-            sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
         residual = np.asarray(trace.injection - trace.Phi @ increment)
         information = np.einsum("j,jab->ab", best.weights[0], sums.information)
         plant = self.plant.with_parameters(theta)
@@ -334,7 +356,7 @@ class _Driver:
             residual=self._per_sample(residual, trace.weight, records),
             sliding_fraction=sliding,
             unexplained=np.sqrt(power / np.where(observed_power > 0, observed_power, 1.0)),
-            status=_resolved(status, plant, records),
+            status=resolved(status, self.plant, plant, records),
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
@@ -343,6 +365,7 @@ class _Driver:
             certainty=self._make_certainty(best, trace, residual, corrected, status, information),
             information=information,
             engine=self.run_one_pass.used,
+            common_factors=factors,
         )
 
     def _make_certainty(
@@ -417,7 +440,18 @@ class _Driver:
             arrays.append(at_samples(self.plant, np.where(scored, average, np.nan)))
         return arrays
 
-    def _status(self, history: IterationHistory, records: tuple[Record, ...]) -> Status:
+    def _common_factors(self, history: IterationHistory) -> tuple[CommonFactor, ...]:
+        """Those of the equations, where the records leave parameters open."""
+        if history.codes[0] != "unidentifiable":
+            return ()
+        return common_factors(self.plant)
+
+    def _status(
+        self,
+        history: IterationHistory,
+        records: tuple[Record, ...],
+        factors: tuple[CommonFactor, ...],
+    ) -> Status:
         code, passes = str(history.codes[0]), int(history.passes[0])
         best_pass = int(history.best_pass[0]) + 1
         if code == "no_data":
@@ -429,7 +463,10 @@ class _Driver:
         if code == "unidentifiable":
             solution = jax.tree.map(lambda leaf: leaf[0], history.best.solution)
             combinations = untraced(solution, self.plant.names, self.plant.free)
-            return Status(code, _UNTRACED.format("; ".join(combinations)))
+            sentences = [factor.sentence for factor in factors]
+            if len(combinations) > sum(len(factor.fix) for factor in factors):
+                sentences.append(_UNTRACED.format("; ".join(combinations)))
+            return Status(code, ". ".join(sentences))
         if passes == 1:
             return Status(code, "one pass only: the nominal values were scored")
         messages = {
@@ -439,22 +476,6 @@ class _Driver:
             + (_POOR_OBSERVER if self.plant.is_affine else _NONLINEAR),
         }
         return Status(code, messages[code])
-
-
-def _resolved(status: Status, plant: Plant, records: tuple[Record, ...]) -> Status:
-    """The status of an estimate, which the samples may not resolve.
-
-    Between two samples a pass knows outputs by interpolation only. Of a mode whose time constant is
-    shorter than that it sees the quasi-static response, whatever its parameters are.
-    """
-    if not status.ok:
-        return status
-    for record in records:
-        rate = fastest_mode(plant, record, quantile=0.5)  # the mode is there half of the time
-        if rate * record.sample_period > 1.0:
-            text = _UNDERSAMPLED.format(1.0 / rate, record.sample_period)
-            return Status("undersampled", text)
-    return status
 
 
 @one_thread()
@@ -503,12 +524,6 @@ _CONSTANT_OUTPUTS = (
 _NO_DATA = (
     "no sample is left to score: the record is shorter than the transient, masked, or the plant "
     "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
-)
-_UNDERSAMPLED = (
-    "the estimate has a mode with a time constant of {:.2g} s, shorter than the sample period of "
-    "{:.2g} s: the passes cannot resolve it, and parameters that set it are biased by more than "
-    "their standard errors. Use `refine`, which simulates between the samples, sample faster, or "
-    "replace the fast state by its steady state"
 )
 _STILL_FALLING = "the index is smallest in pass {} and was still to fall: allow more passes"
 _STALLED = (

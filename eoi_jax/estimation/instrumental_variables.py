@@ -62,6 +62,10 @@ class InstrumentalSettings:
     # Share of the residual's power that measurement noise predicts: below this range the model
     # lacks something, above it the noise estimate contains signal.
     noise_shares: tuple[float, float] = (0.1, 4.0)
+    # Index at the corrected estimate over that of least squares, the smallest there is: little
+    # above one where noise biased the latter, large where the instruments follow a model that
+    # lacks something.
+    max_index_ratio: float = 4.0
     slope_samples: int = 200  # at which slopes of the model are taken
     noise_frequencies: int = 4096  # at which its spectrum is taken, from zero to Nyquist
 
@@ -128,6 +132,8 @@ def instrumental_estimate(
             return "its instruments do not determine the parameters"
         theta = np.clip(theta + increment, plant.lower, plant.upper)
         power = sums.square / np.maximum(sums.count, 1.0)
+        if np.any(power > _spread(records) ** 2):
+            return _ERRORS_GROW
         weights = 1.0 / np.maximum(power, 1e-24 * _spread(records) ** 2 + np.finfo(float).tiny)
         if iteration == 1:
             continue
@@ -184,6 +190,33 @@ def correct_bias(
     if corrected.windows > 1:
         text += f", runs restarted {corrected.windows - 1} times a record"
     return corrected, (f"{text}: {reason}",)
+
+
+def refusal(
+    before: Float[np.ndarray, " ny"],
+    after: Float[np.ndarray, " ny"],
+    outputs: Sequence[str],
+    settings: InstrumentalSettings = _SETTINGS,
+) -> str:
+    """Why an estimate by instrumental variables is not used; "" if it is.
+
+    Args:
+        before: index of the plain estimate.
+        after: index of that by instrumental variables.
+        outputs: names.
+        settings: with the largest ratio.
+    """
+    ratio = after / np.where(before > 0, before, np.inf)
+    worst = int(np.argmax(ratio))
+    if ratio[worst] <= settings.max_index_ratio:
+        return ""
+    return _INDEX_RISES.format(outputs[worst], ratio[worst])
+
+
+_INDEX_RISES = (
+    "no instrumental variables: with them the index of {} is {:.3g} times as large, so that the "
+    "model lacks more than noise hides"
+)
 
 
 def _long_enough(
@@ -290,6 +323,10 @@ def _start_length(record: Record, length: int, prepared: PreparedRecords) -> int
 
 _FRICTION_ACTS_ON_OTHERS = (
     "dry friction acts on another output by inertia, where a stuck one leaves its reaction"
+)
+_ERRORS_GROW = (
+    "errors grow along its free runs, as where a pendulum turns over, until they are larger than "
+    "the outputs"
 )
 _RUNS_DEPART = "the free run of the model departs from the records, even in short windows"
 

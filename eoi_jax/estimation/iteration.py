@@ -28,6 +28,7 @@ from eoi_jax.estimation.regression.bounded import bounded, leaves_bounds
 from eoi_jax.estimation.regression.index import index as index_of
 from eoi_jax.estimation.regression.least_squares import Solution, least_squares
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.step_scales import coordinates, scaled_step, step_room, step_scales
 
 Thetas = Float[np.ndarray, "lanes np"]
 Watch = Callable[[int, np.ndarray, np.ndarray], None]
@@ -165,6 +166,7 @@ def iterate(
     lanes, affine = np.arange(len(start)), plant.is_affine
     theta, active, damping = start, np.ones(len(start), bool), np.zeros(len(start))
     stale, count, best_pass = (np.zeros(len(start), int) for _ in range(3))
+    awaited = np.zeros(len(start), bool)
     sums = reference = best = has_data = None
     factor, history = _SETTINGS.damping_factor, []
     for number in range(passes):
@@ -176,7 +178,12 @@ def iterate(
             reference, best, has_data = current, current, np.any(new_sums.count != 0, axis=1)
         is_lower = current.cost < reference.cost - _SETTINGS.min_progress
         better = active & ((number == 0) | is_lower)
-        overshot = active & ~better & (current.cost > reference.cost) & (not affine)
+        worse = active & ~better & (current.cost > reference.cost) & (not affine)
+        # A divisor that is right at last makes the others wrong for one step, by as much as it was:
+        # a step is an overshoot where the next full one does not make up for it (the watchdog of
+        # R. Chamberlain et al., Mathematical Programming Study 16 (1982) 1).
+        awaited = worse & ~awaited & (damping == 0.0) & np.isfinite(current.cost)
+        overshot = worse & ~awaited
         stale = np.where(better, 0, stale + active)
         reduced = np.where(damping > _SETTINGS.min_damping, damping / factor, 0.0)
         damping = np.where(better, reduced, damping)
@@ -344,8 +351,11 @@ def _solve(
     information = np.einsum("lj,ljab->lab", weights, sums.information)
     rhs = np.einsum("lj,lja->la", weights, sums.rhs)
     solution = least_squares(information, rhs, plant.free, damping)
+    scales = step_scales(plant)
     solution, bound = _solve_within_bounds(plant, theta, solution, information, rhs, damping)
-    moved = np.clip(theta + solution.increment, plant.lower, plant.upper)
+    with np.errstate(all="ignore"):  # of lanes that are not finite
+        moved = theta + scaled_step(theta, np.asarray(solution.increment), scales)
+    moved = np.clip(moved, plant.lower, plant.upper)
     return Iteration(theta, sums, power, weights, solution, moved - theta, bound)
 
 
@@ -363,16 +373,27 @@ def _solve_within_bounds(
     clipping without that would leave the others fitted to a model that the bounds exclude.
     """
     lower, upper, free = (np.asarray(array) for array in (plant.lower, plant.upper, plant.free))
-    room = lower - theta, upper - theta
-    unbounded = np.asarray(solution.increment)
+    scales = step_scales(plant)
+    room = step_room(theta, lower, upper, scales)
+    unbounded, steps = np.asarray(solution.increment), None
+    if not scales.trivial:  # in the coordinates in which the bounds are
+        steps = coordinates(theta, scales)
+        unbounded = np.linalg.solve(steps, unbounded[..., None])[..., 0]
     if not leaves_bounds(unbounded, room):
         return solution, np.zeros(theta.shape, bool)
+    square, right, size = information, rhs, np.asarray(solution.scale)
+    if steps is not None:
+        square = np.swapaxes(steps, 1, 2) @ information @ steps
+        right = np.einsum("lab,la->lb", steps, rhs)
+        size = np.sqrt(np.maximum(np.diagonal(square, axis1=1, axis2=2), 0.0))
 
     def solve(rhs: Thetas, is_free: Bool[np.ndarray, "lanes np"]) -> Thetas:
-        return np.asarray(least_squares(information, rhs, free * is_free, damping).increment)
+        return np.asarray(least_squares(square, rhs, free * is_free, damping).increment)
 
-    damped = damping[:, None, None] * np.eye(len(free)) * solution.scale[:, :, None] ** 2
-    increment, side = bounded(solve, information + damped, rhs, unbounded, room)
+    damped = damping[:, None, None] * np.eye(len(free)) * size[:, :, None] ** 2
+    increment, side = bounded(solve, square + damped, right, unbounded, room)
+    if steps is not None:
+        increment = np.einsum("lab,lb->la", steps, increment)
     bound = ((side < 0) & (theta == lower)) | ((side > 0) & (theta == upper))
     inverse = np.asarray(least_squares(information, rhs, free * ~bound, damping).inverse)
     inverse = np.where(np.any(bound, axis=1)[:, None, None], inverse, solution.inverse)

@@ -388,15 +388,15 @@ class Plant(eqx.Module):
 
     @property
     def is_affine(self) -> bool:
-        """Whether f is affine in θ, so that a single least squares suffices.
+        """Whether f is affine in the free parameters, so that a single least squares suffices.
 
-        The traced ∂f/∂θ must not depend on θ: the result depends only on the equations, not on a
-        state or a unit. Equations that JAX cannot recognise as affine count as nonlinear.
+        The traced ∂f/∂θ must not depend on them: the result depends only on the equations, not on
+        a state or a unit. Equations that JAX cannot recognise as affine count as nonlinear.
         """
         if self.internal is not None or self.actuator is not None:
             return False
         shape = self.rows, len(self.outputs)
-        return _affine(self.dynamics, self.names, shape, len(self.inputs))
+        return _affine(self.dynamics, self.names, self.fixed, shape, len(self.inputs))
 
     @property
     def dry_friction(self) -> tuple[bool, ...]:
@@ -555,17 +555,29 @@ def _points(coordinates: int, parameters: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache(maxsize=64)
 def _affine(
-    dynamics: Dynamics, names: tuple[str, ...], shape: tuple[int, int], inputs: int
+    dynamics: Dynamics,
+    names: tuple[str, ...],
+    fixed: tuple[str, ...],
+    shape: tuple[int, int],
+    inputs: int,
 ) -> bool:
-    """Whether the jaxpr of ∂f/∂θ does not read θ."""
+    """Whether the jaxpr of ∂f/∂θ, of the free parameters θ, does not read θ."""
+    free = tuple(name for name in names if name not in fixed)
 
-    def slopes(theta: Array, t: Array, y: Array, u: Array) -> Array:
-        x, named = State(y, jnp.zeros(0)), parameter_type(names)
-        return jax.jacfwd(lambda values: jnp.asarray(dynamics(t, x, u, named(*values))))(theta)
+    def slopes(values: list[Array], known: list[Array], t: Array, y: Array, u: Array) -> Any:
+        x = State(y, jnp.zeros(0))
 
+        def f(values: list[Array]) -> Array:
+            named = dict(zip((*free, *fixed), [*values, *known], strict=True))
+            return jnp.asarray(dynamics(t, x, u, parameter_type(names)(**named)))
+
+        return jax.jacfwd(f)(values)
+
+    # Scalars: of an array, what reads an element reads all of them.
     dtype = jnp.result_type(float)
-    line = [jax.ShapeDtypeStruct(axes, dtype) for axes in ((len(names),), (), shape, (inputs,))]
-    return not inputs_read(jax.make_jaxpr(slopes)(*line))[0]
+    scalar, *line = (jax.ShapeDtypeStruct(axes, dtype) for axes in ((), (), shape, (inputs,)))
+    traced = jax.make_jaxpr(slopes)([scalar] * len(free), [scalar] * len(fixed), *line)
+    return not any(inputs_read(traced)[: len(free)])
 
 
 @functools.lru_cache(maxsize=64)

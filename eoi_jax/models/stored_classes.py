@@ -51,6 +51,7 @@ CLASSES: Mapping[str, str] = {
     "Status": "_status",
     "EngineUsed": "_status",
     "Certainty": "estimation.covariance",
+    "CommonFactor": "estimation.common_factors",
     "Identification": "estimation.identify",
     "Validation": "simulation.validate",
     "Diagnosis": "discovery.diagnosis",

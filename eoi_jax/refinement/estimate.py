@@ -11,6 +11,7 @@ from eoi_jax._status import Status
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
+from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import long_run
@@ -39,6 +40,7 @@ def refinement_of(
     bound = [name for i, name in enumerate(plant.names) if i in problem.free
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
     certainty = _certainty(fit, plant, bound, spans)
+    factors = common_factors(nominal) if certainty.lost else ()
     errors = np.sqrt(np.diagonal(certainty.covariance))
     if fit.differentiable:
         within_bounds = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
@@ -57,7 +59,7 @@ def refinement_of(
         _per_sample(error, fit.use, records, spans),
         fit.steps,
         window,
-        _status(fit, certainty.lost),
+        _status(fit, certainty.lost, factors),
         (
             *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
             *_unsettled(fit),
@@ -69,6 +71,7 @@ def refinement_of(
         tuple(records),
         problem.substeps,
         problem.engine,
+        factors,
     )
 
 
@@ -180,12 +183,15 @@ def _run_scores(
     return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1)
 
 
-def _status(fit: Fit, lost: Sequence[str]) -> Status:
+def _status(fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor]) -> Status:
     outcome, predicted_reduction = fit.outcome, float(fit.outcome.predicted_reduction)
     if not fit.differentiable:
         return Status("diverged", _ROUGH)
     if lost:
-        return Status("unidentifiable", _UNTRACED.format("; ".join(lost)))
+        sentences = [factor.sentence for factor in factors]
+        if len(lost) > sum(len(factor.fix) for factor in factors):
+            sentences.append(_UNTRACED.format("; ".join(lost)))
+        return Status("unidentifiable", ". ".join(sentences))
     if predicted_reduction < CONVERGED:
         return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
     if bool(outcome.exhausted):

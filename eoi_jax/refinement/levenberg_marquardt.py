@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.programs import jit
+from eoi_jax.models.step_scales import StepScales, scaled_step
 from eoi_jax.refinement.problem import (
     CONVERGED,
     Outcome,
@@ -60,7 +61,7 @@ class _Reduced(eqx.Module):
     Attributes:
         triangles: R of [J | error] of each run: its start, θ, the error.
         start_lengths, shared: lengths of the columns of starts and of θ (over all runs).
-        room: how far θ may go down and up.
+        theta: there. room: how far it may go down and up.
         predicted_reduction: share of the cost that a step without damping would take away.
         cost: there. poor: accepted steps in a row that lowered it by next to nothing.
         widest: largest trust region so far.
@@ -69,6 +70,7 @@ class _Reduced(eqx.Module):
     triangles: Float[Array, "runs size size"]
     start_lengths: Float[Host, "runs unknowns"]
     shared: Float[Host, " free"]
+    theta: Float[Host, " free"]
     room: Float[Array, "2 free"]
     predicted_reduction: Scalar
     cost: Scalar
@@ -77,12 +79,16 @@ class _Reduced(eqx.Module):
 
 
 class _Arrow(optx.AbstractDescent):
-    """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept."""
+    """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept.
+
+    Marquardt's steps are the same on any scale of a parameter; what they move is not.
+    """
 
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
     faintest: Float[Host, " states"]
     scored: Scalar
+    scales: StepScales = eqx.field(static=True)
 
     def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
         """Anything of the right shape."""
@@ -91,7 +97,7 @@ class _Arrow(optx.AbstractDescent):
         size = start_size + len(y.theta) + 1
         unit = jnp.ones((), y.theta.dtype)
         return _Reduced(
-            jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta,
+            jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta, y.theta,
             jnp.stack([y.theta, y.theta]), unit, jnp.inf * unit, jnp.asarray(0), unit,
         )  # fmt: skip
 
@@ -128,7 +134,9 @@ class _Arrow(optx.AbstractDescent):
         poor = lowered < _SETTINGS.poor_reduction
         poor &= lowered < _SETTINGS.poor_ratio * state.predicted_reduction
         count = jnp.where(poor, state.poor + 1, 0)
-        return _Reduced(triangles, *lengths, room, predicted_reduction, cost, count, state.widest)
+        return _Reduced(
+            triangles, *lengths, y.theta, room, predicted_reduction, cost, count, state.widest
+        )
 
     def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
         """The step of damping inverse to `step_size`."""
@@ -136,7 +144,10 @@ class _Arrow(optx.AbstractDescent):
         start_size = state.start_lengths.shape[1]
         rows = _damped(state.triangles, start_size, damping)
         theta, _ = _shared_step(rows, start_size, damping)
-        theta = jnp.clip(theta / state.shared, state.room[0], state.room[1])
+        theta = theta / state.shared
+        if not self.scales.trivial:
+            theta = scaled_step(state.theta, theta, self.scales, jnp)
+        theta = jnp.clip(theta, state.room[0], state.room[1])
         starts = _own_steps(rows[:, :start_size], theta * state.shared) / state.start_lengths
         return Unknowns(theta, starts), optx.RESULTS.successful
 
@@ -285,7 +296,9 @@ def _search(
 ) -> Outcome:
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm,
-        _Arrow(problem.lower, problem.upper, problem.faintest, _scored(problem)),
+        _Arrow(
+            problem.lower, problem.upper, problem.faintest, _scored(problem), problem.scales
+        ),
         optx.ClassicalTrustRegion(high_cutoff=_SETTINGS.widening), lambda **_: None,
         max_steps, watch, patient,
     )  # fmt: skip

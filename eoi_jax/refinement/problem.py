@@ -25,6 +25,7 @@ from eoi_jax.data.masks import scored_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.step_scales import StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
@@ -137,6 +138,7 @@ class Problem(eqx.Module):
             and of what its inputs were before.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
         start_sums: where a fit begins, and the sums there; None if they are not known.
+        scales: on which a step moves the unknown parameters (`models/step_scales.py`).
         substeps: rows of a sample.
         engine: of the runs: machine code by `engines.free_runs`, or scans, and why.
     """
@@ -157,6 +159,7 @@ class Problem(eqx.Module):
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
     start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
+    scales: StepScales = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
     engine: EngineUsed = eqx.field(static=True)
 
@@ -232,6 +235,7 @@ def problem_of(
         lower=np.asarray(plant.lower)[free],
         upper=np.asarray(plant.upper)[free],
         start_sums=None,
+        scales=step_scales(plant).of(free.tolist()),
         substeps=substeps,
         engine=compiled_runs.used(kernel),
     )

@@ -23,6 +23,7 @@ from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.estimate import ALL_DIVERGED, DIVERGED, NO_DATA, refinement_of, unanswered
@@ -155,7 +156,16 @@ def refine(
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
                          starts is not None, rounds, huber)  # fmt: skip
-    return _with_best_hold(nominal, records, question)
+    fit = _with_best_hold(nominal, records, question)
+    if not fit.status.fits:
+        return fit
+    alone = replace(question, points=points[:0], many_starts=False, rounds=1)
+    return held_runaways(
+        nominal,
+        fit,
+        lambda model: _with_best_hold(model, records, alone),
+        lambda result: result.cost,
+    )
 
 
 @dataclass(frozen=True)
@@ -185,18 +195,18 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
     if rule is None:
         return _refined(plant, records, question)
     result = _refined(plant, with_hold(records, rule), question)
-    if not result.status.ok:
+    if not result.status.fits:
         return result
     alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
     errors = {rule: _mean_error(result)}
     for hold in HOLDS:
         if hold != rule:
             other = _refined(result.plant, with_hold(records, hold), alone)
-            errors[hold] = _mean_error(other) if other.status.ok else np.inf
+            errors[hold] = _mean_error(other) if other.status.fits else np.inf
     best_fitting = best_hold(errors, rule)
     if best_fitting != rule:
         again = _refined(plant, with_hold(records, best_fitting), question)
-        result, best_fitting = (again, best_fitting) if again.status.ok else (result, rule)
+        result, best_fitting = (again, best_fitting) if again.status.fits else (result, rule)
     return replace(result, notes=(*result.notes, *evidence("the error", errors, best_fitting)))
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.models.plant import Plant
 
 
@@ -59,6 +60,7 @@ class Refinement(Result):
         records: as given; empty where they were not kept.
         substeps: steps of the simulation per sample.
         engine: that ran the simulations, and why where it was not the fast one.
+        common_factors: parameters that no record tells apart, where the estimate leaves some open.
     """
 
     parameters: dict[str, float]
@@ -82,3 +84,4 @@ class Refinement(Result):
     records: tuple[Record, ...] = ()
     substeps: int = 4
     engine: EngineUsed = NOT_RECORDED
+    common_factors: tuple[CommonFactor, ...] = ()

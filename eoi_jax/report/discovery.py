@@ -55,7 +55,25 @@ def _findings(discovery: Discovery) -> str:
 
 
 def answer(discovery: Discovery) -> str:
-    """What the model lacks, and the free-run error before and after, in one sentence."""
+    """What the model lacks, and the free-run error before and after, in one sentence.
+
+    Before it, what no record tells apart.
+    """
+    return "".join(f"{text}. " for text in _held_factors(discovery)) + _lacking(discovery)
+
+
+def _held_factors(discovery: Discovery) -> list[str]:
+    """A sentence for each common factor, with the value at which a parameter of it was held."""
+    plant = discovery.declared.nominal
+    sentences = []
+    for factor in discovery.common_factors:
+        held = _joined([f"{name} was held at {plant.parameters[name]:g}" for name in factor.fix
+                        if name in plant.fixed])  # fmt: skip
+        sentences.append(factor.sentence + (f"; here {held}" if held else ""))
+    return sentences
+
+
+def _lacking(discovery: Discovery) -> str:
     lacking = _joined(_added_phrases(discovery))
     code = discovery.status.code
     if code == "nothing_missing":

@@ -111,7 +111,7 @@ class _Begun:
 
 
 def _begun(run: Run, part: Record, head: int) -> _Begun:
-    whole = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps))
+    whole = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps, part.skew))
     first = _lanes(whole, 1, run.substeps * (head - 1))
     y, valid = part.outputs[:head], part.output_valid[:head]
     values = initial_states(run, first, y[None], valid[None])

@@ -218,4 +218,5 @@ class _Search:
             inner = outer - side
             share = (self.quantile - root[inner]) / (root[outer] - root[inner])
             ends.append(values[inner] + share * (values[outer] - values[inner]))
-        return float(ends[0]), float(ends[1])
+        low, high = np.clip(ends, *self.limits)  # an open end: as far as the bound
+        return float(low), float(high)

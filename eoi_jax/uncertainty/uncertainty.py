@@ -21,6 +21,7 @@ from eoi_jax._display import Result
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.identifiability import (
     format_direction,
+    groups_of,
     identifiable_combinations,
 )
 from eoi_jax.estimation.regression.least_squares import unidentified_directions
@@ -43,6 +44,7 @@ class Uncertainty(Result):
         unclear: sentences on what ended on a bound, and what cannot, or can hardly, be told apart.
         units: by name, as far as they are known.
         draws: estimates of a bootstrap, shape (resamples, np); None without.
+        lower, upper: bounds, which intervals keep, shape (np,); None without.
     """
 
     parameters: dict[str, float]
@@ -52,6 +54,8 @@ class Uncertainty(Result):
     unclear: tuple[str, ...]
     units: dict[str, str]
     draws: Float[np.ndarray, "resamples np"] | None = None
+    lower: Float[np.ndarray, " np"] | None = None
+    upper: Float[np.ndarray, " np"] | None = None
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -76,8 +80,9 @@ class Uncertainty(Result):
         Returns:
             (low, high): symmetric, from the t distribution; of a bootstrap the quantiles of its
             draws, at a level that makes up for their narrowness (T. Hesterberg, The American
-            Statistician 69 (2015) 371, "expanded percentile"). A fixed parameter has no width, one
-            that the data leave open no ends, and one on its bound NaN.
+            Statistician 69 (2015) 371, "expanded percentile"). They end at bounds, beyond which the
+            truth cannot be. A fixed parameter has no width, one that the data leave open no ends
+            but its bounds, and one on its bound NaN.
 
         Raises:
             ValueError: a level outside (0, 1).
@@ -91,9 +96,12 @@ class Uncertainty(Result):
             if self.draws is None
             else self._percentiles(quantile)
         )
+        lower = -np.inf if self.lower is None else self.lower
+        upper = np.inf if self.upper is None else self.upper
+        kept = [np.clip(end, lower, upper) for end in ends]
         return {
             name: (float(low), float(high))
-            for name, low, high in zip(self.parameters, *ends, strict=True)
+            for name, low, high in zip(self.parameters, *kept, strict=True)
         }
 
     def _percentiles(self, quantile: Float[np.ndarray, " np"]) -> tuple[np.ndarray, np.ndarray]:
@@ -175,8 +183,7 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     """
     check_kind("estimate", estimate, (Identification, Refinement), "an estimate")
     status = estimate.status
-    answered = status.ok or status.code == "unidentifiable"
-    check(answered, "estimate", "must be one with an answer", str(status))
+    check(status.fits, "estimate", "must be one with an answer", str(status))
     plant, covariance = estimate.plant, np.asarray(estimate.covariance)
     theta = np.asarray(plant.theta, dtype=float)
     freedom = estimate.degrees_of_freedom
@@ -189,7 +196,10 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
             np.asarray(information), np.where(bound, 0.0, plant.free)
         )
     units = {name: unit for name, unit in plant.units.items() if name in plant.names}
-    result = Uncertainty(estimate.parameters, covariance, freedom, untraced, (), units)
+    limits = (np.asarray(bound, dtype=float) for bound in (plant.lower, plant.upper))
+    result = Uncertainty(
+        estimate.parameters, covariance, freedom, untraced, (), units, None, *limits
+    )
     precision = _precision(covariance, freedom) if information is None else np.asarray(information)
     errors = np.asarray(list(result.standard_errors.values()))
     unclear = [
@@ -233,7 +243,7 @@ def _open(
     Weights that stand for whole numbers are within `tolerance` of them: they are not noisy.
     """
     sentences = []
-    for group in _groups(untraced):
+    for group in groups_of(untraced):
         involved, combinations = identifiable_combinations(
             untraced[:, group], theta, names, tolerance
         )
@@ -308,18 +318,6 @@ def _precision(
     correlation = np.where(scale > 0, covariance, 0.0) / np.where(scale > 0, scale, 1.0)
     inverse = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True)
     return inverse / np.where(scale > 0, scale, 1.0)
-
-
-def _groups(directions: Float[np.ndarray, "np k"]) -> list[list[int]]:
-    """Directions that share parameters, together."""
-    groups: list[tuple[set[int], list[int]]] = []
-    for k, direction in enumerate(directions.T):
-        parameters, members = set(np.flatnonzero(direction).tolist()), [k]
-        for group in [group for group in groups if group[0] & parameters]:
-            groups.remove(group)
-            parameters, members = parameters | group[0], group[1] + members
-        groups.append((parameters, members))
-    return [members for _, members in groups]
 
 
 def _listed(names: tuple[str, ...]) -> str:

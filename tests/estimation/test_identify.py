@@ -562,15 +562,28 @@ def test_status_says_that_the_model_is_not_finite():
 
 
 def test_a_bound_without_slopes_is_not_where_it_ends():
-    """f in √a, so far off that the first step ends on a = 0, where ∂f/∂a is infinite."""
+    """f in √(a + 10⁴), so far off that the first step ends on a = -10⁴, where ∂f/∂a is infinite."""
+
+    def rooted(t, x, u, p):
+        return -jnp.sqrt(p.a + 1e4) * x.y[0] - p.beta * x.y[1] + p.rho * u[0]
+
+    start = {"a": 16.0 * TRUE["alpha"] ** 2 - 1e4, "beta": TRUE["beta"], "rho": TRUE["rho"]}
+    plant = Plant(rooted, start, 2, bounds={"a": (-1e4, np.inf)})
+    got = identify(plant, swaying(), OBSERVER, LOWPASS, passes=20)
+    assert np.nanmin(got.parameter_history[:, 0]) == -1e4
+    recovered(got, {"a": TRUE["alpha"] ** 2 - 1e4, "beta": TRUE["beta"], "rho": TRUE["rho"]}, 2e-3)
+
+
+def test_a_parameter_that_may_not_be_negative_stays_positive():
+    """f in √a, so far off that a step on a linear scale would end below zero."""
 
     def rooted(t, x, u, p):
         return -jnp.sqrt(p.a) * x.y[0] - p.beta * x.y[1] + p.rho * u[0]
 
     start = {"a": 16.0 * TRUE["alpha"] ** 2, "beta": TRUE["beta"], "rho": TRUE["rho"]}
     plant = Plant(rooted, start, 2, bounds={"a": (0.0, np.inf)})
-    got = identify(plant, swaying(), OBSERVER, LOWPASS, passes=20)
-    assert np.nanmin(got.parameter_history[:, 0]) == 0.0
+    got = identify(plant, swaying(), OBSERVER, LOWPASS)
+    assert np.nanmin(got.parameter_history[:, 0]) > 0.5 * TRUE["alpha"] ** 2
     recovered(got, {"a": TRUE["alpha"] ** 2, "beta": TRUE["beta"], "rho": TRUE["rho"]}, 1e-3)
 
 

@@ -265,7 +265,14 @@ def test_jax_arrays_are_stored_as_arrays(tmp_path):
 
 
 # Fields that these files do not have, with the defaults that they are read with.
-LATER_FIELDS = {"kind_items": {"tuple": []}, "hold_declared": True, "output": {"tuple": []}}
+LATER_FIELDS = {
+    "kind_items": {"tuple": []},
+    "hold_declared": True,
+    "output": {"tuple": []},
+    "common_factors": {"tuple": []},
+    "lower": None,
+    "upper": None,
+}
 
 
 def tags(tree):

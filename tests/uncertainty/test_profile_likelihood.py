@@ -90,7 +90,7 @@ def test_a_profile_goes_as_far_as_its_threshold_and_no_further(profiled: Profile
     np.testing.assert_allclose(steps, 0.5, rtol=1e-9)  # of the half width by the parabola
 
 
-def test_a_bound_inside_the_interval_leaves_it_open(refined):
+def test_an_interval_ends_at_a_bound_inside_it(refined):
     measured, result = refined
     error = result.standard_errors["rate"]
     for side, end in ((-1, "below"), (1, "above")):
@@ -100,7 +100,7 @@ def test_a_bound_inside_the_interval_leaves_it_open(refined):
         found = eoi.profile(replace(result, plant=plant), measured, "rate", substeps=1)
         (note,) = found.notes
         assert note == f"open {end}: the bound {bound:g} lies inside the interval"
-        assert found.interval[(side + 1) // 2] == side * np.inf
+        assert found.interval[(side + 1) // 2] == bound
         assert np.isfinite(found.interval[(1 - side) // 2])
         assert bound == (found.values[0] if side < 0 else found.values[-1])
 

@@ -8,11 +8,11 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax._status import Status
+from eoi_jax.estimation.regression.identifiability import groups_of
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.report.estimate_figures import EstimateLayout, refinement_figure, uncertainty_figure
 from eoi_jax.uncertainty.uncertainty import (
     Uncertainty,
-    _groups,
     _on_bounds,
     _precision,
     student,
@@ -222,6 +222,17 @@ def test_what_left_no_trace_alone_is_named_alone():
     assert np.isfinite(known.standard_errors["mass"])
 
 
+def test_intervals_end_at_the_bounds():
+    limits = np.array([0.0, -np.inf, 2.9]), np.array([2.05, np.inf, np.inf])
+    known = sure(lower=limits[0], upper=limits[1])
+    open_ended, plain = known.intervals(), sure().intervals()
+    assert open_ended["inverse_mass"] == (plain["inverse_mass"][0], 2.05)
+    assert open_ended["stiffness"] == plain["stiffness"]
+    assert open_ended["damping"] == (2.9, plain["damping"][1])
+    untraced = np.array([[1.0], [0.0], [0.0]])
+    assert replace(known, untraced=untraced).intervals()["inverse_mass"] == (0.0, 2.05)
+
+
 def test_what_ended_on_a_bound_is_not_taken_for_what_left_no_trace():
     """Its information is left out, and its error NaN: `refine`."""
     plant = PLANT.declared_anew(bounds={"drag": (1.0, 2.6)})
@@ -393,4 +404,4 @@ def test_what_is_fixed_or_open_has_no_correlation():
 def test_directions_that_share_a_parameter_are_told_together():
     shared = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0],
                        [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]])  # fmt: skip
-    assert sorted(map(sorted, _groups(shared))) == [[0, 1, 3], [2]]
+    assert sorted(map(sorted, groups_of(shared))) == [[0, 1, 3], [2]]

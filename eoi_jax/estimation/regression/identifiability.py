@@ -59,6 +59,18 @@ def format_direction(
     )
 
 
+def groups_of(directions: Float[np.ndarray, "np k"]) -> list[list[int]]:
+    """Directions that share parameters, together."""
+    groups: list[tuple[set[int], list[int]]] = []
+    for k, direction in enumerate(directions.T):
+        parameters, members = set(np.flatnonzero(direction).tolist()), [k]
+        for group in [group for group in groups if group[0] & parameters]:
+            groups.remove(group)
+            parameters, members = parameters | group[0], group[1] + members
+        groups.append((parameters, members))
+    return [members for _, members in groups]
+
+
 def _is_involved(
     directions: Float[np.ndarray, "np k"], theta: np.ndarray, min_weight: float = 0.02
 ) -> Bool[np.ndarray, " np"]:
@@ -74,7 +86,7 @@ def _invariants(
     directions: np.ndarray, tolerance: float, names: Sequence[str], write: object
 ) -> tuple[str, ...] | None:
     """Combinations that are constant along the directions; None without small integer weights."""
-    rows, pivots = _reduced(directions.T)
+    rows, pivots = reduced(directions.T)
     remaining = [column for column in range(len(names)) if column not in pivots]
     forms = []
     for column in remaining:
@@ -94,7 +106,7 @@ def _invariants(
     return tuple(forms)
 
 
-def _reduced(rows: Float[np.ndarray, "k n"]) -> tuple[Float[np.ndarray, "k n"], list[int]]:
+def reduced(rows: Float[np.ndarray, "k n"]) -> tuple[Float[np.ndarray, "k n"], list[int]]:
     """Reduced echelon form from the right, and its pivots: the last parameters become divisors."""
     rows, pivots = np.array(rows), []
     for k in range(len(rows)):

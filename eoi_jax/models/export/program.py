@@ -91,6 +91,24 @@ class Program:
         )
 
 
+# Operations of `jax.numpy.linalg`, by their names in JAX.
+_OF_MATRICES = (
+    "lu",
+    "triangular_solve",
+    "cholesky",
+    "qr",
+    "householder_product",
+    "eigh",
+    "eig",
+    "svd",
+)
+_MATRICES = (
+    "It belongs to `jax.numpy.linalg` (`solve`, `inv`, `det`, …): write the solution out, of two "
+    "equations by Cramer's rule; `discover`, `refine` and `simulate` work as it is."
+)
+_ARITHMETIC = "Write it with + - * / **, comparisons, `where`, and functions such as sin or sqrt."
+
+
 def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     """The formulas of a plant.
 
@@ -115,7 +133,8 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         start = symbolic.nodes(lambda _t, _x, _u, theta: plant.internal_start(theta), inputs)
     except Untranslatable as error:
         rule = "must be arithmetic on states, inputs and parameters to be exported"
-        check(False, "plant", rule, f"the operation {error}")
+        matrix = str(error) in _OF_MATRICES
+        check(False, "plant", rule, f"the operation {error}", _MATRICES if matrix else _ARITHMETIC)
         raise
     states, rates = _chains(symbolic, f)
     for name, node in zip(internal_names(plant), g, strict=True):

@@ -412,10 +412,16 @@ def lookup(t, x, u, p):
     return p.a * jnp.asarray([1.0, 2.0, 3.0])[jnp.int32(jnp.abs(x.y[0, 0]))]
 
 
+def solved(t, x, u, p):
+    matrix = jnp.array([[p.a, x.y[0, 0]], [x.y[0, 0], 2.0]])
+    return jnp.linalg.solve(matrix, jnp.stack([u[0], 1.0]))[0]
+
+
 @pytest.mark.parametrize(
     ("plant", "name", "message"),
     [
         (lambda: simple(lookup), "a.c", "`plant` must be arithmetic on.*places that depend on"),
+        (lambda: simple(solved), "a.c", "operation lu. It belongs to `jax.numpy.linalg`.*Cramer"),
         (lambda: simple(lambda t, x, u, p: p.a * x.y[0], actuator=lambda t, u, p: u), "a.c",
          "`actuator` must be made of the effects"),
         (lambda: with_effects(eoi.plants.pendulum(), [effects.ActuatorLag()]).with_parameters(

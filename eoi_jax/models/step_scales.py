@@ -1,0 +1,286 @@
+r"""The scale on which a parameter is moved by a step of Gauss-Newton.
+
+A step Δ of a linearised model is right where the model is linear. A parameter in which f and g are
+affine is moved by Δ. One that divides is moved so that its reciprocal changes as that model says,
+
+    1/θ' = 1/θ - Δ/θ²,
+
+which is exact where f is affine in 1/θ, as (K u - b ẏ)/J is in J. Any other that must keep its
+sign, by its bounds or because f is not finite at zero, is moved on a logarithmic scale,
+θ' = θ exp(Δ/θ). No step of the last two is longer than a factor of eight, and none reaches zero,
+while a friction or a stiffness, in which f is affine, ends on its bound of zero exactly where the
+records say so.
+
+A parameter a in which f is affine may be multiplied by powers of others, as K is by 1/J: its slope
+is ∂f/∂a ∝ Π θ_j^e_j. Then it is the product c = a Π θ_j^e_j that is moved on a linear scale,
+
+    a' = (a + κ) Π (θ_j'/θ_j)^-e_j,     κ = Δ_a + a Σ e_j Δ_j/θ_j,
+
+for the step of a would else make up for that of the linearised 1/J, which is not taken. With κ in
+the place of Δ_a, a bound of zero is κ ≥ -a.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.plant import Plant, State
+
+LINEAR, LOGARITHMIC, RECIPROCAL = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class StepScaleSettings:
+    """How scales are found, and how long a step may be."""
+
+    max_factor: float = 8.0  # of a parameter, by one step: what a user's guess is mostly within
+    probes: int = 32
+    magnitudes: tuple[float, float] = (1e-2, 1e2)  # of states and inputs at the probes
+
+
+_SETTINGS = StepScaleSettings()
+
+
+@dataclass(frozen=True)
+class StepScales:
+    """How a step of a linearised model moves the parameters of a plant.
+
+    Hashable, so that a compiled program may depend on it.
+
+    Attributes:
+        scales: of each parameter, `LINEAR`, `LOGARITHMIC` or `RECIPROCAL`.
+        exponents: e_j in the slope of each parameter (rows) with the others (columns); zero where
+            it is no product of powers.
+    """
+
+    scales: tuple[int, ...]
+    exponents: tuple[tuple[float, ...], ...]
+
+    @property
+    def trivial(self) -> bool:
+        """Whether every parameter is moved by the step itself."""
+        return not any(self.scales) and not any(map(any, self.exponents))
+
+    def of(self, places: Sequence[int]) -> "StepScales":
+        """Those of some of the parameters."""
+        rows = tuple(tuple(self.exponents[i][j] for j in places) for i in places)
+        return StepScales(tuple(self.scales[i] for i in places), rows)
+
+
+def step_scales(plant: Plant) -> StepScales:
+    """Scales and exponents of all parameters.
+
+    Args:
+        plant: at the parameters near which it is probed.
+    """
+    if plant.is_affine:
+        count = len(plant.names)
+        return StepScales((LINEAR,) * count, ((0.0,) * count,) * count)
+    signed = (np.asarray(plant.lower) >= 0.0) | (np.asarray(plant.upper) <= 0.0)
+    return _scales(*_key(plant), tuple(signed.tolist()))
+
+
+def bent_parameters(plant: Plant) -> Bool[np.ndarray, " np"]:
+    """Free parameters in which f or g is not affine while the others are constant.
+
+    Args:
+        plant: at the parameters near which it is probed.
+    """
+    if plant.is_affine:
+        return np.zeros(len(plant.names), dtype=bool)
+    return _structure(*_key(plant))[0]
+
+
+def _key(plant: Plant) -> tuple[Any, tuple[float, ...], Any]:
+    """What the structure of a plant depends on; the type is that of the probes."""
+    theta = tuple(np.asarray(plant.theta, float).tolist())
+    return jax.tree.structure(plant), theta, jnp.result_type(float)
+
+
+def _plant_of(structure: Any, theta: tuple[float, ...]) -> Plant:
+    """The plant without its bounds."""
+    return jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
+
+
+@functools.lru_cache(maxsize=64)
+def _structure(
+    structure: Any, theta: tuple[float, ...], dtype: Any
+) -> tuple[Bool[np.ndarray, " np"], Float[np.ndarray, "np np"]]:
+    """Parameters in which f or g is bent, and the powers of these in the slopes with the others."""
+    plant, values = _plant_of(structure, theta), np.asarray(theta)
+    tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
+    free = np.flatnonzero(np.asarray(plant.free) * (values != 0)).tolist()
+    here = _evaluated(plant, values, _slopes)
+    doubled = {i: _evaluated(plant, _moved(values, i, 2.0 * theta[i]), _slopes) for i in free}
+    bent = np.zeros(len(values), dtype=bool)
+    for i in free:
+        bent[i] = _power(here[..., i], doubled[i][..., i], tolerance) != 0.0
+    powers = np.zeros((len(values), len(values)))
+    for j in np.flatnonzero(bent).tolist():
+        for i in free:
+            if not bent[i]:
+                power = _power(here[..., i], doubled[j][..., i], tolerance)
+                powers[i, j] = power if np.isfinite(power) else 0.0
+    return bent, powers
+
+
+@functools.lru_cache(maxsize=64)
+def _scales(
+    structure: Any, theta: tuple[float, ...], dtype: Any, signed: tuple[bool, ...]
+) -> StepScales:
+    """`step_scales` of a plant with bounds of one sign for the parameters `signed`."""
+    plant, values = _plant_of(structure, theta), np.asarray(theta)
+    bent, powers = _structure(structure, theta, dtype)
+    tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
+    scales = np.zeros(len(values), int)
+    for i in np.flatnonzero(bent).tolist():
+        if signed[i] or _is_singular(plant, values, i):
+            is_divisor = _is_reciprocal(plant, values, i, tolerance)
+            scales[i] = RECIPROCAL if is_divisor else LOGARITHMIC
+    return StepScales(tuple(scales.tolist()), tuple(map(tuple, powers.tolist())))
+
+
+def _power(here: np.ndarray, doubled: np.ndarray, tolerance: float) -> float:
+    """The power of a parameter in a slope, from the slope where it is doubled; NaN if it is none.
+
+    Zero also where the slope is not finite or zero at all probes.
+    """
+    usable = np.isfinite(here) & np.isfinite(doubled) & ((here != 0) | (doubled != 0))
+    if not np.any(usable):
+        return 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = doubled[usable] / here[usable]
+        even = np.all(np.abs(ratio - ratio[0]) <= tolerance * np.abs(ratio[0]))
+        return round(float(np.log2(ratio[0])), 6) + 0.0 if even and ratio[0] > 0 else np.nan
+
+
+def _moved(theta: Float[np.ndarray, " np"], i: int, value: float) -> Float[np.ndarray, " np"]:
+    moved = theta.copy()
+    moved[i] = value
+    return moved
+
+
+def _both(plant: Plant, probe: tuple[Any, ...]) -> Any:
+    t, y, u, z = probe
+    x, theta = State(y, z), jnp.asarray(plant.theta)
+    f = plant.derivative(t, x, u, theta)
+    return jnp.concatenate([f, plant.internal_rate(t, x, u, theta)])
+
+
+def _evaluated(
+    plant: Plant, theta: Float[np.ndarray, " np"], function: Callable = _both
+) -> np.ndarray:
+    """f and g, or another function, at fixed pseudo-random points."""
+    draw = np.random.default_rng(0)
+    r, ny, nu, nz = plant.rows, len(plant.outputs), len(plant.inputs), len(plant.initial_internal)
+    low, high = np.log(_SETTINGS.magnitudes)
+    size = _SETTINGS.probes, 1 + r * ny + nu + nz
+    points = np.exp(draw.uniform(low, high, size)) * draw.choice([-1.0, 1.0], size)
+    y, u, z = np.split(points[:, 1:], [r * ny, r * ny + nu], axis=1)
+    probes = np.abs(points[:, 0]), y.reshape(-1, r, ny), u, z
+    with np.errstate(all="ignore"):
+        return along(function, ("fixed", "rows"), plant.with_parameters(theta), probes)
+
+
+def _slopes(plant: Plant, probe: tuple[Any, ...]) -> Any:
+    """∂f/∂θ and ∂g/∂θ."""
+    t, y, u, z = probe
+
+    def both(theta: Any) -> Any:
+        x = State(y, z)
+        f = plant.derivative(t, x, u, theta)
+        return jnp.concatenate([f, plant.internal_rate(t, x, u, theta)])
+
+    return jax.jacfwd(both)(jnp.asarray(plant.theta))
+
+
+def _is_singular(plant: Plant, theta: Float[np.ndarray, " np"], i: int) -> bool:
+    """Whether f or g, finite at θ, is not finite where parameter i is zero."""
+    here, there = (_evaluated(plant, values) for values in (theta, _moved(theta, i, 0.0)))
+    return bool(np.any(np.isfinite(here) & ~np.isfinite(there)))
+
+
+def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolerance: float) -> bool:
+    """Whether f and g are affine in the reciprocal of parameter i."""
+    first, second, third = (
+        _evaluated(plant, _moved(theta, i, float(theta[i]) / factor)) for factor in (1.0, 2.0, 3.0)
+    )
+    finite = np.isfinite(first) & np.isfinite(second) & np.isfinite(third)
+    bend = np.abs(first - 2.0 * second + third)[finite]
+    size = (np.abs(first) + np.abs(second) + np.abs(third))[finite]
+    return bool(np.any(finite) and np.all(bend <= tolerance * size))
+
+
+def coordinates(theta: Any, scales: StepScales, xp: Any = np) -> Any:
+    """∂Δ/∂x, of steps x with κ in the place of Δ of what is multiplied; shape (…, np, np).
+
+    Args:
+        theta: parameters, shape (…, np).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    safe = xp.where(theta != 0, theta, 1.0)
+    coupled = xp.asarray(scales.exponents) * theta[..., :, None] / safe[..., None, :]
+    return xp.eye(theta.shape[-1]) - coupled
+
+
+def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
+    """The change of the parameters by a step of the linearised model, each on its scale.
+
+    Args:
+        theta: parameters, shape (…, np).
+        step: of the linearised model, shape (…, np).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    moved = theta + _alone(theta, step, xp.asarray(scales.scales), xp)
+    if not any(map(any, scales.exponents)):
+        return moved - theta
+    exponents = xp.asarray(scales.exponents)
+    ratio = moved / xp.where(theta != 0, theta, 1.0)
+    # A parameter that changes its sign multiplies by no power.
+    logarithm = xp.where(ratio > 0, xp.log(xp.where(ratio > 0, ratio, 1.0)), 0.0)
+    relative = xp.where(ratio > 0, step / xp.where(theta != 0, theta, 1.0), 0.0)
+    power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
+    product = (theta + step + theta * share) * xp.exp(-power)
+    return xp.where(xp.any(exponents != 0, axis=-1), product, moved) - theta
+
+
+def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
+    """The change of each parameter on its scale."""
+    most = _SETTINGS.max_factor
+    relative = step / xp.where(theta != 0, theta, 1.0)
+    logarithmic = xp.exp(xp.clip(relative, -np.log(most), np.log(most)))
+    reciprocal = 1.0 / xp.clip(1.0 - relative, 1.0 / most, most)
+    factor = xp.where(scales == RECIPROCAL, reciprocal, logarithmic)
+    return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
+
+
+def step_room(
+    theta: Any, lower: Any, upper: Any, scales: StepScales
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest steps that `scaled_step` keeps in the bounds, κ where it takes κ.
+
+    For κ only if the bound is zero, or the others stay.
+    """
+    kinds = np.asarray(scales.scales)
+
+    def room(limit: Any, beyond: float) -> np.ndarray:
+        # A limit of zero, or at infinity, is not reached.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logarithmic = theta * np.log(limit / theta)
+            reciprocal = theta * (1.0 - theta / limit)
+        scaled = np.where(kinds == RECIPROCAL, reciprocal, logarithmic)
+        reached = (limit != 0) & np.isfinite(limit) & np.isfinite(scaled)
+        return np.where(
+            (kinds == LINEAR) | (theta == 0), limit - theta, np.where(reached, scaled, beyond)
+        )
+
+    return room(np.asarray(lower), -np.inf), room(np.asarray(upper), np.inf)
