@@ -172,25 +172,25 @@ def rigs() -> list[Rig]:
 
 
 def simulated(rig: Rig, seeds: range, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs (seeds, samples) and outputs without noise (seeds, samples, ny), all side by side."""
-    truth, ny, shape = list(rig.truth.values()), len(rig.model.outputs), (rig.states, len(seeds))
+    """Inputs (seeds, samples) and states (seeds, samples, n), all side by side."""
+    truth, shape = list(rig.truth.values()), (rig.states, len(seeds))
     draws = [np.random.default_rng(seed) for seed in seeds]
     steps = -(-samples // rig.each)
     levels = np.stack([rig.high * draw.uniform(-1.0, 1.0, steps) for draw in draws])
     reference = np.repeat(levels, rig.each, axis=1)[:, :samples]
     x = np.zeros(shape)
     x[0] = 0.01 if rig.name == "magnetic levitation" else 0.0
-    inputs, outputs = np.empty((len(seeds), samples)), np.empty((len(seeds), samples, ny))
+    inputs, states = np.empty((len(seeds), samples)), np.empty((len(seeds), samples, rig.states))
     for k in range(samples):
         u = rig.control(reference[:, k], x)
-        inputs[:, k], outputs[:, k] = u, x[:ny].T
+        inputs[:, k], states[:, k] = u, x.T
 
         def right(_: float, flat: np.ndarray, u: np.ndarray = u) -> np.ndarray:
             return rig.rate(flat.reshape(shape), u, truth).ravel()
 
         x = solve_ivp(right, (0.0, rig.period), x.ravel(), method="DOP853",
                       rtol=1e-10, atol=1e-12).y[:, -1].reshape(shape)  # fmt: skip
-    return inputs, outputs
+    return inputs, states
 
 
 def record(rig: Rig, seed: int, noise: float, u: np.ndarray, y: np.ndarray) -> eoi.Record:
@@ -213,17 +213,12 @@ class Windows:
         self.u = u[: runs * count].reshape(runs, count)
         self.y = y[: runs * count].reshape(runs, count, -1)
 
-    def starts(self, y: np.ndarray) -> np.ndarray:
-        """States at the first sample of each window, from a cubic through outputs; (runs, n)."""
-        head = min(12, self.u.shape[1])
-        powers = np.vander(self.rig.period * np.arange(head), 4, increasing=True)
-        y = y[: self.u.size].reshape(*self.y.shape)
-        fits = np.linalg.lstsq(powers, np.moveaxis(y[:, :head], 1, 0).reshape(head, -1))[0]
-        rows = fits[: self.rig.model.relative_degree].reshape(-1, *self.y[:, 0].shape)
-        return np.concatenate(list(rows), axis=1)
+    def starts(self, states: np.ndarray) -> np.ndarray:
+        """States at the first sample of each window out of all, (samples, n); (runs, n)."""
+        return states[: self.u.size : self.u.shape[1]]
 
     def errors(self, theta: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """(... , runs, samples, ny) for parameters (np, ...), starts (runs, n) or (..., runs, n)."""
+        """(..., runs, samples, ny), for θ (np, ...) and starts (runs, n) or (..., runs, n)."""
         ny, h = self.y.shape[2], self.rig.period / SUBSTEPS
         p = np.asarray(theta)[..., None]
         x = np.moveaxis(np.broadcast_to(starts, (*p.shape[1:-1], *starts.shape[-2:])), -1, 0)
@@ -276,8 +271,11 @@ class Windows:
             full[np.arange(runs), :, np.arange(runs)] = blocks
             return np.concatenate([shared, full.reshape(runs * rows, runs * n)], axis=1)
 
-        fit = least_squares(lambda values: self.errors(*split(values)).ravel(), begin, jacobian,
-                            method="lm", x_scale="jac")  # fmt: skip
+        def errors(values: np.ndarray) -> np.ndarray:
+            return self.errors(*split(values)).ravel()
+
+        slopes: Any = jacobian  # SciPy's stub knows strings only
+        fit = least_squares(errors, begin, slopes, method="lm", x_scale="jac")
         return fit.x[: len(theta)]
 
 
@@ -296,12 +294,13 @@ class Outcome:
     status: str
 
 
-def outcome(rig: Rig, seed: int, noise: float, u: np.ndarray, y: np.ndarray) -> Outcome:
-    """One record."""
+def outcome(rig: Rig, seed: int, noise: float, u: np.ndarray, states: np.ndarray) -> Outcome:
+    """One record, of these inputs and states."""
+    y = states[:, : len(rig.model.outputs)]
     measured = record(rig, seed, noise, u, y)
     truth, names = np.asarray(list(rig.truth.values())), list(rig.truth)
     runs = Windows(rig, u, measured.outputs, noise * np.std(y, axis=0))
-    starts = runs.starts(y)
+    starts = runs.starts(states)
     bound = runs.bound(truth, starts)
     passes = eoi.identify(rig.model, measured)
     started = time.perf_counter()
@@ -337,15 +336,15 @@ def main() -> None:
     rows, all_after, all_independent = [], {noise: [] for noise in NOISES}, {n: [] for n in NOISES}
     for rig in rigs():
         samples = rig.samples // 2 if options.quick else rig.samples
-        inputs, outputs = simulated(rig, seeds, samples)
+        inputs, states = simulated(rig, seeds, samples)
         for noise in NOISES:
-            results = [outcome(rig, seed, noise, u, y)
-                       for seed, u, y in zip(seeds, inputs, outputs, strict=True)]  # fmt: skip
+            results = [outcome(rig, seed, noise, u, x)
+                       for seed, u, x in zip(seeds, inputs, states, strict=True)]  # fmt: skip
             kept = sum(rms([r.after]) <= max(rms([r.before]), 1.0) for r in results)
             all_after[noise] += [r.after for r in results]
             all_independent[noise] += [r.independent for r in results]
-            windows = [r.window for r in results]
-            used = "whole" if None in windows else f"{np.median(windows):.3g} s"
+            windows = [r.window for r in results if r.window is not None]
+            used = f"{np.median(windows):.3g} s, {len(windows)} times" if windows else "whole"
             statuses = ", ".join(sorted({r.status for r in results}))
             rows.append([rig.name, f"{noise:g}", f"{rms([r.before for r in results]):.3g}",
                          f"{rms([r.after for r in results]):.3g}",

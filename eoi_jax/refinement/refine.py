@@ -11,6 +11,7 @@ Here is how fits follow each other. Runs and sensitivities are in `problem.py`, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,14 @@ from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.estimate import ALL_DIVERGED, DIVERGED, NO_DATA, refinement_of, unanswered
+from eoi_jax.refinement.estimate import (
+    ALL_DIVERGED,
+    DIVERGED,
+    NO_DATA,
+    compared_with,
+    refinement_of,
+    unanswered,
+)
 from eoi_jax.refinement.fit import (
     Effort,
     Fit,
@@ -51,6 +59,7 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.windowed import settled, window_of
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 
 
@@ -102,7 +111,10 @@ def refine(
             by itself. Where an input is unknown the run ends, and another one starts behind it.
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
-            anew at the start of each. None: whole records.
+            anew at the start of each. None: whole records; where these say nothing at the start,
+            for the plant is unstable or integrates, windows over which errors of their starts stay
+            small (`simulation/error_growth.py`), and a note says so. Infinite: whole records in any
+            case. With `starts` runs are whole where nothing is said.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the fastest mode of the plant needs them (`simulation/step_size.py`),
             and twice as many as long as their error would show in the estimate.
@@ -143,7 +155,7 @@ def refine(
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     records = check_records(nominal, records)
-    if window is not None:
+    if window is not None and window != np.inf:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)
     if huber is not None:
@@ -154,7 +166,10 @@ def refine(
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
                          starts is not None, rounds, huber)  # fmt: skip
-    return _with_best_hold(nominal, records, question)
+    result = _with_best_hold(nominal, records, question)
+    if window is None and result.window is not None:
+        result = settled(result, partial(_again, question, nominal))
+    return result
 
 
 @dataclass(frozen=True)
@@ -162,6 +177,7 @@ class _Question:
     """Arguments of `refine`, checked.
 
     Attributes:
+        window: length of runs; None: whole records, or what the growth of errors asks for.
         points: further starts. many_starts: whether the caller asked for any.
     """
 
@@ -186,6 +202,8 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
     result = _refined(plant, with_hold(records, rule), question)
     if not result.status.ok:
         return result
+    # The same runs for all, or their errors could not be compared.
+    question = replace(question, window=result.window)
     alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
     errors = {rule: _mean_error(result)}
     for hold in HOLDS:
@@ -197,6 +215,21 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
         again = _refined(plant, with_hold(records, best_fitting), question)
         result, best_fitting = (again, best_fitting) if again.status.ok else (result, rule)
     return replace(result, notes=(*result.notes, *evidence("the error", errors, best_fitting)))
+
+
+def _again(
+    question: _Question, nominal: Plant, first: Refinement, plant: Plant, window: float
+) -> Refinement:
+    """A fit that follows the first one, from `plant`, compared with where the first one began."""
+    question = replace(question, window=window)
+    result = _refined(plant, first.records, question)
+    if not result.status.ok:
+        return result
+    spans = spans_of(result.records, window)
+    problem, _, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    error = unweighed(problem, sensitivities)
+    result = compared_with(result, nominal, error, problem.use, spans)
+    return replace(result, steps=first.steps + result.steps)
 
 
 def _mean_error(result: Refinement) -> float:
@@ -216,6 +249,10 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
+    if question.window is None and not question.many_starts:
+        growth_window = window_of(nominal, records, rms(initial_error, problem.use), problem)
+        if growth_window is not None:
+            return _refined(nominal, records, replace(question, window=growth_window))
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     if len(question.points):
         rough = _rougher(problem, records, spans, unknowns, initial_error)
