@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -47,6 +48,7 @@ from eoi_jax.refinement.fit import (
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     CONVERGED,
+    Outcome,
     Problem,
     Span,
     Unknowns,
@@ -59,8 +61,9 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.windowed import settled, window_of
+from eoi_jax.refinement.windowed import settled, window_of, worse
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
+from eoi_jax.simulation.validate import Validation, validated_alike
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,11 @@ class RefinementSettings:
 _SETTINGS = RefinementSettings()
 
 
+_WORSE = (
+    "the refined parameters make {} on the held-out records worse ({}), so those of the start "
+    "stay: the model lacks something that the parameters would make up for. Ask `discover`, or fit "
+    "shorter runs with `window`"
+)
 _SCORED = "must have a sample behind the burn-in and where the inputs are known"
 _WHERE = "Take such an output out of the model, or fill in the inputs where they are certain."
 
@@ -98,6 +106,7 @@ def refine(
     starts: Any = None,
     rounds: int = 1,
     huber: float | None = None,
+    validation: Record | Sequence[Record] | None = None,
     callback: Callable[[int, int], None] | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
@@ -135,6 +144,9 @@ def refine(
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
+        validation: held-out records. Where their free runs (in windows, where `validate` takes
+            these) are worse by the estimate than by the start, the start is the answer, with the
+            status ``"start_kept"``. None: nothing is held out.
         callback: called with the number of the solver's steps done and `max_steps`, from 0 again
             where weights or steps are settled anew; the solver is compiled with it.
 
@@ -155,6 +167,7 @@ def refine(
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     records = check_records(nominal, records)
+    held_out = () if validation is None else check_records(nominal, validation)
     if window is not None and window != np.inf:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)
@@ -169,7 +182,10 @@ def refine(
     result = _with_best_hold(nominal, records, question)
     if window is None and result.window is not None:
         result = settled(result, partial(_again, question, nominal))
-    return result
+    if not result.status.ok or not held_out:
+        return result
+    before, after = validated_alike((nominal, result.plant), held_out)
+    return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
 
 
 @dataclass(frozen=True)
@@ -230,6 +246,30 @@ def _again(
     error = unweighed(problem, sensitivities)
     result = compared_with(result, nominal, error, problem.use, spans)
     return replace(result, steps=first.steps + result.steps)
+
+
+def _start_kept(
+    nominal: Plant,
+    result: Refinement,
+    question: _Question,
+    before: Validation,
+    after: Validation,
+) -> Refinement:
+    """The start as the answer, with the certainty that the runs of a fit give it."""
+    spans = spans_of(result.records, result.window)
+    problem, unknowns, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    error = unweighed(problem, sensitivities)
+    weights = weighed(problem, rms(error, problem.use))
+    sensitivities = sensitivities * np.asarray(weights.scale / problem.scale)[:, None]
+    outcome = Outcome(unknowns, unknowns, np.asarray(np.nan), jnp.asarray(0.0), jnp.asarray(0),
+                      jnp.asarray(False))  # fmt: skip
+    fit = Fit(weights, sensitivities, error, outcome, result.steps, 1)
+    start = refinement_of(fit, result.records, spans, result.window)
+    changes = [f"{name} {old:.3g} → {new:.3g}" for name, old, new in
+               zip(nominal.outputs, before.rmse, after.rmse, strict=True)]  # fmt: skip
+    runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
+    status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
+    return replace(start, status=status, notes=(*start.notes, *result.notes))
 
 
 def _mean_error(result: Refinement) -> float:

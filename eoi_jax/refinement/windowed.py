@@ -17,7 +17,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.fit import rms
 from eoi_jax.refinement.problem import Problem
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.simulation.error_growth import RULES, error_growth, is_lost, restarted
+from eoi_jax.simulation.error_growth import RULES, error_growth, is_lost, restarted, window_head
 from eoi_jax.simulation.validate import Validation, judged_runs
 
 # A refinement of the records of a result from a plant, in runs of a length [s], infinite for whole
@@ -96,9 +96,9 @@ def _whole(result: Refinement, again: Refine) -> Refinement | None:
     whole = again(result, result.plant, np.inf)
     if not whole.status.ok:
         return None
-    old, new = (
-        judged_runs(plant, records, window=result.window) for plant in (result.plant, whole.plant)
-    )
+    window = result.window or np.inf
+    head = window_head(window, result.plant, records)
+    old, new = (judged_runs(plant, records, head, window) for plant in (result.plant, whole.plant))
     return None if worse(old, new) else whole
 
 

@@ -70,7 +70,7 @@ class GrowthRules:
     quantile: float = 0.9
     exponent: float = 4.0
     fewest: float = 4.0
-    head: float = 1 / 3
+    head: float = 0.5
     extension: float = 2.0
     risen: float = 0.02
     unseen: float = 1e-10
@@ -96,12 +96,6 @@ class ErrorGrowth:
         """Whether errors of a start grow so that a whole free run may be lost by them."""
         return not self.largest < RULES.growing
 
-    def start_samples(self, plant: Plant, records: Sequence[Record]) -> int:
-        """Samples of such windows from which their starts are estimated, where none are scored."""
-        count = self.window / max(record.sample_period for record in records)
-        unknowns = plant.rows + len(plant.initial_internal)
-        return max(round(RULES.head * count), unknowns + 1)
-
     def cuts(self, records: Sequence[Record]) -> bool:
         """Whether windows of this length cut some record into several."""
         return any(len(record) * record.sample_period > 1.5 * self.window for record in records)
@@ -124,6 +118,18 @@ def error_growth(
         max(growth.largest for growth in growths),
         max(min(growth.window for growth in growths), shortest),
     )
+
+
+def window_head(window: float, plant: Plant, records: Sequence[Record]) -> int:
+    """Samples from which the start of a window is estimated, none of which is scored.
+
+    Args:
+        window: its length [s].
+        plant: to judge.
+        records: on these.
+    """
+    count = window / max(record.sample_period for record in records)
+    return max(round(RULES.head * count), plant.rows + len(plant.initial_internal) + 1)
 
 
 def is_lost(error: Float[np.ndarray, " ny"], spread: Float[np.ndarray, " ny"]) -> bool:

@@ -31,7 +31,7 @@ from eoi_jax.data.windows import (
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
-from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted
+from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive
@@ -126,9 +126,9 @@ def validate(
     if not growth.growing or not growth.cuts(whole.records):
         return whole
     if initial_samples is None:
-        initial_samples = growth.start_samples(plant, whole.records)
+        initial_samples = window_head(growth.window, plant, whole.records)
     runs = judged_runs(plant, records, initial_samples, growth.window, substeps)
-    starts = sum(max(round(len(record) * record.sample_period / growth.window), 1)
+    starts = sum(-(-(len(record) - 1) // round(growth.window / record.sample_period))
                  for record in runs.records)  # fmt: skip
     return replace(runs, notes=(*runs.notes, restarted(starts, growth, "Judged")))
 
@@ -147,8 +147,9 @@ def validated_alike(
     if len(windows) == 1:
         return runs
     shortest = min(window for window in windows if window is not None)
+    head = window_head(shortest, plants[0], runs[0].records)
     return [
-        run if run.window == shortest else validate(plant, records, window=shortest)
+        run if run.window == shortest else judged_runs(plant, records, head, shortest)
         for plant, run in zip(plants, runs, strict=True)
     ]
 
