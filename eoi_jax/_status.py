@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 # Codes of a fit in which every free parameter has an estimate.
-ANSWERED = ("converged", "passes_exhausted", "stalled", "undersampled", "undetermined")
+ANSWERED = (
+    "converged", "passes_exhausted", "stalled", "undersampled", "undetermined", "start_kept"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -13,6 +15,7 @@ class Status:
     Attributes:
         code: for programs: ``"converged"``, ``"passes_exhausted"``,
             ``"stalled"``, ``"undersampled"`` (the estimate has a mode faster than the sampling),
+            ``"start_kept"`` (a refinement makes held-out free runs worse than its start),
             ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of `eoi identify`
             ``"undetermined"`` (all errors exceed the values); of a discovery ``"explained"``,
             ``"nothing_missing"``, ``"unexplained"``; of a method in a comparison

@@ -41,7 +41,7 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
-from eoi_jax.simulation.validate import Validation, validate
+from eoi_jax.simulation.validate import Validation, validate, validated_alike
 
 _MORE_STARTS = "`starts = 200` under [refine] tries that many points around the nominal values"
 _UNDETERMINED = (
@@ -172,6 +172,9 @@ def refine(
         if progress is not None:
             progress("free-run fit, step", 0, None, "compiling")
         result, refined_run = _refine(job, start, progress)
+        if start_run and refined_run and start_run.window != refined_run.window:
+            plants = start.plant, result.plant
+            start_run, refined_run = validated_alike(plants, job.held_out)
     summary = refinement_summary(job, start, start_run, result, refined_run)
     if not result.status.ok:
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
@@ -499,6 +502,7 @@ def _refine(
         max_steps=table.max_steps,
         starts=table.starts,
         rounds=table.rounds,
+        validation=job.held_out or None,
         callback=None if progress is None else report_step,
     )
     return result, _validate(result, job)

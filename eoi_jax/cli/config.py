@@ -130,7 +130,8 @@ class RefineTable(msgspec.Struct, frozen=True):
     """[refine]: how the free runs are fitted.
 
     Attributes:
-        window: length of each run [s]; default: whole records.
+        window: length of each run [s]; default: whole records, or windows where these say nothing
+            because the plant is unstable or integrates.
         substeps: steps of the simulation per sample; default: as many as their error asks for.
         max_steps: of the solver.
         starts: number of further starting points, drawn around the estimate of the passes, or

@@ -269,7 +269,12 @@ def _errors(validation: Validation) -> dict[str, Any]:
         error: dict(zip(validation.outputs, getattr(validation, error), strict=True))
         for error in ("rmse", "nrmse", "fit")
     }
-    return {**by_output, "scored": validation.scored, "notes": validation.notes}
+    return {
+        **by_output,
+        "scored": validation.scored,
+        "window": validation.window,
+        "notes": validation.notes,
+    }
 
 
 def _provenance(job: Job) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from eoi_jax.estimation.identify import declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validate import judged_runs
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class _Scorer:
         initial = min(INITIAL, max(samples // 2, 1))
         try:
             candidate = self.plant.with_parameters(values)
-            return validate(candidate, self.scored, initial_samples=initial, window=window).rmse
+            return judged_runs(candidate, self.scored, initial, window).rmse
         except ValueError as error:
             self._note(f"no free runs on held-out records: {error}")
             return np.full(len(self.plant.outputs), np.nan)

@@ -13,7 +13,7 @@ from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.estimation.identify import Identification, bound_notes, estimate
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import frictional
-from eoi_jax.simulation.validate import FreeRuns, validate, whole_and_windows
+from eoi_jax.simulation.validate import FreeRuns, judged_runs, whole_and_windows
 
 _ON_BOUND = ": what it would take beyond stays unexplained"
 SEARCHED = "parameters are those of the search: in free runs better than the refit's"
@@ -38,7 +38,7 @@ def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
         return estimate(model, task.prepared)
 
     def error(plant: Plant) -> float:
-        return float(np.sum(np.log(validate(plant, task.records, window=window).rmse + 1e-300)))
+        return float(np.sum(np.log(judged_runs(plant, task.records, window=window).rmse + 1e-300)))
 
     with concurrently(task.threads, lambda: error(model)) as searched_error:
         refit = estimate(model, task.prepared)

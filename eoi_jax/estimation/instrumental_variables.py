@@ -40,7 +40,7 @@ from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import REACHES, frictional
 from eoi_jax.simulation.known_direction import directed
-from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validate import judged_runs
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def _simulate_runs(
                 if REACHES in frictional(plant):
                     return _FRICTION_ACTS_ON_OTHERS
                 head = head or _SETTINGS.start_samples[0]
-                run = validate(plant, record, window=window, initial_samples=head)
+                run = judged_runs(plant, record, head, window)
             except ValueError as error:  # dry friction that cannot be simulated, a short record
                 return f"its free run cannot be made: {error}"
             follows &= bool(np.max(run.nrmse) < _SETTINGS.max_error)

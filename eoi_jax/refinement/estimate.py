@@ -1,11 +1,11 @@
 """From the last fit to what `refine` returns: estimate, covariance, status."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax._status import Status
 from eoi_jax.compiler.programs import jit
@@ -72,6 +72,33 @@ def refinement_of(
         problem.substeps,
         problem.engine,
         factors,
+    )
+
+
+def compared_with(
+    result: Refinement,
+    nominal: Plant,
+    error: Float[np.ndarray, "runs time ny"],
+    use: Bool[np.ndarray, "runs time ny"],
+    spans: Sequence[Span],
+) -> Refinement:
+    """A result compared with another starting point.
+
+    Args:
+        result: of the last of several fits.
+        nominal: where the first of them began.
+        error: y - ŷ of the runs there; not finite where they diverge.
+        use: which samples are scored.
+        spans: the runs.
+    """
+    before = np.nan_to_num(rms(error, use), nan=np.inf, posinf=np.inf)
+    residual = tuple(_per_sample(error, use, result.records, spans))
+    return replace(
+        result,
+        nominal=nominal,
+        before=before,
+        cost_before=log_cost(before),
+        residual_before=residual,
     )
 
 

@@ -11,8 +11,10 @@ Here is how fits follow each other. Runs and sensitivities are in `problem.py`, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -26,7 +28,14 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.estimate import ALL_DIVERGED, DIVERGED, NO_DATA, refinement_of, unanswered
+from eoi_jax.refinement.estimate import (
+    ALL_DIVERGED,
+    DIVERGED,
+    NO_DATA,
+    compared_with,
+    refinement_of,
+    unanswered,
+)
 from eoi_jax.refinement.fit import (
     Effort,
     Fit,
@@ -40,6 +49,7 @@ from eoi_jax.refinement.fit import (
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     CONVERGED,
+    Outcome,
     Problem,
     Span,
     Unknowns,
@@ -52,7 +62,9 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.windowed import settled, window_of, worse
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
+from eoi_jax.simulation.validate import Validation, validated_alike
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,11 @@ class RefinementSettings:
 _SETTINGS = RefinementSettings()
 
 
+_WORSE = (
+    "the refined parameters make {} on the held-out records worse ({}), so those of the start "
+    "stay: the model lacks something that the parameters would make up for. Ask `discover`, or fit "
+    "shorter runs with `window`"
+)
 _SCORED = "must have a sample behind the burn-in and where the inputs are known"
 _WHERE = "Take such an output out of the model, or fill in the inputs where they are certain."
 
@@ -90,6 +107,7 @@ def refine(
     starts: Any = None,
     rounds: int = 1,
     huber: float | None = None,
+    validation: Record | Sequence[Record] | None = None,
     callback: Callable[[int, int], None] | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
@@ -103,7 +121,10 @@ def refine(
             by itself. Where an input is unknown the run ends, and another one starts behind it.
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
-            anew at the start of each. None: whole records.
+            anew at the start of each. None: whole records; where these say nothing at the start,
+            for the plant is unstable or integrates, windows over which errors of their starts stay
+            small (`simulation/error_growth.py`), and a note says so. Infinite: whole records in any
+            case. With `starts` runs are whole where nothing is said.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the fastest mode of the plant needs them (`simulation/step_size.py`),
             and twice as many as long as their error would show in the estimate.
@@ -124,6 +145,9 @@ def refine(
         huber: errors beyond so many standard deviations count by their size, not by its square,
             so that outliers do not rule (1.345 costs 5 % of the efficiency where there are none);
             the standard deviation is then 1.4826 times the median of the sizes. None: squares.
+        validation: held-out records. Where their free runs (in windows, where `validate` takes
+            these) are worse by the estimate than by the start, the start is the answer, with the
+            status ``"start_kept"``. None: nothing is held out.
         callback: called with the number of the solver's steps done and `max_steps`, from 0 again
             where weights or steps are settled anew; the solver is compiled with it.
 
@@ -145,7 +169,8 @@ def refine(
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
     records = check_records(nominal, records)
-    if window is not None:
+    held_out = () if validation is None else check_records(nominal, validation)
+    if window is not None and window != np.inf:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)
     if huber is not None:
@@ -156,16 +181,23 @@ def refine(
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
                          starts is not None, rounds, huber)  # fmt: skip
-    fit = _with_best_hold(nominal, records, question)
-    if not fit.status.fits:
-        return fit
+    result = _with_best_hold(nominal, records, question)
+    if window is None and result.window is not None:
+        result = settled(result, partial(_again, question, nominal))
+    if not result.status.fits:
+        return result
     alone = replace(question, points=points[:0], many_starts=False, rounds=1)
-    return held_runaways(
+    alone = replace(alone, window=result.window if window is None else window)
+    result = held_runaways(
         nominal,
-        fit,
+        result,
         lambda model: _with_best_hold(model, records, alone),
-        lambda result: result.cost,
+        lambda refined: refined.cost,
     )
+    if not result.status.ok or not held_out:
+        return result
+    before, after = validated_alike((nominal, result.plant), held_out)
+    return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
 
 
 @dataclass(frozen=True)
@@ -173,6 +205,7 @@ class _Question:
     """Arguments of `refine`, checked.
 
     Attributes:
+        window: length of runs; None: whole records, or what the growth of errors asks for.
         points: further starts. many_starts: whether the caller asked for any.
     """
 
@@ -197,6 +230,8 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
     result = _refined(plant, with_hold(records, rule), question)
     if not result.status.fits:
         return result
+    # The same runs for all, or their errors could not be compared.
+    question = replace(question, window=result.window)
     alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
     errors = {rule: _mean_error(result)}
     for hold in HOLDS:
@@ -208,6 +243,45 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
         again = _refined(plant, with_hold(records, best_fitting), question)
         result, best_fitting = (again, best_fitting) if again.status.fits else (result, rule)
     return replace(result, notes=(*result.notes, *evidence("the error", errors, best_fitting)))
+
+
+def _again(
+    question: _Question, nominal: Plant, first: Refinement, plant: Plant, window: float
+) -> Refinement:
+    """A fit that follows the first one, from `plant`, compared with where the first one began."""
+    question = replace(question, window=window)
+    result = _refined(plant, first.records, question)
+    if not result.status.ok:
+        return result
+    spans = spans_of(result.records, window)
+    problem, _, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    error = unweighed(problem, sensitivities)
+    result = compared_with(result, nominal, error, problem.use, spans)
+    return replace(result, steps=first.steps + result.steps)
+
+
+def _start_kept(
+    nominal: Plant,
+    result: Refinement,
+    question: _Question,
+    before: Validation,
+    after: Validation,
+) -> Refinement:
+    """The start as the answer, with the certainty that the runs of a fit give it."""
+    spans = spans_of(result.records, result.window)
+    problem, unknowns, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    error = unweighed(problem, sensitivities)
+    weights = weighed(problem, rms(error, problem.use))
+    sensitivities = sensitivities * np.asarray(weights.scale / problem.scale)[:, None]
+    outcome = Outcome(unknowns, unknowns, np.asarray(np.nan), jnp.asarray(0.0), jnp.asarray(0),
+                      jnp.asarray(False))  # fmt: skip
+    fit = Fit(weights, sensitivities, error, outcome, result.steps, 1)
+    start = refinement_of(fit, result.records, spans, result.window)
+    changes = [f"{name} {old:.3g} → {new:.3g}" for name, old, new in
+               zip(nominal.outputs, before.rmse, after.rmse, strict=True)]  # fmt: skip
+    runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
+    status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
+    return replace(start, status=status, notes=(*start.notes, *result.notes))
 
 
 def _mean_error(result: Refinement) -> float:
@@ -227,6 +301,10 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
+    if question.window is None and not question.many_starts:
+        growth_window = window_of(nominal, records, rms(initial_error, problem.use), problem)
+        if growth_window is not None:
+            return _refined(nominal, records, replace(question, window=growth_window))
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     if len(question.points):
         rough = _rougher(problem, records, spans, unknowns, initial_error)

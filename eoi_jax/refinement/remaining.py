@@ -31,7 +31,7 @@ from eoi_jax.refinement.problem import spans_of
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try
-from eoi_jax.simulation.validate import Validation, validate
+from eoi_jax.simulation.validate import Validation, judged_runs
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def remaining(
     if not validation_records:
         return result
     trials = _trials(refinement, result.significant, validation_records, substeps)
-    return replace(result, held_out=validate(plant, validation_records), trials=trials)
+    return replace(result, held_out=judged_runs(plant, validation_records), trials=trials)
 
 
 def _trials(
@@ -186,11 +186,11 @@ def _trials(
     max_trials: int = 3,
 ) -> tuple[Trial, ...]:
     """The first `max_trials` candidates, each refined with and judged on held-out records."""
-    trials = []
+    trials, window = [], refinement.window or np.inf
     for candidate in candidates[:max_trials]:
         plant = augmented(refinement.plant, candidate.placed, candidate.values)
-        fit = refine(plant, refinement.records, window=refinement.window, substeps=substeps)
-        trials.append(Trial(candidate, fit, validate(fit.plant, validation_records)))
+        fit = refine(plant, refinement.records, window=window, substeps=substeps)
+        trials.append(Trial(candidate, fit, judged_runs(fit.plant, validation_records)))
     return tuple(trials)
 
 

@@ -312,8 +312,9 @@ def refinement_table(result: Refinement) -> str:
 def validation_text(result: Validation) -> str:
     """Errors of the free run, a line for each output; then notes."""
     width = max(len("output"), *(len(key) for key in result.outputs))
+    runs = "Free run" if result.window is None else f"Free runs in windows of {result.window:g} s"
     lines = [
-        f"Free run, {len(result.predictions)} record(s), {result.scored} samples scored",
+        f"{runs}, {len(result.predictions)} record(s), {result.scored} samples scored",
         f"{'output':<{width}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
     ]
     rows = zip(result.outputs, result.rmse, result.nrmse, result.fit, result.units, strict=True)

@@ -32,6 +32,7 @@ from eoi_jax.data.windows import (
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
@@ -58,6 +59,7 @@ class Validation(Result):
         units: of the outputs, "" where unknown.
         notes: sentences on what limits the numbers.
         records: that it was judged on.
+        window: length of the runs [s]; None for whole records.
     """
 
     rmse: PerOutput
@@ -69,6 +71,7 @@ class Validation(Result):
     units: tuple[str, ...]
     notes: tuple[str, ...]
     records: tuple[Record, ...] = ()
+    window: float | None = None
 
 
 @one_thread()
@@ -81,6 +84,11 @@ def validate(
     substeps: int | None = None,
 ) -> Validation:
     """Simulate a plant along records and compare.
+
+    Of a plant that is unstable or integrates a free run through a whole record may say nothing: the
+    error of its start grows until it is larger than the output. Such a plant is judged in windows
+    over which this error stays a few times the noise (`error_growth.py`); a note says so, and how
+    many starts there are.
 
     Where records do not declare the hold of their inputs, the one with the smallest error is used,
     and a note gives the evidence.
@@ -98,7 +106,8 @@ def validate(
             where an output is measured rarely, and, without windows, where the error of a start
             from so few samples would rule the run (`start_error.py`).
         window: length of each run [s]; the state is then estimated anew at the start of every
-            window. None: one run through the whole record, the harder test.
+            window. None: one run through the whole record, the harder test, or windows where that
+            is lost as the error of the start grows. Infinite: one run in any case.
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
             plant needs them, and twice as many as long as their error would show in the residual
             (`step_size.py`).
@@ -109,6 +118,60 @@ def validate(
     Raises:
         ValueError: no record, channels or units that are not the plant's, too few samples, a
             window not longer than the initial samples.
+    """
+    if window is not None:
+        length = None if window == np.inf else window
+        return judged_runs(plant, records, initial_samples, length, substeps)
+    whole = judged_runs(plant, records, initial_samples, None, substeps)
+    if not is_lost(whole.nrmse, np.ones_like(whole.nrmse)):
+        return whole
+    growth = error_growth(plant, whole.records, initial_samples)
+    if not growth.growing or not growth.cuts(whole.records):
+        return whole
+    if initial_samples is None:
+        initial_samples = window_head(growth.window, plant, whole.records)
+    runs = judged_runs(plant, records, initial_samples, growth.window, substeps)
+    starts = sum(-(-(len(record) - 1) // round(growth.window / record.sample_period))
+                 for record in runs.records)  # fmt: skip
+    return replace(runs, notes=(*runs.notes, restarted(starts, growth, "Judged")))
+
+
+def validated_alike(
+    plants: Sequence[Plant], records: Record | Sequence[Record]
+) -> list[Validation]:
+    """`validate` of several models of one plant, all in the shortest of the windows that they need.
+
+    Args:
+        plants: to compare.
+        records: on these.
+    """
+    runs = [validate(plant, records) for plant in plants]
+    windows = {run.window for run in runs}
+    if len(windows) == 1:
+        return runs
+    shortest = min(window for window in windows if window is not None)
+    head = window_head(shortest, plants[0], runs[0].records)
+    return [
+        run if run.window == shortest else judged_runs(plant, records, head, shortest)
+        for plant, run in zip(plants, runs, strict=True)
+    ]
+
+
+def judged_runs(
+    plant: Plant,
+    records: Record | Sequence[Record],
+    initial_samples: int | None = None,
+    window: float | None = None,
+    substeps: int | None = None,
+) -> Validation:
+    """`validate` in runs of exactly this length, None for whole records: what can be compared.
+
+    Args:
+        plant: the model with the parameters to judge.
+        records: one or several.
+        initial_samples: as of `validate`.
+        window: length of each run [s]; None: whole records.
+        substeps: as of `validate`.
     """
     records = check_records(plant, records)
     for record in records:
@@ -158,6 +221,7 @@ def _judged(
         tuple(plant.units.get(key, "") for key in plant.outputs),
         tuple(filter(None, notes)),
         records,
+        window,
     )
 
 
@@ -172,8 +236,8 @@ def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | N
         records: on these.
         window: length of re-initialised runs [s]; None where the records are too short for any.
     """
-    full_runs = validate(plant, records)
-    return full_runs, None if window is None else validate(plant, records, window=window)
+    full_runs = judged_runs(plant, records)
+    return full_runs, None if window is None else judged_runs(plant, records, window=window)
 
 
 def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:

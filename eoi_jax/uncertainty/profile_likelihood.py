@@ -111,7 +111,9 @@ def profile(
 
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
-        return refine(moved, records, window=refinement.window, substeps=count, max_steps=max_steps)
+        return refine(
+            moved, records, window=refinement.window or np.inf, substeps=count, max_steps=max_steps
+        )
 
     centre = fit(fixed_plant, plant.parameters[name])
     check(centre.status.ok, "records", "must be those of the refinement", str(centre.status))

@@ -30,7 +30,7 @@ from eoi_jax.comparison.methods.weighed import covariance, solve
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.least_squares import untraced
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validate import judged_runs
 
 
 class StateVariableInstruments(AbstractComparator):
@@ -99,7 +99,7 @@ def _rounds(
 
 def _instruments(filtered: Equation, theta: Float[np.ndarray, " np"]) -> list[Motion] | None:
     """The simulated plant filtered by W, a motion per record; None if it does not stay finite."""
-    runs = validate(filtered.plant.with_parameters(theta), filtered.records, substeps=1)
+    runs = judged_runs(filtered.plant.with_parameters(theta), filtered.records, substeps=1)
     if not np.all(np.isfinite(runs.rmse)):
         return None
     return [

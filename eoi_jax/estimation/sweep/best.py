@@ -15,7 +15,7 @@ import numpy as np
 from eoi_jax._checks import check
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validate import judged_runs
 
 _LANE_DIMENSIONS = ("lowpass", "observer", "start")
 
@@ -85,6 +85,6 @@ def _free_run(
     )
     scores = []
     for theta in estimates.values:
-        error = np.atleast_1d(validate(plant.with_parameters(theta), validation).nrmse)
+        error = np.atleast_1d(judged_runs(plant.with_parameters(theta), validation).nrmse)
         scores.append(np.sum(np.log(np.where(np.isfinite(error), error, np.inf))))
     return float(np.mean(scores))

@@ -1,0 +1,115 @@
+"""Refinement in windows, of plants whose whole free runs say nothing: unstable ones, integrators.
+
+Where whole runs are lost at the parameters from which a fit starts, and errors of the start grow in
+them (`simulation/error_growth.py`), the fit takes runs over which these errors stay small. At its
+estimate the question is asked again: errors may grow less there, or whole runs may be near enough
+to be fitted, which uses more of the record.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.record import Record
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.fit import rms
+from eoi_jax.refinement.problem import Problem
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.error_growth import RULES, error_growth, is_lost, restarted, window_head
+from eoi_jax.simulation.validate import Validation, judged_runs
+
+# A refinement of the records of a result from a plant, in runs of a length [s], infinite for whole
+# records.
+Refine = Callable[[Refinement, Plant, float], Refinement]
+
+
+def window_of(
+    plant: Plant, records: Sequence[Record], rmse: Float[np.ndarray, " ny"], problem: Problem
+) -> float | None:
+    """Length of runs [s] that say something; None where whole ones do, or errors do not grow.
+
+    Args:
+        plant: where the fit starts.
+        records: of the fit.
+        rmse: of the whole runs there.
+        problem: these runs.
+    """
+    y, use = problem.y, problem.use
+    deviation = np.where(use, y - np.sum(y, axis=(0, 1)) / np.sum(use, axis=(0, 1)), 0.0)
+    if not is_lost(rmse, rms(deviation, use)):
+        return None
+    growth = error_growth(plant, records)
+    return growth.window if growth.growing and growth.cuts(records) else None
+
+
+def settled(result: Refinement, again: Refine) -> Refinement:
+    """The answer to a fit in windows that nobody asked for: asked again at its estimate.
+
+    Args:
+        result: the fit in windows.
+        again: another fit.
+
+    Returns:
+        The fit of whole runs where these are not lost at the estimate and windows do not contradict
+        it, else that in windows, of another length where the estimate asks for it. A note says so.
+    """
+    if not result.status.ok or result.window is None:
+        return result
+    growth = error_growth(result.plant, result.records)
+    whole = _whole(result, again)
+    if whole is not None:
+        return whole
+    if growth.growing and abs(np.log(growth.window / result.window)) > np.log1p(RULES.settled):
+        other = again(result, result.plant, growth.window)
+        result = other if other.status.ok else result
+    result = _extended(result, again)
+    note = restarted(len(result.starts), growth, "Fitted", result.window)
+    return replace(result, notes=(*result.notes, note))
+
+
+def _extended(result: Refinement, again: Refine) -> Refinement:
+    """The fit in longer windows, where the model follows these as well."""
+    longer = again(result, result.plant, RULES.extension * (result.window or np.inf))
+    if not longer.status.ok or longer.window is None:
+        return result
+    with np.errstate(divide="ignore", invalid="ignore"):
+        risen = np.log(_residual(longer) / _residual(result))
+    return longer if np.all(risen <= np.log1p(RULES.risen)) else result
+
+
+def _residual(result: Refinement) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of the residuals: what the starts of the runs have taken is made good."""
+    plant = result.plant
+    scored = np.sum([np.sum(np.isfinite(part)) for part in result.residual])
+    unknowns = (sum(plant.degrees) + len(plant.initial_internal)) * len(result.starts)
+    return result.rmse / np.sqrt(max(1.0 - unknowns / scored, np.finfo(float).eps))
+
+
+def _whole(result: Refinement, again: Refine) -> Refinement | None:
+    """The fit of whole runs from an estimate in windows; None where it is none, or is worse."""
+    records = result.records
+    runs = judged_runs(result.plant, records)
+    if is_lost(runs.nrmse, np.ones_like(runs.nrmse)):
+        return None
+    whole = again(result, result.plant, np.inf)
+    if not whole.status.ok:
+        return None
+    window = result.window or np.inf
+    head = window_head(window, result.plant, records)
+    old, new = (judged_runs(plant, records, head, window) for plant in (result.plant, whole.plant))
+    return None if worse(old, new) else whole
+
+
+def worse(before: Validation, after: Validation, negligible: float = 0.01) -> bool:
+    """Whether free runs have become worse by more than `negligible`, geometric mean of the outputs.
+
+    Args:
+        before: errors of some runs.
+        after: of the same runs by another model.
+        negligible: relative change that noise explains.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.mean(np.log(after.rmse + 1e-300) - np.log(before.rmse + 1e-300))
+    return not bool(change <= negligible)
