@@ -48,6 +48,8 @@ _UNDETERMINED = (
     "no parameter has a standard error below its value: these records do not determine this model. "
     "Use a model with fewer parameters, or of a lower order, or records with more excitation"
 )
+# Statuses of passes whose estimate is refined as it is.
+_ENDED = ("converged", "undersampled")
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("explained", "nothing_missing", "unexplained")
 
@@ -163,11 +165,9 @@ def refine(
     source, job = _prepare(config, "pendulum", data, output, progress)
     with run_folder.quiet_records():
         start, start_run = _identify(job, progress)
-        if not start.status.ok and job.settings.refine.starts is None:
+        if start.status.code == "no_data" or (start.common_factors and not start.status.ok):
             summary = identification_summary(job, start, start_run)
             complaint = f"no estimate to refine ({start.status})"
-            if start.status.code != "no_data" and not start.common_factors:
-                complaint += f". {_MORE_STARTS}"
             return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
         if progress is not None:
             progress("free-run fit, step", 0, None, "compiling")
@@ -176,6 +176,12 @@ def refine(
             plants = start.plant, result.plant
             start_run, refined_run = validated_alike(plants, job.held_out)
     summary = refinement_summary(job, start, start_run, result, refined_run)
+    # A start that nothing speaks for: only where the fit from there came to an end it is an answer.
+    alone = not start.status.ok and job.settings.refine.starts is None
+    if alone and result.status.code != "converged":
+        complaint = f"no estimate to refine ({start.status}); from the nominal values: "
+        complaint += f"{result.status}. {_MORE_STARTS}"
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     if not result.status.ok:
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / job.settings.name
@@ -487,24 +493,40 @@ def _unused(settings: Config) -> list[str]:
 def _refine(
     job: run_folder.Job, start: Identification, progress: ProgressCallback | None
 ) -> tuple[Refinement, Validation | None]:
-    """Refine the estimate of the passes by output error, and validate the result."""
+    """Refine the estimate of the passes by output error, and validate the result.
+
+    Where the passes have no estimate the nominal values are refined; both are where the passes did
+    not come to an end, and the better fit of the two is the answer.
+    """
     table = job.settings.refine
 
     def report_step(number: int, limit: int) -> None:
         assert progress is not None
         progress("free-run fit, step", number, limit, "at most")
 
-    result = run_refinement(
-        start.plant if start.status.ok else start.nominal,
-        job.records,
-        window=table.window,
-        substeps=table.substeps,
-        max_steps=table.max_steps,
-        starts=table.starts,
-        rounds=table.rounds,
-        validation=job.held_out or None,
-        callback=None if progress is None else report_step,
-    )
+    begin = {}
+    if start.status.ok:
+        begin["estimate of the passes"] = start.plant
+    if start.status.code not in _ENDED:
+        begin["nominal values"] = start.nominal
+    fits = {
+        name: run_refinement(
+            plant,
+            job.records,
+            window=table.window,
+            substeps=table.substeps,
+            max_steps=table.max_steps,
+            starts=table.starts,
+            rounds=table.rounds,
+            validation=job.held_out or None,
+            callback=None if progress is None else report_step,
+        )
+        for name, plant in begin.items()
+    }
+    name, result = min(fits.items(), key=lambda fit: (not fit[1].status.ok, fit[1].cost))
+    if start.status.code not in _ENDED:
+        note = f"refined from the {name}: the passes ended as {start.status.code}"
+        result = replace(result, notes=(*result.notes, note))
     return result, _validate(result, job)
 
 

@@ -1,5 +1,6 @@
 """Saturation of measured channels: samples that pile up at the smallest or largest value."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ class ClippingSettings:
     end_levels: int = 25  # next to the end, that are compared
     min_occupied: int = 6  # of them with samples; with fewer the channel is a staircase
     pile_ratio: float = 10.0  # of the samples at the end to those of a level next to it
+    told: float = 0.01  # share of an output's samples at its end from which on a fit mentions it
 
 
 _SETTINGS = ClippingSettings()
@@ -54,6 +56,35 @@ def saturations(record: Record) -> list[Saturation]:
                 level = float(side * np.max(side * values))
                 piles.append(Saturation(record.name, name, level, share))
     return piles
+
+
+def clipped_notes(records: Sequence[Record]) -> list[str]:
+    """A sentence for each end of an output at which it stays, which a fit takes for its motion.
+
+    Args:
+        records: as measured.
+    """
+    notes = []
+    for record in records:
+        pairs = zip(record.outputs.T, record.output_valid.T, strict=True)
+        values = [channel[mask] for channel, mask in pairs]
+        # A sensor that ends shows one value there; to look for it costs next to nothing.
+        if not any(_share_at_ends(channel) >= _SETTINGS.told for channel in values):
+            continue
+        notes += [
+            f"{end.record}: {end.channel} stays at {end.level:.4g}, an end of its range, in "
+            f"{100 * end.share:.2g} % of its samples: if its sensor ends there, leave these empty"
+            for end in saturations(record)
+            if end.channel in record.output_names and end.share >= _SETTINGS.told
+        ]
+    return notes
+
+
+def _share_at_ends(values: Float[np.ndarray, " n"]) -> float:
+    """Share of the samples at the largest or the smallest value, whichever has more."""
+    if not len(values):
+        return 0.0
+    return float(max(np.mean(values == np.max(values)), np.mean(values == np.min(values))))
 
 
 def _pile(values: Float[np.ndarray, " n"]) -> float:

@@ -183,3 +183,14 @@ def _clock_of(
         (len(backward), int(backward[0]) + 1 if len(backward) else None),
         others,
     )
+
+
+def epoch_unit(values: Float[np.ndarray, " time"]) -> tuple[str, float] | None:
+    """Unit of stamps since 1970 that cannot be seconds, and its seconds; None if they can.
+
+    Args:
+        values: stamps as they stand in a file.
+    """
+    first = float(np.nanmin(values)) if np.any(np.isfinite(values)) else 0.0
+    units = ((word, factor) for word, low, factor in _EPOCHS[1:] if low <= first < 3.0 * low)
+    return next(units, None)

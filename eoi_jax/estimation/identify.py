@@ -19,6 +19,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check_count
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
+from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
@@ -201,7 +202,7 @@ def identify(
     explicit = observer is not None and observer.scheme == "explicit"
     checked, evidence = decided(plant, checked, declared_index, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
-    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons))
+    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons, *clipped_notes(checked)))
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
 

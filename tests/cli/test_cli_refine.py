@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -164,6 +165,7 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
     assert done.exit_code == 1
     error = json.loads(done.stdout)["error"]
     assert error.startswith("no estimate to refine (unidentifiable")
+    assert "; from the nominal values: passes_exhausted: " in error
     assert error.endswith("`starts = 200` under [refine] tries that many points around the nominal "
                           "values")  # fmt: skip
     config.write_text(TANKS + "\n[refine]\nstarts = 200\n")
@@ -173,6 +175,39 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
     assert result["status"]["code"] in ("converged", "stalled", "passes_exhausted")
     assert result["parameters"]["k4"] == pytest.approx(0.05, rel=0.01)
     assert {path.name for path in (tmp_path / "runs" / "short").iterdir()} == FILES
+
+
+STEP = """
+name = "short"
+[model]
+inputs = ["u"]
+outputs = ["y"]
+parameters = { T = 2.0, lag = 0.3 }
+input_lag = { u = "lag" }
+[model.derivatives]
+y = "(u - y)/T"
+[data]
+files = ["step.csv"]
+time = "t"
+inputs = ["u"]
+outputs = ["y"]
+"""
+
+
+def test_nominal_values_are_refined_where_the_passes_do_not_end(config: Path, tmp_path: Path):
+    """A step response that begins with its step: passes see a constant input behind no lag."""
+    time = np.arange(400) * 0.05
+    y = 1.0 - (3.0 * np.exp(-time / 3.0) - 0.7 * np.exp(-time / 0.7)) / 2.3
+    y += 1e-3 * np.random.default_rng(0).standard_normal(400)
+    table = np.stack([time, np.ones(400), y], axis=1)
+    np.savetxt(config.parent / "step.csv", table, delimiter=",", header="t,u,y", comments="")
+    config.write_text(STEP)
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["parameters"]["T"] == pytest.approx(3.0, rel=0.01)
+    assert result["parameters"]["lag"] == pytest.approx(0.7, rel=0.03)
+    assert any("refined from the nominal values" in note for note in result["notes"])
 
 
 def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, monkeypatch):

@@ -23,6 +23,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
+from eoi_jax.data.time_axis import epoch_unit
 
 
 def read_record(
@@ -102,6 +103,8 @@ def read_record(
         _options_by_column("units", units, selected),
     )
     labels = {key: new_names.get(key, key) for key in selected}
+    if clock is not None and clock not in factors:
+        _check_seconds(clock, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     return Record(
         stamps[rows],
@@ -226,6 +229,13 @@ def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
     )
     if sample_period is not None:
         check_positive("sample_period", sample_period)
+
+
+def _check_seconds(clock: str, stamps: np.ndarray) -> None:
+    unit = epoch_unit(stamps)
+    if unit is not None:
+        advice = f"These seem to be {unit[0]} since 1970: give `scale` {{{clock}: {unit[1]:g}}}."
+        check(False, f"time[{clock}]", "must be in seconds", f"{stamps[0]:.10g}", advice)
 
 
 def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:

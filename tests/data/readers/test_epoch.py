@@ -1,0 +1,27 @@
+"""Stamps since 1970 in a file."""
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e-3), ("µs", 1e-6)])
+def test_stamps_that_cannot_be_seconds_are_refused_with_their_scale(tmp_path, unit, factor):
+    path = tmp_path / "log.csv"
+    stamps = np.round((1.7e9 + 0.05 * np.arange(100)) / factor)
+    rows = "".join(f"{stamp:.0f},{k % 7},{k % 5}\n" for k, stamp in enumerate(stamps))
+    path.write_text("t,u,y\n" + rows)
+    rule = rf"`time\[t\]` must be in seconds, got 1\.7e\+1\d\. .*{unit} since 1970: give `scale` "
+    with pytest.raises(ValueError, match=rule + rf"\{{t: {factor:g}\}}"):
+        eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
+    record = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"], scale={"t": factor})
+    assert record.sample_period == pytest.approx(0.05)
+
+
+def test_seconds_since_1970_are_read_as_they_are(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{1.7e9 + 2 * k:.0f},{k % 7},{k % 5}\n" for k in range(100))
+    path.write_text("t,u,y\n" + rows)
+    record = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
+    assert record.sample_period == pytest.approx(2.0)

@@ -1,0 +1,33 @@
+"""What a fit says of an output that stays at an end of its range."""
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.data.clipping import clipped_notes
+
+TIME = np.arange(2000) * 0.05
+INPUT = np.repeat(np.random.default_rng(0).choice([0.0, 1.0, 2.0], 40), 50)
+
+
+def _record(limit=np.inf):
+    y = np.zeros(2000)
+    for k in range(1999):
+        y[k + 1] = y[k] + 0.05 * (3.0 * INPUT[k] - y[k]) / 2.0
+    y += 0.01 * np.random.default_rng(1).standard_normal(2000)
+    return eoi.Record(TIME, INPUT, np.minimum(y, limit), "lag", hold="zero")
+
+
+def test_a_clipped_output_is_mentioned_by_the_fit():
+    plant = eoi.Plant(lambda t, x, u, p: (p.K * u - x.y[0]) / p.T, {"K": 2.0, "T": 1.5})
+    (note,) = [reason for reason in eoi.identify(plant, _record(4.0)).reasons if "stays" in reason]
+    assert note.startswith("lag: y stays at 4, an end of its range, in ")
+    share = float(note.split(" in ")[1].split(" %")[0])
+    assert share == pytest.approx(100 * np.mean(_record(4.0).outputs == 4.0), rel=0.05)
+    assert "leave these empty" in note
+
+
+def test_an_output_that_turns_or_rests_is_not():
+    assert clipped_notes([_record()]) == []
+    sine = eoi.Record(TIME, INPUT, np.sin(TIME), hold="zero")
+    assert clipped_notes([sine]) == []
