@@ -75,7 +75,7 @@ class CommonFactor:
         names = _listed(self.parameters)
         advice = f"fix {_listed(self.fix)} (`fixed = {_quoted(self.fix)}`)"
         if not self.combinations and len(self.parameters) == len(self.fix):
-            return f"no output depends on {names}: {advice}"
+            return f"no trace in the data of {names}: no output depends on it, {advice}"
         text = f"{names} have a common factor and cannot be told apart by any record"
         if self.combinations:
             verb = "is" if len(self.combinations) == 1 else "are"

@@ -325,8 +325,7 @@ class _Driver:
         sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
         if corrected is not None:
             corrected_sums, corrected_trace = self._pass(corrected.theta, "signals")
-            index = mean(corrected_sums.square, corrected_sums.weight)
-            refused = refusal(best.index[0], index, self.plant.outputs)
+            refused = refusal(best.index[0], corrected_sums, self.plant.outputs)
             if refused:
                 corrected, reasons = None, (*reasons[: -len(correction_reasons)], refused)
             else:

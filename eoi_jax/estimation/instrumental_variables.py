@@ -31,7 +31,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import too_short
 from eoi_jax.estimation.instrument_kernel import PairSums, Rows, Simulated, run_pairs, sum_over_runs
 from eoi_jax.estimation.iteration import Iteration, group_by_sample, mean, sample_counts
-from eoi_jax.estimation.kernel import Steps
+from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.instrumental import within_bounds
@@ -194,7 +194,7 @@ def correct_bias(
 
 def refusal(
     before: Float[np.ndarray, " ny"],
-    after: Float[np.ndarray, " ny"],
+    sums: Sums,
     outputs: Sequence[str],
     settings: InstrumentalSettings = _SETTINGS,
 ) -> str:
@@ -202,11 +202,11 @@ def refusal(
 
     Args:
         before: index of the plain estimate.
-        after: index of that by instrumental variables.
+        sums: of a pass at that by instrumental variables, of one lane.
         outputs: names.
         settings: with the largest ratio.
     """
-    ratio = after / np.where(before > 0, before, np.inf)
+    ratio = mean(sums.square, sums.weight) / np.where(before > 0, before, np.inf)
     worst = int(np.argmax(ratio))
     if ratio[worst] <= settings.max_index_ratio:
         return ""

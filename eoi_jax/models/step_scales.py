@@ -240,6 +240,8 @@ def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
         scales: of `step_scales`.
         xp: `numpy` or `jax.numpy`.
     """
+    if scales.trivial:
+        return step
     moved = theta + _alone(theta, step, xp.asarray(scales.scales), xp)
     if not any(map(any, scales.exponents)):
         return moved - theta

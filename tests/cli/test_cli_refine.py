@@ -210,6 +210,47 @@ def test_nominal_values_are_refined_where_the_passes_do_not_end(config: Path, tm
     assert any("refined from the nominal values" in note for note in result["notes"])
 
 
+LOOSE = """
+name = "short"
+
+[model]
+outputs = ["y"]
+inputs = ["u"]
+parameters = { J = 0.5, K = 5.0, b = 1.0, k = 20.0 }
+[model.derivatives]
+y = "v"
+v = "(K*u - b*v - k*y)/J"
+
+[simulate]
+sample_period = 0.01
+duration = 20.0
+increments = { b = 0.3 }
+
+[simulate.input.u]
+kind = "random_steps"
+low = -1.0
+high = 1.0
+holding_time = 0.4
+"""
+
+
+def test_a_common_factor_is_said_with_what_to_fix_and_not_to_start_elsewhere(
+    config: Path, tmp_path: Path
+):
+    config.write_text(LOOSE)
+    done = run(config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 1
+    result = json.loads(done.stdout)
+    assert result["error"].startswith("no estimate to refine (unidentifiable: J, K, b and k have")
+    assert result["error"].endswith('fix J (`fixed = ["J"]`))')
+    (factor,) = result["common_factors"]
+    assert factor == {
+        "parameters": ["J", "K", "b", "k"],
+        "combinations": ["K/J", "b/J", "k/J"],
+        "fix": ["J"],
+    }
+
+
 def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, monkeypatch):
     whole = actions.run_refinement
 

@@ -41,7 +41,9 @@ def test_products_sums_and_what_has_no_effect():
     factors = {factor.parameters: factor for factor in common_factors(plant)}
     assert factors[("k1", "k2")].combinations == ("k1 + k2",)
     assert factors[("a", "b")].combinations == ("a·b",)
-    assert factors[("q",)].sentence == 'no output depends on q: fix q (`fixed = ["q"]`)'
+    assert factors[("q",)].sentence == (
+        'no trace in the data of q: no output depends on it, fix q (`fixed = ["q"]`)'
+    )
     assert len(factors) == 3
 
 
