@@ -128,3 +128,18 @@ def test_a_declared_hold_is_used_as_declared():
     found = eoi.identify(MASS, held(hold="linear"), smoothing=False)
     assert not any(reason.startswith("hold ") for reason in found.reasons)
     assert {record.hold for record in found.records} == {"linear"}
+
+
+def test_the_right_hold_is_found_from_a_start_that_needs_many_passes():
+    # ẏ = (K u − y)/τ from τ twice too large: after four passes wrong holds are ahead by 5.
+    period, tau, gain = 0.02, 0.14, 1.04
+    rng = np.random.default_rng(241)
+    u = np.repeat(rng.choice([-0.3, -0.15, 0.0, 0.15, 0.3], 50), 50)
+    y, decay = np.zeros(len(u)), np.exp(-period / tau)
+    for k in range(len(u) - 1):
+        y[k + 1] = decay * y[k] + (1.0 - decay) * gain * u[k]
+    plant = eoi.Plant(lambda t, x, u, p: (p.K * u - x.y[0]) / p.tau, {"tau": 0.3, "K": 1.0}, 1)
+    y += 2e-3 * rng.standard_normal(len(u))
+    result = eoi.identify(plant, eoi.Record.from_period(period, u, y))
+    assert any(reason.startswith("hold zero") for reason in result.reasons)
+    assert result.parameters["tau"] == pytest.approx(tau, rel=0.01)
