@@ -23,6 +23,7 @@ class HoldSettings:
 
     Attributes:
         passes: of each fit in an identification; the differences show before it has converged.
+        continuations: how often as many passes follow where the index still falls.
         least_fall: smallest relative fall of the index or of the error by which another hold than
             that of the rule (a staircase was held) is preferred.
         refuted: ratio of its index to the smallest, from which on a hold is out of the question,
@@ -34,6 +35,7 @@ class HoldSettings:
     """
 
     passes: int = 4
+    continuations: int = 3
     least_fall: float = 0.02
     refuted: float = 3.0
     same: float = 5e-3

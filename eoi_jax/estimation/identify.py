@@ -20,6 +20,7 @@ from eoi_jax._checks import check_count
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
 from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
@@ -222,9 +223,28 @@ def identify(
 
 
 def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:
-    """Geometric mean over the outputs of the smallest index; infinite without an estimate."""
+    """Geometric mean over the outputs of the smallest index; infinite without an estimate.
+
+    Where the index still falls in the last of `passes`, as many follow: from a start far off the
+    right hold may need more passes than the wrong ones until it is the better one.
+    """
     fit = estimate(plant, prepared, passes=passes)
+    for _ in range(HOLD_SETTINGS.continuations):
+        if not (fit.status.ok and fit.best_pass == passes - 1 and _falling(fit.index)):
+            break
+        further = estimate(fit.plant, prepared, passes=passes)
+        if not (further.status.ok and mean_index(further) < mean_index(fit)):
+            break
+        fit = further
     return mean_index(fit) if fit.status.fits else np.inf
+
+
+def _falling(index: Float[np.ndarray, "passes ny"]) -> bool:
+    """Whether the last pass has lowered the index by more than holds must differ by."""
+    if len(index) < 2:
+        return False
+    last, before = (float(np.mean(np.log(np.maximum(row, 1e-300)))) for row in index[:-3:-1])
+    return bool(last < before + np.log1p(-HOLD_SETTINGS.least_fall))
 
 
 def mean_index(fit: Identification) -> float:

@@ -202,3 +202,18 @@ def test_a_held_input_that_is_shifted_keeps_its_mean_over_each_step(delay, row):
     fine = moved.resample(20).midpoint_inputs()[:, 0].reshape(-1, 20)
     np.testing.assert_allclose(fine.mean(axis=1)[1:48], mean[:47], rtol=1e-12)
     assert len(np.unique(fine[5].round(12))) == 2  # it changes where it does
+
+
+def test_the_right_hold_is_found_from_a_start_that_needs_many_passes():
+    # ẏ = (K u − y)/τ from τ twice too large: after four passes wrong holds are ahead by 5.
+    period, tau, gain = 0.02, 0.14, 1.04
+    rng = np.random.default_rng(241)
+    u = np.repeat(rng.choice([-0.3, -0.15, 0.0, 0.15, 0.3], 50), 50)
+    y, decay = np.zeros(len(u)), np.exp(-period / tau)
+    for k in range(len(u) - 1):
+        y[k + 1] = decay * y[k] + (1.0 - decay) * gain * u[k]
+    plant = eoi.Plant(lambda t, x, u, p: (p.K * u - x.y[0]) / p.tau, {"tau": 0.3, "K": 1.0}, 1)
+    y += 2e-3 * rng.standard_normal(len(u))
+    result = eoi.identify(plant, eoi.Record.from_period(period, u, y))
+    assert any(reason.startswith("hold zero") for reason in result.reasons)
+    assert result.parameters["tau"] == pytest.approx(tau, rel=0.01)
