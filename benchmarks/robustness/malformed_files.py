@@ -95,7 +95,7 @@ def read(case: Case, path: Path) -> None:
         found = eoi.inspect(path, case.max_gigabytes)
         str(found.summary())
         str(found)
-        draft(found, path.with_suffix(".toml"))
+        draft([found], path.with_suffix(".toml"))
     for name in names[:6]:
         if not name.isprintable():
             raise AssertionError(f"{name!r} would reach a terminal")

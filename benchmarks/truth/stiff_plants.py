@@ -74,14 +74,16 @@ def drawn(number: int) -> StiffPlant:
     fastest, constants = constants[0], period * constants
     bend = 0.0 if linear else float(draw.uniform(0.3, 1.0))
     if kind == "mass":
-        rates = _mass(*constants, bend)
+        fast, slow = constants
+        rates = _mass(fast, slow, bend)
         return StiffPlant(
             f"{kind} {number}", linear, rates, 2, 1, 2, np.array([0.5, 0.0]), period, fastest
         )
     order = draw.permutation(count)
     start = draw.uniform(-0.5, 0.5, count)
     if kind == "motor":
-        rates, outputs = _motor(*constants, bend), int(draw.integers(1, 3))
+        electric, mechanic = constants
+        rates, outputs = _motor(electric, mechanic, bend), int(draw.integers(1, 3))
         start *= outputs == 2
     else:
         rates, outputs = _network(draw, constants[order], bend), int(draw.integers(1, count))

@@ -32,6 +32,9 @@ class HoldSettings:
             both: inputs that are sampled finely.
         trial_skews: delays of an input, and their negatives, at which the index is computed to find
             the skew of the channels, the second around what the first found [samples].
+        least_skew: smaller ones are not told from none [samples].
+        evidence: twice the gain in log-likelihood from which on a skew is found, or the hold that
+            goes with it is another one: 3.5 standard deviations.
     """
 
     passes: int = 4
@@ -40,6 +43,8 @@ class HoldSettings:
     refuted: float = 3.0
     same: float = 5e-3
     trial_skews: tuple[float, ...] = (0.5, 0.1)
+    least_skew: float = 0.05
+    evidence: float = 12.0
 
 
 SETTINGS = HoldSettings()

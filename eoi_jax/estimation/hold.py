@@ -105,13 +105,13 @@ class Skew:
     Attributes:
         hold: of the inputs, with which the delays were found.
         delays: by which each input acts later than it was logged, shape (nu,) [s].
-        index: with them; None where they were not found by it.
+        index: with them; infinite where they were not found by it.
         ratio: of the index without them to that with them; None as well.
     """
 
     hold: str
     delays: Float[np.ndarray, " nu"]
-    index: float | None = None
+    index: float = np.inf
     ratio: float | None = None
 
     def evidence(self, record: Record) -> str:
@@ -143,7 +143,22 @@ def best_skew(
     others = [channel_skew(plant, records, other, index_of, lowpass)
               for other in HOLDS if other != hold]  # fmt: skip
     found = [first, *(skew for skew in others if skew is not None)]
-    return min(found, key=lambda skew: skew.index or np.inf)
+    best = min(found, key=lambda skew: skew.index)
+    return best if _clearly_smaller(best.index, first.index, records, lowpass) else first
+
+
+def _clearly_smaller(
+    index: float, other: float, records: Sequence[Record], lowpass: LowPass
+) -> bool:
+    """Whether an index is smaller by more than chance, and by enough to matter.
+
+    In a band of ω_c there are ω_c T / π independent values in the time T, and their number times
+    the logarithm of the ratio is twice the gain in log-likelihood.
+    """
+    if not index < (1.0 - SETTINGS.least_fall) * other:
+        return False
+    duration = sum(len(record) * record.sample_period for record in records)
+    return lowpass.cutoff * duration / np.pi * np.log(other / index) >= SETTINGS.evidence
 
 
 def channel_skew(
@@ -182,7 +197,8 @@ def channel_skew(
                 delays, smallest = trial, value
         if not np.any(delays):
             return None
-    if not smallest < (1.0 - SETTINGS.least_fall) * without:
+    seen = np.max(np.abs(delays)) >= SETTINGS.least_skew * period
+    if not seen or not _clearly_smaller(smallest, without, records, lowpass):
         return None
     return Skew(hold, delays, smallest, without / smallest)
 

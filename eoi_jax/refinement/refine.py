@@ -75,6 +75,7 @@ class RefinementSettings:
     max_rough_error: float = 0.1  # of such steps, over the residual
     # Share of the cost; where the solver stalls and least squares predicts more, a search follows.
     max_reduction: float = 0.01
+    halvings: int = 3  # of windows that nobody asked for, where runs in them diverge at the start
     search_points: int = 64
     search_rounds: int = 4
     beginnings: tuple[float, ...] = (0.125, 0.25, 0.5)  # shares of runs in which errors grow
@@ -181,7 +182,12 @@ def refine(
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
                          starts is not None, rounds, huber)  # fmt: skip
-    result = _with_best_hold(nominal, records, question)
+    result, complete = _with_best_hold(nominal, records, question)
+    for _ in range(_SETTINGS.halvings):
+        if complete or window is not None or result.window is None:
+            break
+        shorter = replace(question, window=0.5 * result.window)
+        result, complete = _with_best_hold(nominal, records, shorter)
     if window is None and result.window is not None:
         result = settled(result, partial(_again, question, nominal))
     if not result.status.fits:
@@ -191,7 +197,7 @@ def refine(
     result = held_runaways(
         nominal,
         result,
-        lambda model: _with_best_hold(model, records, alone),
+        lambda model: _with_best_hold(model, records, alone)[0],
         lambda refined: refined.cost,
     )
     if not result.status.ok or not held_out:
@@ -218,18 +224,21 @@ class _Question:
     huber: float | None
 
 
-def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:
+def _with_best_hold(
+    plant: Plant, records: tuple[Record, ...], question: _Question
+) -> tuple[Refinement, bool]:
     """The refinement with the hold of the inputs that fits best, where none is declared.
 
     First with the hold that the samples suggest. From that estimate the others are tried; where one
-    fits clearly better, all begins again with it.
+    fits clearly better, all begins again with it. Also, whether there is an estimate with each.
     """
     rule = undeclared_hold(records)
     if rule is None:
-        return _refined(plant, records, question)
+        result = _refined(plant, records, question)
+        return result, result.status.fits
     result = _refined(plant, with_hold(records, rule), question)
     if not result.status.fits:
-        return result
+        return result, False
     # The same runs for all, or their errors could not be compared.
     question = replace(question, window=result.window)
     alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
@@ -237,12 +246,16 @@ def _with_best_hold(plant: Plant, records: tuple[Record, ...], question: _Questi
     for hold in HOLDS:
         if hold != rule:
             other = _refined(result.plant, with_hold(records, hold), alone)
+            if not other.status.fits:  # the estimate with a wrong hold may be worse than the start
+                other = _refined(plant, with_hold(records, hold), alone)
             errors[hold] = _mean_error(other) if other.status.fits else np.inf
     best_fitting = best_hold(errors, rule)
     if best_fitting != rule:
         again = _refined(plant, with_hold(records, best_fitting), question)
         result, best_fitting = (again, best_fitting) if again.status.fits else (result, rule)
-    return replace(result, notes=(*result.notes, *evidence("the error", errors, best_fitting)))
+    complete = bool(np.all(np.isfinite(list(errors.values()))))
+    notes = (*result.notes, *evidence("the error", errors, best_fitting))
+    return replace(result, notes=notes), complete
 
 
 def _again(

@@ -17,7 +17,14 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.fit import rms
 from eoi_jax.refinement.problem import Problem
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.simulation.error_growth import RULES, error_growth, is_lost, restarted, window_head
+from eoi_jax.simulation.error_growth import (
+    RULES,
+    ErrorGrowth,
+    error_growth,
+    is_lost,
+    restarted,
+    window_head,
+)
 from eoi_jax.simulation.validate import Validation, judged_runs
 
 # A refinement of the records of a result from a plant, in runs of a length [s], infinite for whole
@@ -58,13 +65,20 @@ def settled(result: Refinement, again: Refine) -> Refinement:
     if not result.status.ok or result.window is None:
         return result
     growth = error_growth(result.plant, result.records)
-    whole = _whole(result, again)
+    whole = _whole(result, again, growth)
     if whole is not None:
         return whole
     if growth.growing and abs(np.log(growth.window / result.window)) > np.log1p(RULES.settled):
         other = again(result, result.plant, growth.window)
         result = other if other.status.ok else result
-    result = _extended(result, again)
+    longer = _extended(result, again)
+    if growth.largest <= RULES.hopeless:
+        while longer is not result:
+            result, longer = longer, _extended(longer, again)
+        whole = _whole(result, again, growth)
+        if whole is not None:
+            return whole
+    result = longer
     note = restarted(len(result.starts), growth, "Fitted", result.window)
     return replace(result, notes=(*result.notes, note))
 
@@ -74,9 +88,14 @@ def _extended(result: Refinement, again: Refine) -> Refinement:
     longer = again(result, result.plant, RULES.extension * (result.window or np.inf))
     if not longer.status.ok or longer.window is None:
         return result
+    return longer if _follows(longer, result) else result
+
+
+def _follows(longer: Refinement, shorter: Refinement) -> bool:
+    """Whether the model follows longer runs as well as shorter ones."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        risen = np.log(_residual(longer) / _residual(result))
-    return longer if np.all(risen <= np.log1p(RULES.risen)) else result
+        risen = np.log(_residual(longer) / _residual(shorter))
+    return bool(np.all(risen <= np.log1p(RULES.risen)))
 
 
 def _residual(result: Refinement) -> Float[np.ndarray, " ny"]:
@@ -87,14 +106,15 @@ def _residual(result: Refinement) -> Float[np.ndarray, " ny"]:
     return result.rmse / np.sqrt(max(1.0 - unknowns / scored, np.finfo(float).eps))
 
 
-def _whole(result: Refinement, again: Refine) -> Refinement | None:
+def _whole(result: Refinement, again: Refine, growth: ErrorGrowth) -> Refinement | None:
     """The fit of whole runs from an estimate in windows; None where it is none, or is worse."""
     records = result.records
     runs = judged_runs(result.plant, records)
-    if is_lost(runs.nrmse, np.ones_like(runs.nrmse)):
+    lost = is_lost(runs.nrmse, np.ones_like(runs.nrmse))
+    if lost and growth.largest > RULES.hopeless:
         return None
     whole = again(result, result.plant, np.inf)
-    if not whole.status.ok:
+    if not whole.status.ok or (lost and not _follows(whole, result)):
         return None
     window = result.window or np.inf
     head = window_head(window, result.plant, records)

@@ -55,6 +55,8 @@ class GrowthRules:
         head: share of a window from which its start is estimated where it is judged.
         extension: factor by which windows of a fit are longer at its end: parameters are then near
             enough for errors that grow by e⁸, and late samples tell more of them.
+        hopeless: growth in whole runs from which on no fit of them is tried where they are lost:
+            their cost is then full of minima, and its slopes are lost in rounding.
         risen: rms residual, relative, by which longer windows show that the model is not exact.
         unseen: share of the information of a start below which a direction of it leaves no trace.
     """
@@ -72,6 +74,7 @@ class GrowthRules:
     fewest: float = 4.0
     head: float = 0.5
     extension: float = 2.0
+    hopeless: float = 1e6
     risen: float = 0.02
     unseen: float = 1e-10
 
