@@ -26,7 +26,8 @@ from benchmarks.common import Report, arguments, data_directory, percent, table
 from benchmarks.measured import measured_cases, refine_cases
 from benchmarks.statistics import comparator_cases
 from eoi_jax.refinement.levenberg_marquardt import solve_many
-from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, spans_of
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of
+from eoi_jax.refinement.spans import spans_of
 
 NOISE = 1e-3  # of the simulated records, over rms(y)
 REACH = 2.0  # of the starts, in sizes of each parameter

@@ -401,3 +401,15 @@ def _model_values(
         rows.append(np.pad(rate, ((0, len(rows[0]) - len(rate)), (0, 0)), mode="edge"))
     states = np.stack(rows, axis=1)
     return derivatives(plant, record.time[:-1], states, inputs)
+
+
+def precision_notes() -> list[str]:
+    """A note, and a warning, where arrays are in single precision."""
+    if jnp.result_type(float) == jnp.float64:
+        return []
+    note = (
+        "runs in single precision: differences of a finely sampled record lose most of its "
+        "digits. Call `eoi_jax.configure()` first for double precision"
+    )
+    warnings.warn(note, RuntimeWarning, stacklevel=5)
+    return [note]

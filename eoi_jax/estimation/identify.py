@@ -4,7 +4,6 @@ Read on in `iteration.py` (the iteration and its stopping rule), then in `kernel
 a record: observer of section 3, filter, normal equations, index).
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +24,12 @@ from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
-from eoi_jax.estimation.defaults import default_observer, default_transient, short_record_notes
+from eoi_jax.estimation.defaults import (
+    default_observer,
+    default_transient,
+    precision_notes,
+    short_record_notes,
+)
 from eoi_jax.estimation.engines.single import OnePass, single_pass
 from eoi_jax.estimation.hold import decided
 from eoi_jax.estimation.instrumental_variables import (
@@ -305,7 +309,7 @@ def estimate(
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
     notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
-    notes += _precision_note()
+    notes += precision_notes()
     run = single_pass(plant, observer, filters, steps)
     driver = _Driver(
         plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings
@@ -588,17 +592,6 @@ def _weighted(root: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _stack_filters(filters: list[DiscreteFilter]) -> DiscreteFilter:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *filters)
-
-
-def _precision_note() -> list[str]:
-    if jnp.result_type(float) == jnp.float64:
-        return []
-    note = (
-        "runs in single precision: differences of a finely sampled record lose most of its "
-        "digits. Call `eoi_jax.configure()` first for double precision"
-    )
-    warnings.warn(note, RuntimeWarning, stacklevel=5)
-    return [note]
 
 
 def _sliding_note(plant: Plant, sliding: np.ndarray) -> tuple[str, ...]:

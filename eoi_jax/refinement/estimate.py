@@ -17,8 +17,9 @@ from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.fit import Fit, log_cost, rms
-from eoi_jax.refinement.problem import CONVERGED, FEWEST_STEPS, Span
+from eoi_jax.refinement.problem import CONVERGED
 from eoi_jax.refinement.result import Refinement, Start
+from eoi_jax.refinement.spans import FEWEST_STEPS, Span
 from eoi_jax.simulation.sensitivity import Host, RunKernel
 
 

@@ -51,17 +51,15 @@ from eoi_jax.refinement.problem import (
     CONVERGED,
     Outcome,
     Problem,
-    Span,
     Unknowns,
     beginning,
     guessed_starts,
     problem_of,
     signals,
-    spans_of,
-    used_window,
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.spans import Span, spans_of, used_window
 from eoi_jax.refinement.windowed import settled, window_of, worse
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 from eoi_jax.simulation.validate import Validation, validated_alike

@@ -27,10 +27,10 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.problem import spans_of
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try
+from eoi_jax.refinement.spans import spans_of
 from eoi_jax.simulation.validate import Validation, judged_runs
 
 

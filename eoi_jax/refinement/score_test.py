@@ -34,8 +34,9 @@ from eoi_jax.models.effects.effect import (
     Seen,
 )
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.refinement.problem import Problem, Span, Unknowns, problem_of, signals, weighed
+from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, signals, weighed
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.spans import Span
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.linear_response import Response, response_of
 from eoi_jax.simulation.simulate import free_run

@@ -15,8 +15,8 @@ from eoi_jax.discovery.confirm import as_good
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.plant import State
-from eoi_jax.refinement.problem import spans_of
 from eoi_jax.refinement.score_test import LinearisedRuns
+from eoi_jax.refinement.spans import spans_of
 from eoi_jax.report.discovery import candidate_rows, phrase
 
 mpl.use("Agg")

@@ -9,15 +9,9 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax.refinement import multistart
 from eoi_jax.refinement.multistart import _standard_steps, _varied, best
-from eoi_jax.refinement.problem import (
-    Unknowns,
-    guessed_starts,
-    problem_of,
-    signals,
-    spans_of,
-    weighed,
-)
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, signals, weighed
 from eoi_jax.refinement.refine import _rougher
+from eoi_jax.refinement.spans import spans_of
 
 PERIOD, NOISE = 0.02, 1e-3
 

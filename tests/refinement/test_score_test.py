@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.refinement.problem import problem_of, spans_of
+from eoi_jax.refinement.problem import problem_of
 from eoi_jax.refinement.score_test import LinearisedRuns, _stages
+from eoi_jax.refinement.spans import spans_of
 
 
 @pytest.mark.parametrize("outputs", [1, 2])
