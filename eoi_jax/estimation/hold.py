@@ -158,7 +158,8 @@ def _clearly_smaller(
     if not index < (1.0 - SETTINGS.least_fall) * other:
         return False
     duration = sum(len(record) * record.sample_period for record in records)
-    return lowpass.cutoff * duration / np.pi * np.log(other / index) >= SETTINGS.evidence
+    gain = lowpass.cutoff * duration / np.pi * np.log(other / index)
+    return bool(gain >= SETTINGS.evidence)
 
 
 def channel_skew(

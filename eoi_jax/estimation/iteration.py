@@ -166,7 +166,7 @@ def iterate(
     lanes, affine = np.arange(len(start)), plant.is_affine
     theta, active, damping = start, np.ones(len(start), bool), np.zeros(len(start))
     stale, count, best_pass = (np.zeros(len(start), int) for _ in range(3))
-    awaited = np.zeros(len(start), bool)
+    awaited, divided = np.zeros(len(start), bool), not step_scales(plant).trivial
     sums = reference = best = has_data = None
     factor, history = _SETTINGS.damping_factor, []
     for number in range(passes):
@@ -182,9 +182,10 @@ def iterate(
         # A divisor that is right at last makes the others wrong for one step, by as much as it was:
         # a step is an overshoot where the next full one does not make up for it (the watchdog of
         # R. Chamberlain et al., Mathematical Programming Study 16 (1982) 1).
-        awaited = worse & ~awaited & (damping == 0.0) & np.isfinite(current.cost)
+        may_wait = ~awaited & (damping == 0.0) & np.isfinite(current.cost) & divided
+        awaited = worse & may_wait
         overshot = worse & ~awaited
-        stale = np.where(better, 0, stale + active)
+        stale = np.where(better, 0, stale + (active & ~awaited))
         reduced = np.where(damping > _SETTINGS.min_damping, damping / factor, 0.0)
         damping = np.where(better, reduced, damping)
         # Gauss–Newton overshot: take a shorter step from the best iteration.

@@ -10,47 +10,12 @@ the fit is as good, and the others are estimated beside it.
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any
 
 import numpy as np
 
-from eoi_jax._status import Status
-from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import bent_parameters
-
-
-@runtime_checkable
-class Fit(Protocol):
-    """What an `Identification` and a `Refinement` have in common."""
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Estimate by name."""
-        ...
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Of it."""
-        ...
-
-    @property
-    def status(self) -> Status:
-        """How it ended."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What else there is to know."""
-        ...
-
-    @property
-    def common_factors(self) -> tuple[CommonFactor, ...]:
-        """Parameters that no record tells apart."""
-        ...
-
-
-AnyFit = TypeVar("AnyFit", bound=Fit)
 
 
 @dataclass(frozen=True)
@@ -98,10 +63,10 @@ def runaways(
 
 def held_runaways(
     plant: Plant,
-    fit: AnyFit,
-    refit: Callable[[Plant], AnyFit],
-    cost: Callable[[AnyFit], float],
-) -> AnyFit:
+    fit: Any,
+    refit: Callable[[Plant], Any],
+    cost: Callable[[Any], float],
+) -> Any:
     """An estimate with the parameters that ran off held, or the estimate itself.
 
     Args:
@@ -131,7 +96,7 @@ def held_runaways(
                         held[name])
         for name in names
     ]  # fmt: skip
-    return replace(again, nominal=plant, notes=(*again.notes, *notes))  # type: ignore[type-var]
+    return replace(again, nominal=plant, notes=(*again.notes, *notes))
 
 
 _RAN_OFF = (

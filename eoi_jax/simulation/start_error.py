@@ -117,7 +117,7 @@ def _begun(run: Run, part: Record, head: int) -> _Begun:
     values = initial_states(run, first, y[None], valid[None])
     outputs = outputs_of(run.plant, first, states_of(run.plant, values), run.friction)[0]
     degrees = np.maximum(np.sum(valid, axis=0) - run.plant.rows, 1)
-    with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
+    with np.errstate(all="ignore"):  # of a run that diverges
         squares = np.sum(np.where(valid, y - outputs, 0.0) ** 2, axis=0)
     return _Begun(whole, values, np.sqrt(squares / degrees))
 
@@ -135,7 +135,7 @@ def _slopes(
     moved[1:, : len(steps)] += np.diag(steps)
     driving = _lanes(begun.drive, len(moved), len(begun.drive.time))
     outputs = outputs_of(run.plant, driving, states_of(run.plant, moved), run.friction)
-    with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
+    with np.errstate(all="ignore"):  # of a run that diverges
         change = np.moveaxis(outputs[1:] - outputs[0], 0, -1) / _SETTINGS.difference
     return change / spread[:, None], np.maximum(begun.noise / spread, _SETTINGS.noise)
 

@@ -117,7 +117,7 @@ def test_short_runs_take_the_place_of_whole_ones_where_a_drift_bends_these():
     true = eoi.Plant(rolling, {"mass": 2.0, "friction": 1.0}, 2, ("u",), ("y",))
     fit, held = (rolled(true, seed, push) for seed, push in ((1, 0.05), (2, 0.0)))
     whole, _ = whole_and_windows(true, [held], None)
-    loose = replace(whole, rmse=1e3 * whole.rmse), None
+    loose = replace(whole, rmse=1e5 * whole.rmse), None
     start = true.with_parameters({"mass": 2.2, "friction": 0.9})
     answer = polished(start, [fit], [held], loose, 2.0, [effects.QuadraticDrag()])
     assert not isinstance(answer, str)

@@ -270,6 +270,8 @@ LATER_FIELDS = {
     "hold_declared": True,
     "output": {"tuple": []},
     "common_factors": {"tuple": []},
+    "at_input": {"tuple": []},
+    "window": None,
     "lower": None,
     "upper": None,
 }
