@@ -137,7 +137,8 @@ def _slopes(
     outputs = outputs_of(run.plant, driving, states_of(run.plant, moved), run.friction)
     with np.errstate(all="ignore"):  # of a run that diverges
         change = np.moveaxis(outputs[1:] - outputs[0], 0, -1) / _SETTINGS.difference
-    return change / spread[:, None], np.maximum(begun.noise / spread, _SETTINGS.noise)
+        change = change / spread[:, None]
+    return change, np.maximum(begun.noise / spread, _SETTINGS.noise)
 
 
 def _lanes(whole: Drive, lanes: int, steps: int) -> Drive:
