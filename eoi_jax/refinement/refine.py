@@ -121,7 +121,7 @@ def refine(
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
             anew at the start of each. None: whole records; where these say nothing at the start,
-            for the plant is unstable or integrates, windows over which errors of their starts stay
+            for the plant is unstable, windows over which errors of their starts stay
             small (`simulation/error_growth.py`), and a note says so. Infinite: whole records in any
             case. With `starts` runs are whole where nothing is said.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:

@@ -1,4 +1,4 @@
-"""Refinement in windows, of plants whose whole free runs say nothing: unstable ones, integrators.
+"""Refinement in windows, of unstable plants, whose whole free runs say nothing.
 
 Where whole runs are lost at the parameters from which a fit starts, and errors of the start grow in
 them (`simulation/error_growth.py`), the fit takes runs over which these errors stay small. At its

@@ -42,15 +42,14 @@ class GrowthRules:
         window: the same at the end of a window. From there on the error of the start is more than
             what is estimated from; longer runs are sharper, but forgive less.
         settled: change of the length of windows, relative, that is not worth another fit.
-        decay: sum of the largest real part of the eigenvalues over a run, below which errors have
-            died out by more than an oscillation can hide: e⁻³ is 5 %.
         instants: number of samples of a record at which the model is linearised.
         starts: runs along a record by which growth is judged.
         steps: lengths of a run at which it is looked at, about.
         quantile: over these runs; the plant need not be as unstable everywhere.
-        exponent: length of a window at most, in time constants of the fastest unstable mode: an
-            error grows by e⁴ = 55. With many samples a time constant starts are known so well that
-            g alone would allow more, but errors of the parameters grow too.
+        exponent: length of a window at most, and of a record at least that is cut into windows, in
+            time constants of the fastest unstable mode: an error grows by e⁴ = 55. With many
+            samples a time constant starts are known so well that g alone would allow more, but
+            errors of the parameters grow too.
         fewest: samples of a window at least, times the number of states.
         head: share of a window from which its start is estimated where it is judged.
         extension: factor by which windows of a fit are longer at its end: parameters are then near
@@ -65,7 +64,6 @@ class GrowthRules:
     growing: float = 10.0
     window: float = 3.0
     settled: float = 0.5
-    decay: float = -3.0
     instants: int = 500
     starts: int = 16
     steps: int = 2000
@@ -157,7 +155,7 @@ def restarted(count: int, growth: ErrorGrowth, subject: str, window: float | Non
     size = f"grows to {growth.largest:.2g} times the noise" if growth.growing else "ends it"
     return (
         f"{subject} in {count} windows of {window or growth.window:.3g} s, each from a state of "
-        "its own: the plant is unstable or integrates, and a whole free run says nothing, for the "
+        "its own: the plant is unstable, and a whole free run says nothing, for the "
         f"error of its start {size}."
     )
 
@@ -172,8 +170,8 @@ def _along(plant: Plant, record: Record, initial_samples: int | None) -> ErrorGr
     if not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(rows))):
         return ErrorGrowth(0.0, np.inf)
     rates = np.max(np.linalg.eigvals(slopes).real, axis=1)
-    if np.quantile(rates, RULES.quantile) * count * period < RULES.decay:
-        return ErrorGrowth(0.0, np.inf)
+    if np.quantile(rates, RULES.quantile) * count * period < RULES.exponent:
+        return ErrorGrowth(0.0, np.inf)  # an integrator too: whole runs can be fitted
     nearest = np.minimum(np.searchsorted(index, np.arange(count)), len(index) - 1)
     firsts = np.unique(np.linspace(0, max(count - 2 * head, 0), RULES.starts).astype(int))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -85,7 +85,7 @@ def validate(
 ) -> Validation:
     """Simulate a plant along records and compare.
 
-    Of a plant that is unstable or integrates a free run through a whole record may say nothing: the
+    Of a plant that is unstable a free run through a whole record may say nothing: the
     error of its start grows until it is larger than the output. Such a plant is judged in windows
     over which this error stays a few times the noise (`error_growth.py`); a note says so, and how
     many starts there are.

@@ -233,4 +233,4 @@ def test_published_positioning_system_predicts_the_measured_position(data_direct
     record = Record(time, 35.15065 * force, position, "emps", hold="zero")
     # Open loop over 24.8 s: 5 to 9 mm with the published values, by the length of the start.
     assert validate(positioning_system(reference=True), record).rmse[0] < 9e-3
-    assert validate(positioning_system(), record, window=np.inf).rmse[0] > 50e-3
+    assert validate(positioning_system(), record).rmse[0] > 50e-3
