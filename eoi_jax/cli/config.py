@@ -131,7 +131,7 @@ class RefineTable(msgspec.Struct, frozen=True):
 
     Attributes:
         window: length of each run [s]; default: whole records, or windows where these say nothing
-            because the plant is unstable or integrates.
+            because the plant is unstable.
         substeps: steps of the simulation per sample; default: as many as their error asks for.
         max_steps: of the solver.
         starts: number of further starting points, drawn around the estimate of the passes, or

@@ -72,14 +72,14 @@ class CommonFactor:
     @property
     def sentence(self) -> str:
         """What is wrong, and what to do about it."""
-        names = _listed(self.parameters)
-        advice = f"fix {_listed(self.fix)} (`fixed = {_quoted(self.fix)}`)"
+        names = listed(self.parameters)
+        advice = f"fix {listed(self.fix)} (`fixed = {_quoted(self.fix)}`)"
         if not self.combinations and len(self.parameters) == len(self.fix):
             return f"no trace in the data of {names}: no output depends on it, {advice}"
         text = f"{names} have a common factor and cannot be told apart by any record"
         if self.combinations:
             verb = "is" if len(self.combinations) == 1 else "are"
-            text = f"{text}, only {_listed(self.combinations)} {verb} determined"
+            text = f"{text}, only {listed(self.combinations)} {verb} determined"
         return f"{text}: {advice}"
 
 
@@ -227,7 +227,8 @@ def _null_space(matrix: Float[np.ndarray, "rows columns"], free: int) -> np.ndar
     )
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

@@ -167,11 +167,15 @@ def _moved(theta: Float[np.ndarray, " np"], i: int, value: float) -> Float[np.nd
     return moved
 
 
-def _both(plant: Plant, probe: tuple[Any, ...]) -> Any:
+def _rates(plant: Plant, probe: tuple[Any, ...], theta: Any) -> Any:
+    """f and g at these parameters."""
     t, y, u, z = probe
-    x, theta = State(y, z), jnp.asarray(plant.theta)
-    f = plant.derivative(t, x, u, theta)
-    return jnp.concatenate([f, plant.internal_rate(t, x, u, theta)])
+    f = plant.derivative(t, State(y, z), u, theta)
+    return jnp.concatenate([f, plant.internal_rate(t, State(y, z), u, theta)])
+
+
+def _both(plant: Plant, probe: tuple[Any, ...]) -> Any:
+    return _rates(plant, probe, jnp.asarray(plant.theta))
 
 
 def _evaluated(
@@ -191,14 +195,7 @@ def _evaluated(
 
 def _slopes(plant: Plant, probe: tuple[Any, ...]) -> Any:
     """∂f/∂θ and ∂g/∂θ."""
-    t, y, u, z = probe
-
-    def both(theta: Any) -> Any:
-        x = State(y, z)
-        f = plant.derivative(t, x, u, theta)
-        return jnp.concatenate([f, plant.internal_rate(t, x, u, theta)])
-
-    return jax.jacfwd(both)(jnp.asarray(plant.theta))
+    return jax.jacfwd(lambda theta: _rates(plant, probe, theta))(jnp.asarray(plant.theta))
 
 
 def _is_singular(plant: Plant, theta: Float[np.ndarray, " np"], i: int) -> bool:

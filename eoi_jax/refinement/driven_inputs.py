@@ -5,14 +5,12 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import Drive
+from eoi_jax.simulation.sensitivity import Host
 from eoi_jax.simulation.simulate import actuated
-
-Host = Array | np.ndarray
 
 
 class DrivenInputs(eqx.Module):

@@ -65,8 +65,7 @@ def sufficient_start(run: Run, record: Record, head: int) -> int:
         `head`, or it doubled until the error of the start is small in the run. `head` too where a
         third of the record is not enough, or where the model leaves more in more samples.
     """
-    first, part = max(driven_parts(record), key=lambda pair: len(pair[1]))
-    del first
+    part = max((part for _, part in driven_parts(record)), key=len)
     reach = min(len(part), _SETTINGS.reach * head)
     candidates = _doubled(head, _SETTINGS.share * min(len(part), reach))
     runs = plan(part, head, None, run.plant.rows)

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import Result
+from eoi_jax.estimation.common_factors import listed
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.identifiability import (
     format_direction,
@@ -248,9 +249,9 @@ def _open(
             untraced[:, group], theta, names, tolerance
         )
         if len(involved) == len(group):
-            sentences.append(f"{_listed(involved)} left no trace in the data")
+            sentences.append(f"{listed(involved)} left no trace in the data")
         elif combinations:
-            sentences.append(f"only {_listed(combinations)} can be told, not {_listed(involved)}")
+            sentences.append(f"only {listed(combinations)} can be told, not {listed(involved)}")
         else:
             changes = [format_direction(untraced[:, column], theta, names) for column in group]
             sentences += [f"a change of {change} leaves no trace in the data" for change in changes]
@@ -297,10 +298,10 @@ def _weak(
         worst = max(relative[names.index(name)] for name in involved)
         if len(involved) < 2 or worst < min_change:
             continue
-        sentence = f"{_listed(involved)} can hardly be told apart, only to within {worst:.0%}"
+        sentence = f"{listed(involved)} can hardly be told apart, only to within {worst:.0%}"
         if combinations:
             verb = "is" if len(combinations) == 1 else "are"
-            sentences.append(f"{sentence}; {_listed(combinations)} {verb} surer")
+            sentences.append(f"{sentence}; {listed(combinations)} {verb} surer")
         else:
             change = format_direction(direction, theta, names)
             sentences.append(f"{sentence}: a change of {change} hardly shows")
@@ -318,10 +319,6 @@ def _precision(
     correlation = np.where(scale > 0, covariance, 0.0) / np.where(scale > 0, scale, 1.0)
     inverse = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True)
     return inverse / np.where(scale > 0, scale, 1.0)
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 # -- other quantities -------------------------------------------------------------------------
