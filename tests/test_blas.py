@@ -47,6 +47,7 @@ def test_a_discovery_and_its_end_by_an_error(two, swing):
     assert seen == [{1}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [eoi.identify, eoi.refine])
 def test_an_estimate(verb, two, swing):
     seen = []

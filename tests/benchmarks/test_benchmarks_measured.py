@@ -21,6 +21,7 @@ def test_the_diode_obeys_its_equation():
     np.testing.assert_allclose(circuit.wright(z), wrightomega(z), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_twelve_parameters_of_the_circuit_beat_the_best_published_error(data_directory: Path):
     first = circuit.TRAIN[0]
     fit = circuit.record(data_directory, (first, first + 20000), "a fifth of the estimation part")
@@ -53,6 +54,7 @@ def test_friction_of_an_arm_takes_its_torque_from_each_joint(data_directory: Pat
     np.testing.assert_allclose(inertia @ (with_it - without), torque, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "within"),
     [

@@ -47,6 +47,7 @@ def test_the_rival_sticks_where_friction_holds_and_stops_where_it_should():
     assert np.ptp(out[round((pushed + speed / dry) / h) + 1 :]) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["level tank", "mass, spring and damper"])
 def test_passes_and_refinement_reach_the_optimum_from_anywhere(name: str, monkeypatch):
     monkeypatch.setattr(random_starts, "SIDE", STARTS)

@@ -1,6 +1,7 @@
 """A slice of `benchmarks/robustness/invariances.py`, and what it brought to light."""
 
 import numpy as np
+import pytest
 from scipy import integrate, stats
 
 import eoi_jax as eoi
@@ -8,6 +9,7 @@ from benchmarks.robustness import invariances
 from eoi_jax.discovery.lags import Peak, strongest
 
 
+@pytest.mark.slow
 def test_order_units_and_the_order_of_parameters_change_nothing():
     """A pendulum with dry friction."""
     said = []

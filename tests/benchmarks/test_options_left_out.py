@@ -17,6 +17,7 @@ def key(case):
     return benchmark.Key("single", "mass", case.truth, "open", case.noise, case.seed, 10_000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", ["gap", "late output"])
 def test_the_effect_is_named_all_the_same(case, trouble, monkeypatch):
     monkeypatch.setattr(benchmark, "trouble_of", lambda _: trouble)

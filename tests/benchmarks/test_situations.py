@@ -135,6 +135,7 @@ def test_a_refusal_must_say_why():
     assert not _verdict(situation, RIGHT).served
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_a_cheap_situation_is_served_by_the_command(name):
     answer, verdict = judge.trial(BY_NAME[name])

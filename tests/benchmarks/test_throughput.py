@@ -21,6 +21,7 @@ def case():
     return throughput.Case(np.float64, 128, 1200)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rival", [rivals.C, rivals.Numba, rivals.Loop])
 def test_rivals_written_by_hand_add_up_the_same(rival, case):
     if rival is rivals.C and not rivals.C.available():
@@ -44,6 +45,7 @@ def test_a_rival_that_differs_is_found(case):
         throughput.agree("wrong", wrong, ours, np.dtype(np.float64))
 
 
+@pytest.mark.slow
 def test_the_command_prints_one_object():
     """All rivals once, few lanes and steps; the machine may be busy, so no time is asserted."""
     words = ["--quick", "--json", "--lanes", "64", "--steps", "600", "--rounds", "1"]

@@ -40,6 +40,7 @@ def _kind(case: effect_cases.Case) -> str:
     return "outside" if case.truth[0].startswith("outside:") else "single"
 
 
+@pytest.mark.slow
 def test_slice_is_named_exactly_and_the_free_run_becomes_right(cases: list[effect_cases.Case]):
     """Single effects by name, nothing where nothing is hidden, "unexplained" without a name.
 

@@ -90,6 +90,7 @@ def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_pa
     assert result["validation"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [actions.identify, actions.discover, actions.refine])
 def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Path, command):
     seen: dict[str, list[tuple[int, int | None]]] = {}
@@ -243,6 +244,7 @@ def test_an_interrupt_ends_with_130_and_leaves_nothing(
 # -- as a process -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

@@ -106,6 +106,7 @@ def test_a_config_is_identified(tmp_path, text, record_of, names, truth):
         np.testing.assert_allclose(result["parameters"][key], value, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_model_is_refined_and_exported(tmp_path):
     path = written(tmp_path, CELL, battery_record, ("current", "voltage"))
     done = eoi("refine", path, "--output", tmp_path / "runs")

@@ -159,6 +159,7 @@ holding_time = 40.0
 """
 
 
+@pytest.mark.slow
 def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_path: Path):
     config.write_text(TANKS)
     done = run(config, "--output", tmp_path / "runs", "--json")
@@ -194,6 +195,7 @@ outputs = ["y"]
 """
 
 
+@pytest.mark.slow
 def test_nominal_values_are_refined_where_the_passes_do_not_end(config: Path, tmp_path: Path):
     """A step response that begins with its step: passes see a constant input behind no lag."""
     time = np.arange(400) * 0.05
@@ -270,6 +272,7 @@ def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, m
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

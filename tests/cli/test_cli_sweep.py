@@ -91,6 +91,7 @@ def test_a_config_stands_for_the_same_call(config: Path):
     assert given["resamples"] == 2
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: Path, monkeypatch):
     calls = iter(range(100))
     whole = actions.run_sweep
@@ -169,6 +170,7 @@ def test_a_store_of_another_config_is_not_touched(config: Path, tmp_path: Path):
     assert "this very sweep" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_installed_command_sweeps_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

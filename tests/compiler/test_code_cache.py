@@ -41,6 +41,7 @@ def run(folder):
     return int(made), answer, done.stderr
 
 
+@pytest.mark.slow
 def test_damaged_files_are_compiled_again_and_replaced(tmp_path):
     fresh, answer, _ = run(tmp_path)
     files = sorted((tmp_path / "native").glob("*.o"))

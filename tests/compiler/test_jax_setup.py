@@ -124,6 +124,7 @@ assert jnp.ones(1).dtype == "float64"
     assert "Call `eoi_jax.configure()` before using JAX" in shown
 
 
+@pytest.mark.slow
 def test_lanes_spread_over_devices_add_up_to_the_same():
     code = """
 import numpy as np

@@ -58,6 +58,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_any_failure_of_the_translation_falls_back_to_the_scan(
     fault, case, nothing_kept, monkeypatch

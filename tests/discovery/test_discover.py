@@ -207,6 +207,7 @@ def test_nothing_is_added_to_a_model_that_lacks_nothing():
     assert answer.after is answer.before
 
 
+@pytest.mark.slow
 def test_effect_outside_the_library_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
@@ -261,6 +262,7 @@ def test_several_effects_that_imitate_one_product_are_not_given_their_names(hidd
     assert any(one.remark.startswith("a product of signals") for one in answer.ranking)
 
 
+@pytest.mark.slow
 def test_what_is_rare_is_tried_where_the_rest_explains_nothing():
     plant = eoi.Plant(damper, {**TRUE, "hidden": 0.3}, **KNOWN, units=UNITS)
     fit, held = measured(plant, 1), measured(plant, 2)

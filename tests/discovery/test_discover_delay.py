@@ -51,6 +51,7 @@ def found(delay: int, lag: float = 0.0, noise: float = 1e-4) -> eoi.Discovery:
     return eoi.discover(DECLARED, measured(1, delay, lag, noise), measured(2, delay, lag, noise))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "noise"), [(16, 0.0), (60, 0.0), (60, 1e-4), (200, 1e-4)])
 def test_a_long_delay_is_named_however_clean_the_record(delay, noise):
     answer = found(delay, noise=noise)
@@ -60,6 +61,7 @@ def test_a_long_delay_is_named_however_clean_the_record(delay, noise):
         assert answer.plant.parameters[name] == pytest.approx(value, rel=2e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "lag"), [(40, 0.05), (20, 0.2)])
 def test_a_delay_gives_back_what_it_took_of_a_lag(delay, lag):
     answer = found(delay, lag)

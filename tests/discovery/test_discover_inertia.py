@@ -176,6 +176,7 @@ def test_a_wider_law_is_kept_where_a_free_run_is_better_with_it(found):
     assert not as_good((lost, found.windows_before), (lost, found.windows_after))
 
 
+@pytest.mark.slow
 def test_frictions_without_a_free_run_are_told_and_not_added():
     found = eoi.discover(ROBOT, robot_record(1), robot_record(2), ["coulomb_friction"])
     assert found.status.code == "unexplained"
@@ -187,6 +188,7 @@ def test_frictions_without_a_free_run_are_told_and_not_added():
     assert at == {("one", "a"), ("two", "b"), ("three", "c")}
 
 
+@pytest.mark.slow
 def test_free_runs_show_it_too(fit):
     refined = eoi.refine(PLANT, fit, window=1.0)
     left = eoi.remaining(refined, [effects.CoulombFriction(), effects.QuadraticDrag()])

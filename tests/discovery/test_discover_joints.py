@@ -96,6 +96,7 @@ def test_it_is_drawn_against_the_difference(found):
     assert {"near - far [m]", "far - near [m]"} <= labels
 
 
+@pytest.mark.slow
 def test_the_free_run_shows_it_too():
     refined = eoi.refine(PLANT, record(1), window=2.0)
     left = eoi.remaining(refined, [effects.CubicStiffness(), effects.QuadraticDrag()])

@@ -87,6 +87,7 @@ CASES: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(CASES))
 def test_an_effect_on_an_output_or_its_input_is_found(name):
     arguments, values = CASES[name]
@@ -105,6 +106,7 @@ def test_a_model_that_lacks_nothing_gets_nothing():
     assert (found.status.code, found.effects) == ("nothing_missing", ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "outputs", "name"),
     [

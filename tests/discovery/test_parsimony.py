@@ -48,6 +48,7 @@ def record(seed: int, offset: float = 0.0) -> eoi.Record:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     """Whatever free runs say: the second exchange must not undo the first."""
     monkeypatch.setattr(discovery, "as_good", lambda *_: True)
@@ -75,6 +76,7 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     assert set(first.refused) == set(wide)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "kept"), [(0.0, False), (0.3, True)])
 def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offset, kept):
     """Asymmetric friction is read as a level and an offset; the level alone is the simpler law."""

@@ -97,6 +97,7 @@ def test_nothing_is_added_where_nothing_else_is_missing():
     assert error(found.after) == pytest.approx(NOISE * held[1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_only_free_runs_show_is_an_answer_where_the_injection_shows_nothing():
     hidden = {"quadratic_drag": 0.02}
     fit, held = record(hidden, 5)[0], record(hidden, 6)
@@ -112,6 +113,7 @@ def rolling(t, x, u, p):
     return (u - p.friction * x.y[1]) / p.mass
 
 
+@pytest.mark.slow
 def test_short_runs_take_the_place_of_whole_ones_where_a_drift_bends_these():
     """A slow force that is in no record: its effect on an integrating plant adds up."""
     true = eoi.Plant(rolling, {"mass": 2.0, "friction": 1.0}, 2, ("u",), ("y",))

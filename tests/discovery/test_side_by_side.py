@@ -30,6 +30,7 @@ def test_plants_that_solve_equations_are_not():
     assert waits(ARM)
 
 
+@pytest.mark.slow
 def test_a_discovery_of_a_plant_that_solves_equations_comes_to_an_end():
     """Two evaluations at once would wait for each other on two cores."""
     time, draw = 2e-3 * np.arange(3000), np.random.default_rng(0)

@@ -25,6 +25,7 @@ DOCS = ROOT / "docs"
 EXECUTED = ("tutorial", "uncertainty", "extend", "observers")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXECUTED)
 def test_a_page_runs_and_shows_what_it_prints(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -32,6 +33,7 @@ def test_a_page_runs_and_shows_what_it_prints(name, tmp_path, monkeypatch):
     assert pages.Page(DOCS / f"{name}.md").run() > 1
 
 
+@pytest.mark.slow
 def test_the_page_on_measured_data_shows_what_it_prints(data_directory, tmp_path, monkeypatch):
     if not (data_directory / "silverbox").is_dir():
         pytest.skip(f"the silverbox is absent ({data_directory}); set EOI_DATA to its folder")

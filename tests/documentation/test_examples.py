@@ -53,6 +53,7 @@ def test_the_missing_effect_is_the_gap_in_the_spring(tmp_path):
     assert (tmp_path / "missing_effect.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*backend:RuntimeWarning")
 def test_the_best_gains_of_the_sweep_slide(tmp_path):
     chosen = script("gain_sweep").main(tmp_path, relays=6, dampings=2)
@@ -60,6 +61,7 @@ def test_the_best_gains_of_the_sweep_slide(tmp_path):
     assert (tmp_path / "gain_sweep.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*backend:RuntimeWarning")
 def test_instruments_take_the_bias_of_a_noisy_record_away(tmp_path):
     errors = script("noisy_record").main(tmp_path, levels=(1e-2,))

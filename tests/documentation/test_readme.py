@@ -32,6 +32,7 @@ def _printed(number: int) -> str:
     return printed.getvalue()
 
 
+@pytest.mark.slow
 def test_the_measured_example_prints_what_the_readme_shows(data_directory, monkeypatch):
     folder = data_directory / "emps"
     if not folder.is_dir():
@@ -54,6 +55,7 @@ def _parameters(text: str) -> dict[str, tuple[float, float]]:
     return {name: (float(nominal), float(estimate)) for name, nominal, estimate in rows}
 
 
+@pytest.mark.slow
 def test_the_example_prints_what_the_readme_shows():
     printed = _printed(_PARAMETERS)
     shown, got = _parameters(_block("text", _PARAMETERS)), _parameters(printed)

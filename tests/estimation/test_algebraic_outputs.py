@@ -250,6 +250,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(CASES))
 def test_all_engines_give_the_same_sums(name):
     build, record_of, observer = CASES[name]

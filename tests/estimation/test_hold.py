@@ -117,6 +117,7 @@ def test_half_a_sample_of_delay_is_no_effect():
     assert found.notes[0].startswith("hold zero: the index")
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_named_though_it_hides_the_hold():
     found = eoi.discover(MASS, held(cubic=30.0), held(cubic=30.0, seed=1))
     assert found.effects == ("cubic_stiffness",)
@@ -169,6 +170,7 @@ def test_a_skew_of_the_channels_is_no_effect(samples):
         assert held_out.skew[0] == pytest.approx(-samples * PERIOD, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_of_many_samples_is_one_of_the_plant():
     late = apart(-4.0)
     found = eoi.identify(MASS, late)

@@ -79,6 +79,7 @@ def test_exported_code_tells_it_beside_the_unit(tmp_path):
     assert line.endswith("# rad/s², 0.5 V at the input u")
 
 
+@pytest.mark.slow
 def test_the_command_gives_it_in_json(tmp_path, monkeypatch):
     from typer.testing import CliRunner
 

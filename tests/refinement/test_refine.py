@@ -164,6 +164,7 @@ def test_lag_of_an_actuator_is_refined_to_the_truth(lagged):
     np.testing.assert_allclose(result.plant.theta, true.theta, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_lag_that_is_not_there_is_refined_to_zero():
     """Its bound, on which the lag has a slope like anywhere else."""
     true = LAGGED.with_parameters({"actuator_lag": 0.0, "mass": 0.6})
@@ -237,6 +238,7 @@ def turning(t, x, u, p):
     return -p.gravity * jnp.sin(angle) - p.damping * rate + p.gain * u
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_a_run_that_forgets_nothing_is_fitted_from_its_beginning_on(seed):
     """A pendulum that turns over five times or more: half a percent off, it turns otherwise."""
@@ -367,6 +369,7 @@ def test_without_outliers_huber_s_loss_costs_little():
     assert np.max(np.abs(apart) / errors) < 1.0
 
 
+@pytest.mark.slow
 def test_the_best_of_several_starts_is_found_where_one_alone_is_lost():
     """A frequency three times too high is in another valley of the cost."""
     record = run(OSCILLATOR, [0.02, -0.1])
@@ -382,6 +385,7 @@ def test_the_best_of_several_starts_is_found_where_one_alone_is_lost():
     assert found.before == alone.before  # of the plant as given
 
 
+@pytest.mark.slow
 def test_so_many_starts_are_drawn_around_a_plant_where_a_wrong_sign_leaves_no_trace():
     """The upper tank runs dry, and its rates say nothing any more."""
     true = eoi.plants.cascaded_tanks(reference=True)
@@ -403,6 +407,7 @@ def spring_with_stops(t, x, u, p):
     return p.gain * u - p.damping * v - p.stiffness * y - p.hard * stops
 
 
+@pytest.mark.slow
 def test_further_rounds_find_what_a_few_points_at_once_do_not():
     """Where a stop lies leaves no trace until the spring between the stops is about right."""
     values = {"gain": 1.0, "damping": 0.5, "stiffness": 16.0, "hard": 80.0, "right": 0.06,
@@ -646,6 +651,7 @@ def faded():
     return run(grower().with_parameters({"rate": -2.0}))
 
 
+@pytest.mark.slow
 def test_a_start_that_diverges_is_said_and_shorter_runs_fit(faded):
     plant = grower()
     result = refine(plant, faded)
@@ -695,6 +701,7 @@ def spilled():
     return tank, eoi.Record(time, flow, clean.outputs + noise, hold="zero")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "edge"), [(15.0, 6.0), (34.0, 6.0), (200.0, 5.0)])
 def test_a_start_that_is_fast_beside_the_steps_gets_shorter_ones(spilled, rate, edge):
     """Runge-Kutta of order four is unstable from 2.8 steps a time constant on."""
@@ -716,6 +723,7 @@ def test_where_rounding_decides_over_the_run_there_are_no_derivatives_to_speak_o
     assert np.isnan(result.standard_errors["rate"])
 
 
+@pytest.mark.slow
 def test_a_search_keeps_off_where_rounding_decides(spilled):
     """Along the way, too: what such slopes promise is worth nothing.
 

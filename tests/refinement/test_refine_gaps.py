@@ -17,6 +17,7 @@ def whole():
     return eoi.refine(START, record_of(TIME, FEED, Y))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [None, 10.0])
 def test_a_gap_in_the_input_leaves_two_records(window):
     gap = record_of(TIME, without(FEED, GAP), Y)
@@ -66,6 +67,7 @@ def test_an_output_without_a_scored_sample_is_named():
         eoi.refine(CHAIN, late)
 
 
+@pytest.mark.slow
 def test_a_lag_of_the_input_begins_again_behind_a_gap():
     """What was on its way when the input was lost is unknown, as at the start of a record."""
     lagged = augmented(CHAIN, [place(CHAIN, ActuatorLag(), 0)], {"actuator_lag": 0.3})

@@ -35,6 +35,7 @@ def test_it_is_compared_with_where_it_began(refined):
     assert refined.before[0] > 10.0 * refined.rmse[0]
 
 
+@pytest.mark.slow
 def test_a_model_that_is_not_exact_keeps_its_short_windows():
     # An acceleration that no parameter explains, as large as 30 times the noise of the output.
     record = balanced()
@@ -56,6 +57,7 @@ def test_a_stable_plant_is_refined_over_whole_records_however_wrong_its_start_is
     assert found.parameters["a"] == pytest.approx(-25.0, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_start_that_held_out_records_prefer_is_kept():
     start = second_order(**WRONG)
     rng = np.random.default_rng(3)

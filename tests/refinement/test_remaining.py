@@ -46,6 +46,7 @@ def left_of(record):
     return remaining(refine(PLANT, record, substeps=2), substeps=2)
 
 
+@pytest.mark.slow
 def test_a_hidden_drag_is_named_with_its_size():
     record = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
     found = left_of(record)
@@ -80,6 +81,7 @@ def test_two_effects_are_named_that_hide_each_other():
     assert set(found.best.names) - {"cubic_stiffness", "free_play"} == {"drift"}
 
 
+@pytest.mark.slow
 def test_held_out_records_confirm_what_is_there_and_refuse_what_only_fits():
     """A slow wave that comes once, in the records of the fit, looks like any slow disturbance."""
     hidden = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})

@@ -116,6 +116,7 @@ def rows_of(plant, table):
     return RunRow(*map(jnp.asarray, (time[:, 0], u.reshape(-1, 3, nu), y, use)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "threshold"),
     list(zip(CASES, (0.3, np.inf, 0.3, 0.3, np.inf), strict=True)),

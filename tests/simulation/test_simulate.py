@@ -488,6 +488,7 @@ def test_forward_derivatives_pass_through_a_stop():
     np.testing.assert_allclose(got, [-(1.33**2) / 2, 1.33], rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "time", "push"),
     [

@@ -49,6 +49,7 @@ def test_the_true_parameters_leave_only_the_noise(ratio):
     assert not run.notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [3.0, 30.0])
 def test_a_mode_faster_than_the_sampling_does_not_bias_the_slow_one(ratio):
     slow, fast = 3.0, ratio / PERIOD
@@ -82,6 +83,7 @@ def test_a_slope_that_is_infinite_at_one_point_is_no_mode():
     assert fastest_mode(tank, record) == pytest.approx(0.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_an_identification_says_that_the_sampling_does_not_resolve_a_mode():
     """Both states measured, so that the passes need no internal state."""
     slow, fast = 3.0, 1600.0

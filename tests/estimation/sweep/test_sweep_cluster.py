@@ -50,6 +50,7 @@ def local():
     return eoi.sweep(**settings())
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_numbers(local, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     landed: list[tuple] = []
