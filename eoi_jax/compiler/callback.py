@@ -1,12 +1,37 @@
 """A function of the host in the middle of code that JAX compiles."""
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import jax
 import numpy as np
 
 from eoi_jax.compiler.jax_private import BUFFER_CALLBACK
+
+_objects: dict[int, Any] = {}  # what functions of the host may ask for, while it is lent
+_numbers = itertools.count()
+
+
+@contextmanager
+def lent(value: Any) -> Iterator[np.ndarray]:
+    """A number by which a function of the host finds an object: `borrowed`.
+
+    A number is an argument like any other, so that the compiled program around the function does
+    not depend on the object: one serves all plants.
+    """
+    number = next(_numbers)
+    _objects[number] = value
+    try:
+        yield np.asarray(number)
+    finally:
+        del _objects[number]
+
+
+def borrowed(number: Any) -> Any:
+    """The object that was lent under this number."""
+    return _objects[int(number)]
 
 
 def on_host(function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *args: Any) -> Any:

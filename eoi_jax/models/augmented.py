@@ -7,11 +7,14 @@ states that follow those of the plant. Delays and lags of an input form the actu
 static input effects act within f and g.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax.models.effects.effect import (
@@ -321,6 +324,34 @@ class _Actuator:
             if isinstance(placement.effect, AbstractActuator) and not placement.effect.keeps_steps
         }
         return tuple(flag and i not in smoothed for i, flag in enumerate(base))
+
+    @property
+    def shapes(self) -> tuple[str, ...] | None:
+        """Names of all its parameters; None where a part of it is a function of the user's."""
+        base = () if self.base is None else getattr(self.base, "shapes", None)
+        own = [
+            placed.names for placed in self.placed if isinstance(placed.effect, AbstractActuator)
+        ]
+        return None if base is None else tuple(itertools.chain(base, *own))
+
+    def sampled(
+        self, t: Float[np.ndarray, " S"], u: Float[np.ndarray, "S nu"], values: Mapping[str, float]
+    ) -> Float[np.ndarray, "S nu"]:
+        """As by a call, of measured arrays: NumPy alone, where `shapes` says which values it needs.
+
+        Args:
+            t: middles of the steps [s].
+            u: means of the inputs over them.
+            values: of its parameters, by name.
+        """
+        for placement in self.placed:
+            if isinstance(placement.effect, AbstractActuator):
+                shape = np.array([[values[name] for name in placement.names]])
+                u = np.array(u)
+                u[:, placement.channel] = placement.effect.sampled(
+                    t, u[:, placement.channel], shape
+                )[0]
+        return u if self.base is None else self.base.sampled(t, u, values)
 
     def __call__(self, t: Any, u: Any, p: Any) -> Any:
         for placement in self.placed:

@@ -1,16 +1,18 @@
 """Inputs of free runs behind delays and lags, and their derivatives with all unknowns."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host
-from eoi_jax.simulation.simulate import actuated
+from eoi_jax.simulation.simulate import actuated, parabolas
 
 
 class DrivenInputs(eqx.Module):
@@ -22,9 +24,9 @@ class DrivenInputs(eqx.Module):
         past: with the levels before the record, of the first run of each segment; zero for others.
     """
 
-    inputs: Float[Array, "runs rows 3 nu"]
-    slope: Float[Array, "runs rows 3 nu np"]
-    past: Float[Array, "runs rows 3 nu nu"]
+    inputs: Float[Host, "runs rows 3 nu"]
+    slope: Float[Host, "runs rows 3 nu np"]
+    past: Float[Host, "runs rows 3 nu nu"]
 
 
 def driven_inputs(
@@ -58,6 +60,75 @@ def driven_inputs(
     past = jax.jacfwd(with_one_level)(levels[0])[places]
     leads = jnp.zeros(len(past)).at[leaders].set(1.0)
     return DrivenInputs(inputs[places], slope[places], leads[:, None, None, None, None] * past)
+
+
+def driven_on_host(
+    plant: Plant,
+    theta: Float[np.ndarray, " np"],
+    record_drives: Sequence[Drive],
+    levels: Float[np.ndarray, "segments nu"],
+    places: Int[np.ndarray, "runs rows"],
+    leaders: Int[np.ndarray, " segments"],
+) -> DrivenInputs:
+    """The same by NumPy, for an actuator of effects of the library; arguments as before.
+
+    Derivatives with time constants and delays are differences: a delay is linear between samples,
+    and a lag is smooth.
+    """
+
+    def inputs_of_all(theta: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        parts = zip(record_drives, levels, strict=True)
+        return np.concatenate([_sampled(plant, theta, part, level) for part, level in parts])
+
+    inputs = inputs_of_all(theta, levels)
+    slope = np.zeros((*inputs.shape, len(theta)))
+    for name in plant.actuator.shapes:  # pyright: ignore[reportOptionalMemberAccess]
+        i = plant.names.index(name)
+
+        def moved(value: float, i: int = i) -> np.ndarray:
+            return inputs_of_all(_with(theta, i, value), levels)
+
+        slope[..., i] = _difference(moved, theta[i], record_drives)
+    settled = np.zeros_like(levels)
+    unmoved = inputs_of_all(theta, settled)
+    past = np.stack([inputs_of_all(theta, _with(settled, (slice(None), j), 1.0)) - unmoved
+                     for j in range(levels.shape[1])], axis=-1)[places]  # fmt: skip
+    leads = np.zeros(len(past))
+    leads[leaders] = 1.0
+    return DrivenInputs(inputs[places], slope[places], leads[:, None, None, None, None] * past)
+
+
+def _with(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
+    changed = np.array(array, dtype=float)
+    changed[place] = value
+    return changed
+
+
+def _difference(
+    function: Callable[[float], np.ndarray],
+    value: float,
+    record_drives: Sequence[Drive],
+    step: float = 1e-5,
+) -> np.ndarray:
+    """Derivative with a time [s], by a difference of `step` times the steps of the simulation.
+
+    Central, but from zero on forward: there is no negative time.
+    """
+    change = step * min(float(part.step) for part in record_drives)
+    below = max(value - change, 0.0) if value >= 0.0 else value - change
+    return (function(value + change) - function(below)) / (value + change - below)
+
+
+def _sampled(
+    plant: Plant, theta: np.ndarray, driven_by: Drive, past: np.ndarray
+) -> Float[np.ndarray, "steps 3 nu"]:
+    """`actuated` by NumPy."""
+    values = dict(zip(plant.names, theta.tolist(), strict=True))
+
+    def behind(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        return plant.actuator.sampled(middles, mean, values)  # pyright: ignore
+
+    return parabolas(np, plant, behind, driven_by, past)
 
 
 def _with_slope(function: Callable[[Array], Array], theta: Array) -> tuple[Array, Array]:

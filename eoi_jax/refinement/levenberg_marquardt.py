@@ -18,15 +18,18 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.step_scales import StepScales, scaled_step
 from eoi_jax.refinement.problem import (
     CONVERGED,
+    HostRuns,
     Outcome,
     Problem,
     Unknowns,
     direction,
     errors,
+    scored_values,
     signals,
     unit_directions,
 )
@@ -254,7 +257,9 @@ def solve(
         Where it ended, and the signals there.
     """
     start = replace(problem, start_sums=(unknowns, _sums(sensitivities, problem)))
-    outcome = _solve(start, unknowns, np.asarray(max_steps), watch)
+    with lent(problem) as number:
+        runs = HostRuns.of(start, number) if problem.compiled else start
+        outcome = jax.block_until_ready(_solve(runs, unknowns, np.asarray(max_steps), watch))
     if float(outcome.predicted_reduction) < CONVERGED:
         further = signals(outcome.further, problem)
         cost = np.sum(_sums(further, problem)[:, -1, -1])
@@ -272,23 +277,27 @@ def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
     if problem.compiled:  # here: no program can be traced while the solver runs
         problem = replace(problem, engine=compiled_runs.used(problem.kernel, len(unknowns.theta)))
-    return _solve_many(problem, unknowns, np.asarray(max_steps))
+    with lent(problem) as number:
+        runs = HostRuns.of(problem, number) if problem.compiled else problem
+        return jax.block_until_ready(_solve_many(runs, unknowns, np.asarray(max_steps)))
 
 
 @jit(static=())
-def _solve_many(problem: Problem, unknowns: Unknowns, max_steps: Int[Host, ""]) -> Outcome:
+def _solve_many(
+    problem: Problem | HostRuns, unknowns: Unknowns, max_steps: Int[Host, ""]
+) -> Outcome:
     return jax.vmap(lambda lane: _search(problem, lane, max_steps, None, patient=False))(unknowns)
 
 
 @jit(static=("watch",))
 def _solve(
-    problem: Problem, unknowns: Unknowns, max_steps: Int[Host, ""], watch: Watch | None
+    problem: Problem | HostRuns, unknowns: Unknowns, max_steps: Int[Host, ""], watch: Watch | None
 ) -> Outcome:
     return _search(problem, unknowns, max_steps, watch, patient=True)
 
 
 def _search(
-    problem: Problem,
+    problem: Problem | HostRuns,
     unknowns: Unknowns,
     max_steps: Int[Host, ""],
     watch: Watch | None,
@@ -297,7 +306,7 @@ def _search(
     solver = _LevenbergMarquardt(
         0.0, 0.0, optx.max_norm,
         _Arrow(
-            problem.lower, problem.upper, problem.faintest, _scored(problem), problem.scales
+            problem.lower, problem.upper, problem.faintest, scored_values(problem), problem.scales
         ),
         optx.ClassicalTrustRegion(high_cutoff=_SETTINGS.widening), lambda **_: None,
         max_steps, watch, patient,
@@ -314,11 +323,6 @@ def _search(
         steps,
         (steps >= max_steps) & ~_lost(solution.state),
     )
-
-
-def _scored(problem: Problem) -> Scalar:
-    """How many values are scored."""
-    return jnp.sum(problem.tables[..., -len(problem.scale) :])
 
 
 def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:

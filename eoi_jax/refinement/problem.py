@@ -8,7 +8,6 @@ all runs gives the normal equations of all unknowns. The least squares over them
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,13 +17,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax._status import NATIVE, EngineUsed
-from eoi_jax.compiler.callback import on_host
+from eoi_jax.compiler.callback import borrowed, on_host
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import StepScales, step_scales
-from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs
+from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
 from eoi_jax.refinement.spans import Span
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
@@ -121,6 +120,42 @@ class Problem(eqx.Module):
         return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[0]
 
 
+class HostRuns(eqx.Module):
+    """What a solver needs of a problem whose runs are machine code: arrays alone.
+
+    Its compiled program then serves every plant with as many unknowns and runs.
+
+    Attributes:
+        number: by which `borrowed` gives the problem.
+        scored: how many values are scored.
+        power, lower, upper, faintest, start_sums, scales: of the problem.
+    """
+
+    number: Int[Host, ""]
+    scored: Float[Host, ""]
+    power: Float[Host, " runs"]
+    lower: Float[Host, " free"]
+    upper: Float[Host, " free"]
+    faintest: Float[Host, " own"]
+    start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
+    scales: StepScales = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, problem: Problem, number: np.ndarray) -> "HostRuns":
+        """Of a problem that was lent under this number."""
+        return cls(
+            number, np.asarray(float(np.sum(problem.use))), problem.power, problem.lower,
+            problem.upper, problem.faintest, problem.start_sums, problem.scales,
+        )  # fmt: skip
+
+
+def scored_values(problem: Problem | HostRuns) -> Any:
+    """How many values are scored."""
+    if isinstance(problem, HostRuns):
+        return problem.scored
+    return problem.tables[..., -len(problem.scale) :].sum()
+
+
 def _samples(
     plant: Plant, tables: Float[np.ndarray, "runs rows columns"], substeps: int
 ) -> tuple[Float[np.ndarray, "runs time ny"], Bool[np.ndarray, "runs time ny"]]:
@@ -150,7 +185,7 @@ def problem_of(
         tables=jnp.asarray(tables),
         counts=np.asarray([substeps * span.count + 1 for span in spans]),
         steps=np.asarray([float(_drive_of(drives, span).step) for span in spans]),
-        record_drives=tuple(jax.tree.map(jnp.asarray, list(drives.values()))) if acting else (),
+        record_drives=tuple(drives.values()) if acting else (),
         places=_places(drives, spans, int(plant.has_algebraic)) if acting else None,
         declared=np.asarray([float(span.first == 0) for span in spans]),
         leaders=_leaders(drives, spans),
@@ -335,7 +370,7 @@ def _heads(problem: Problem, count: int) -> tuple[Drive, np.ndarray | None]:
     past = None
     if problem.places is not None:
         settled = np.zeros((len(problem.leaders), nu))
-        driving = _driven(problem, jnp.asarray(problem.theta), settled)
+        driving = _driven(problem, problem.theta, settled)
         inputs, past = (
             np.asarray(driving.inputs)[:, rows],
             np.asarray(driving.past)[:, rows][:, :-1],
@@ -347,7 +382,7 @@ def _heads(problem: Problem, count: int) -> tuple[Drive, np.ndarray | None]:
 # -- sums and signals -------------------------------------------------------------------------
 
 
-def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+def sums(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size size"]:
     r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
     if problem.start_sums is None:
         return _simulated(unknowns, problem)
@@ -358,31 +393,65 @@ def sums(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]
     return jax.lax.cond(at_start, lambda: start_sums, lambda: _simulated(unknowns, problem))
 
 
-def _simulated(unknowns: Unknowns, problem: Problem) -> Array:
-    theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
-    if not problem.compiled:
+def _simulated(unknowns: Unknowns, problem: Problem | HostRuns) -> Array:
+    if isinstance(problem, Problem):
+        theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
         return _scanned(problem, theta, unknowns.starts)[0]
     runs, start_size = unknowns.starts.shape
-    size = start_size + len(problem.free) + 1
-    return on_host(
-        partial(_summed, substeps=problem.substeps),
-        jax.ShapeDtypeStruct((runs, size, size), theta.dtype),
-        (theta, unknowns.starts, problem.declared, problem.scale, problem.threshold),
-        problem.kernel,
-        (problem.tables, problem.steps, problem.counts),
-    )
+    size = start_size + len(problem.lower) + 1
+    shape = jax.ShapeDtypeStruct((runs, size, size), unknowns.theta.dtype)
+    return on_host(_compiled_sums, shape, unknowns.theta, unknowns.starts, problem.number)
 
 
-def _summed(lanes: tuple, kernel: RunKernel, runs: tuple, substeps: int) -> np.ndarray:
-    """All runs of one lane, or of several: then all has a leading axis, of length one if shared."""
-    single = np.ndim(lanes[0]) == 1
-    if single:
-        lanes = tuple(part[None] for part in lanes)
-    else:
-        kernel, runs = jax.tree.map(lambda leaf: leaf[0], (kernel, runs))
-    tables, steps, counts = runs
-    totals = compiled_runs.summed(kernel, _lanes(*lanes), tables, steps, counts, substeps)
-    return totals[0] if single else totals
+def _compiled_sums(theta: np.ndarray, starts: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """`sums` of the problem that was lent under this number, at values of the unknown parameters.
+
+    Of one lane, or of several: then all has a leading axis, of length one if it is shared.
+    """
+    problem: Problem = borrowed(np.ravel(number)[0])
+    if theta.ndim == 1:
+        return _summed(problem, theta[None], starts[None])[0]
+    if problem.places is None:
+        return _summed(problem, theta, starts)
+    lanes = zip(theta, np.broadcast_to(starts, (len(theta), *starts.shape[1:])), strict=True)
+    return np.concatenate([_summed(problem, *(part[None] for part in lane)) for lane in lanes])
+
+
+def _summed(
+    problem: Problem, free: Float[np.ndarray, "lanes free"], starts: np.ndarray
+) -> Float[np.ndarray, "lanes runs size size"]:
+    """The sums of some lanes, which share what drives the plant."""
+    theta = np.stack([problem.completed(values) for values in free])
+    rows = host_rows(problem, theta[0], starts[0])
+    shared = (part[None] for part in (problem.declared, problem.scale, problem.threshold))
+    lanes = _lanes(theta, starts, *shared)
+    return compiled_runs.summed(problem.kernel, lanes, *rows, problem.substeps)
+
+
+def host_rows(
+    problem: Problem, theta: np.ndarray, starts: np.ndarray
+) -> tuple[Float[np.ndarray, "runs rows columns"], np.ndarray, np.ndarray]:
+    """Rows, steps and counts of compiled runs; behind actuators as these parameters make them."""
+    tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
+    if problem.places is not None:
+        tables = _acted_tables(problem.kernel, tables, driven(problem, theta, starts))
+    return tables, steps, counts
+
+
+def _acted_tables(
+    kernel: RunKernel, tables: np.ndarray, driving: DrivenInputs
+) -> Float[np.ndarray, "runs rows columns"]:
+    """Rows of all runs with their inputs behind the actuators, and how these change."""
+    nu, ny = len(kernel.plant.inputs), len(kernel.plant.outputs)
+    _, inputs, _, use = compiled_runs.columns(nu, ny)
+    sizes = [leaf[0, 0].size for leaf in (driving.slope, driving.past)]
+    acted = np.empty((*tables.shape[:2], use.stop + sum(sizes)))
+    acted[..., : use.stop] = tables
+    acted[..., inputs] = np.reshape(driving.inputs, (*tables.shape[:2], 3 * nu))
+    places = np.split(acted[..., use.stop :], sizes[:1], axis=-1)
+    for place, leaf in zip(places, (driving.slope, driving.past), strict=True):
+        place[...] = np.reshape(leaf, place.shape)
+    return acted
 
 
 def _lanes(
@@ -418,7 +487,7 @@ def _scanned(
     )
     inputs, slope, past = inputs.reshape(*inputs.shape[:2], 3, nu), None, None
     if problem.places is not None:
-        driving = _driven(problem, theta, jnp.asarray(starts)[problem.leaders, -nu:])
+        driving = driven(problem, theta, starts)
         inputs, slope, past = driving.inputs, driving.slope, driving.past
 
     def simulate_run(run: Any) -> Any:
@@ -432,10 +501,21 @@ def _scanned(
     return jax.lax.map(simulate_run, runs) if any(kernel.friction) else jax.vmap(simulate_run)(runs)
 
 
-def _driven(problem: Problem, theta: Array, levels: Host) -> DrivenInputs:
-    """Inputs of the runs behind the actuators, which had these levels before each segment."""
-    plant, places = problem.kernel.plant, jnp.asarray(problem.places)
-    return driven_inputs(plant, theta, problem.record_drives, levels, places, problem.leaders)
+def driven(problem: Problem, theta: Host, starts: Host) -> DrivenInputs:
+    """Inputs of the runs behind the actuators; levels before each segment are those in `starts`."""
+    nu = len(problem.kernel.plant.inputs)
+    if problem.compiled:
+        return _driven(problem, np.asarray(theta), np.asarray(starts)[problem.leaders, -nu:])
+    return _driven(problem, theta, jnp.asarray(starts)[problem.leaders, -nu:])
+
+
+def _driven(problem: Problem, theta: Host, levels: Host) -> DrivenInputs:
+    plant, drives, leaders = problem.kernel.plant, problem.record_drives, problem.leaders
+    if problem.compiled:
+        places = np.asarray(problem.places)
+        return driven_on_host(plant, np.asarray(theta), drives, np.asarray(levels), places, leaders)
+    places = jnp.asarray(problem.places)
+    return driven_inputs(plant, jnp.asarray(theta), drives, levels, places, leaders)
 
 
 def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny size"]:
@@ -446,8 +526,8 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
         return np.asarray(rows)[:, :: problem.substeps]
     lanes = theta, unknowns.starts, problem.declared, problem.scale, problem.threshold
     lane = _lanes(*(np.asarray(part)[None] for part in lanes))
-    tables, steps, counts = map(np.asarray, (problem.tables, problem.steps, problem.counts))
-    return compiled_runs.signals(problem.kernel, lane, tables, steps, counts, problem.substeps)
+    rows = host_rows(problem, theta, np.asarray(unknowns.starts))
+    return compiled_runs.signals(problem.kernel, lane, *rows, problem.substeps)
 
 
 @jit
@@ -458,7 +538,7 @@ def _scanned_signals(
 
 
 @eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size"]:
+def errors(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size"]:
     """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
     return _roots(unknowns, problem)[..., -1]
 
@@ -474,7 +554,7 @@ def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return roots[..., -1], product + jnp.einsum("riu,u->ri", roots[..., start_size:-1], moved.theta)
 
 
-def _roots(unknowns: Unknowns, problem: Problem) -> Float[Array, "runs size size"]:
+def _roots(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size size"]:
     r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
     square = sums(unknowns, problem)
     length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))

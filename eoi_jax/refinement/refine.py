@@ -204,6 +204,35 @@ def refine(
     return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
 
 
+def refine_once(
+    plant: Plant,
+    records: tuple[Record, ...],
+    window: float | None,
+    substeps: int | None = None,
+    max_steps: int = 20,
+) -> Refinement:
+    """A single fit from the plant's values: no other hold, start, beginning or step is tried.
+
+    Args:
+        plant: with the parameters to start from.
+        records: whose hold is declared, or taken as it is.
+        window: length of each run [s]; None: whole records.
+        substeps: steps of the simulation per sample. None: as the fastest mode there needs them.
+        max_steps: of the solver.
+
+    Returns:
+        Its status is ``"diverged"`` where the runs at the start are not finite.
+    """
+    spans = spans_of(records, window)
+    window = used_window(records, spans, window)
+    problem, unknowns, sensitivities = _begun(plant, records, spans, substeps)
+    error = unweighed(problem, sensitivities)
+    if not np.all(np.isfinite(error)):
+        return unanswered(plant, records, window, Status("diverged", DIVERGED))
+    fit = fitted(problem, unknowns, sensitivities, error, Effort(max_steps, None), None)
+    return refinement_of(fit, records, spans, window)
+
+
 @dataclass(frozen=True)
 class _Question:
     """Arguments of `refine`, checked.

@@ -141,8 +141,8 @@ def remaining(
         cause: records that were not used (`validation`) refuse what only fits better.
 
     Raises:
-        ValueError: a refinement without an answer, of a plant behind an actuator, or of one with
-            an output of relative degree 0; records of `validation` that do not fit the plant, that
+        ValueError: a refinement without an answer, or of a plant with an output of relative
+            degree 0; records of `validation` that do not fit the plant, that
             the fit has seen, or that are too short.
 
     Source:
@@ -153,8 +153,6 @@ def remaining(
     plant, records = refinement.plant, refinement.records
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
-    check(plant.actuator is None, "refinement", "must be of a plant without delay or lag of inputs",
-          plant.name)  # fmt: skip
     algebraic = [name for name, on in zip(plant.outputs, plant.algebraic, strict=True) if on]
     check(not algebraic, "refinement", "must be of a plant whose outputs are all states",
           f"{', '.join(algebraic)} of relative degree 0",

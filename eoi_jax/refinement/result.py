@@ -1,6 +1,6 @@
 """What `refine` answers with: the refined estimate, and the point it started from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -21,12 +21,15 @@ class Start:
         time: of its first sample [s].
         y: outputs and their derivatives, shape (r, ny).
         z: internal states, shape (nz,).
+        past: of a plant with delays or lags, the levels of its inputs before the record less their
+            first values, shape (nu,); else empty.
     """
 
     record: str
     time: float
     y: Float[np.ndarray, "r ny"]
     z: Float[np.ndarray, " nz"]
+    past: Float[np.ndarray, " nu"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

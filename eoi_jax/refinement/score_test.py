@@ -34,7 +34,7 @@ from eoi_jax.models.effects.effect import (
     Seen,
 )
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, signals, weighed
+from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, signals, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span
 from eoi_jax.simulation.integrator import Drive
@@ -111,7 +111,10 @@ class LinearisedRuns:
         problem = weighed(problem_of(plant, records, spans, substeps), refinement.rmse)
         kernel = problem.kernel
         rows, columns = list(kernel.rows), list(kernel.columns)
-        starts = [np.concatenate([start.y[rows, columns], start.z]) for start in refinement.starts]
+        starts = [
+            np.concatenate([start.y[rows, columns], start.z, start.past])
+            for start in refinement.starts
+        ]
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         sensitivities = _flat(signals(unknowns, problem))
@@ -300,15 +303,22 @@ class Try:
 
 
 def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
-    """Start, inputs, y and z of all steps of all runs; one more state, at their end."""
+    """Start, inputs, y and z of all steps of all runs; one more state, at their end.
+
+    Inputs are those behind the plant's delays and lags.
+    """
     plant, tables = problem.kernel.plant, np.asarray(problem.tables)
     nu, h = len(plant.inputs), np.asarray(problem.steps)
     time, inputs = tables[:, :-1, 0], tables[:, :-1, 1 : 1 + 3 * nu]
     inputs = inputs.reshape(*time.shape, 3, nu)
+    last = tables[:, -1, 1 : 1 + nu]
     theta, parts = jnp.asarray(problem.theta), []
+    if problem.places is not None:
+        acted = np.asarray(driven(problem, theta, unknowns.starts).inputs)
+        inputs, last = acted[:, :-1], acted[:, -1, 0]
     for i in range(len(tables)):
         start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
-        run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1, tables[i, -1, 1 : 1 + nu])
+        run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1, last[i])
         parts.append(free_run(plant, theta, run_drive, start, problem.kernel.friction))
     y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
     return time, inputs, y, z

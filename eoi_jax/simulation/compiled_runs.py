@@ -8,7 +8,7 @@ the state is of single numbers, and its derivatives with the unknowns stand side
 import functools
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -128,9 +128,12 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
         lanes: how many will run side by side.
     """
     plant = kernel.plant
-    if plant.actuator is not None:
-        return "inputs behind an actuator"
     start_size = len(kernel.rows)
+    if plant.actuator is not None:
+        if getattr(plant.actuator, "shapes", None) is None:
+            return "inputs behind an actuator of the user's own"
+        start_size += len(plant.inputs)  # their levels before the record
+        lanes = 1  # inputs depend on the parameters: lanes share no rows, and run one by one
     if plant.internal is not None:
         theta = jax.ShapeDtypeStruct(np.shape(plant.theta), float)
         start_size += jax.eval_shape(plant.internal_start, theta).shape[0]
@@ -151,7 +154,10 @@ def used(kernel: RunKernel, lanes: int = 1) -> EngineUsed:
 
 
 def columns(nu: int, ny: int) -> tuple[slice, slice, slice, slice]:
-    """Where a table of `RunRow` has its parts: time, inputs at three instants, outputs, weights."""
+    """Where a table of `RunRow` has its parts: time, inputs at three instants, outputs, weights.
+
+    Behind actuators derivatives of the inputs follow, with θ and with their levels before.
+    """
     edges = [0, *itertools.accumulate((1, 3 * nu, ny, ny))]
     time, inputs, y, use = (slice(*pair) for pair in itertools.pairwise(edges))
     return time, inputs, y, use
@@ -297,11 +303,12 @@ class _OneLane:
 def _one_run(kernel: RunKernel, start_size: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
-    run, step = _shapes(len(plant.names), start_size, nu, ny)
+    run, step = _shapes(len(plant.names), start_size, nu, ny, plant.actuator is not None)
     directions = kernel.directions(start_size)
     lane = shapes_of(directions, dtype, skip=1)
     loop = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
-    code = compiled_loop(loop, 1 + 3 * nu + 2 * ny, len(directions.theta), True)
+    width = sum(np.prod(leaf.shape, dtype=int) for leaf in jax.tree.leaves(step))
+    code = compiled_loop(loop, int(width), len(directions.theta), True)
     if any(place.stop - place.start < len(directions.theta) for place in code.outputs[1::2]):
         raise Untranslatable("an output that no unknown moves")
     return code
@@ -317,11 +324,15 @@ def _code(
 
 
 @functools.cache
-def _shapes(size: int, start_size: int, nu: int, ny: int) -> tuple[RunLane, RunRow]:
-    """Of a lane and a row."""
+def _shapes(
+    size: int, start_size: int, nu: int, ny: int, acting: bool = False
+) -> tuple[RunLane, RunRow]:
+    """Of a lane and a row; with the derivatives of its inputs behind actuators."""
     scalar = np.zeros(())
     lane = RunLane(np.zeros(size), np.zeros(start_size), scalar, np.zeros(ny), scalar)
     row = RunRow(scalar, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
+    if acting:
+        row = replace(row, slope=np.zeros((3, nu, size)), past=np.zeros((3, nu, nu)))
     return shapes_of((lane, row), np.dtype(float))
 
 

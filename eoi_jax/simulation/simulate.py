@@ -3,6 +3,7 @@
 Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent route.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -225,27 +226,47 @@ def actuated(
         The inputs of `acted`, at the start, the middle and the end of each step. If an output has
         relative degree 0, those of one step more, which its sample at the end of the run needs.
     """
-    time, inputs = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
+    return parabolas(jnp, plant, lambda t, u: plant.driven(t, u, theta), driven_by, past)
+
+
+def parabolas(
+    xp: Any,
+    plant: Plant,
+    behind: Callable[[Any, Any], Any],
+    driven_by: Drive,
+    past: Float[Any, " nu"] | None,
+) -> Float[Any, "steps 3 nu"]:
+    """Inputs behind the actuators of a plant from their means over the steps, by NumPy or JAX.
+
+    Args:
+        xp: NumPy or JAX's.
+        plant: with an actuator.
+        behind: means of the inputs over the steps behind it, from the middles of the steps and the
+            means before it.
+        driven_by: of a whole record.
+        past: as in `actuated`.
+    """
+    time, inputs = xp.asarray(driven_by.time), xp.asarray(driven_by.inputs)
     if plant.has_algebraic:
-        time = jnp.concatenate([time, time[-1:] + driven_by.step])
-        held_on = jnp.broadcast_to(jnp.asarray(driven_by.last), (1, *inputs.shape[1:]))
-        inputs = jnp.concatenate([inputs, held_on])
-    first, middle, last = jnp.moveaxis(inputs, 1, 0)
+        time = xp.concatenate([time, time[-1:] + driven_by.step])
+        held_on = xp.broadcast_to(xp.asarray(driven_by.last), (1, *inputs.shape[1:]))
+        inputs = xp.concatenate([inputs, held_on])
+    first, middle, last = xp.moveaxis(inputs, 1, 0)
     mean = (first + 4.0 * middle + last) / 6.0
     middles = time + 0.5 * driven_by.step
     if past is None:
-        mean = plant.driven(middles, mean, theta)
+        mean = behind(middles, mean)
     else:  # a step more, in which an actuator is settled at that level
-        middles = jnp.concatenate([middles[:1] - driven_by.step, middles])
-        mean = plant.driven(middles, jnp.concatenate([mean[:1] + past, mean]), theta)[1:]
-    ends = jnp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
+        middles = xp.concatenate([middles[:1] - driven_by.step, middles])
+        mean = behind(middles, xp.concatenate([mean[:1] + past, mean]))[1:]
+    ends = xp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     begins, stops = ends[:-1], ends[1:]
-    parabolas = jnp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
+    parts = xp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
     if not plant.has_algebraic:
-        return parabolas
-    is_held = jnp.all(first == last, axis=0)
+        return parts
+    is_held = xp.all(first == last, axis=0)
     is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
-    return jnp.where(is_held, mean[:, None], parabolas)
+    return xp.where(is_held, mean[:, None], parts)
 
 
 def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu past"]:

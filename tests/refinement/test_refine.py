@@ -53,6 +53,21 @@ MASS = eoi.Plant(
 LAGGED = augmented(MASS, [place(MASS, effects.ActuatorLag(), 0)], {"actuator_lag": 0.02})
 
 
+def slowed(t, u, p):
+    return effects.ActuatorLag().along(t, u[:, 0], [p.actuator_lag])[:, None]
+
+
+# The same by a function, which only JAX can follow.
+OWN_LAG = eoi.Plant(
+    pushed,
+    MASS.parameters | {"actuator_lag": 0.02},
+    relative_degree=2,
+    inputs=("force",),
+    outputs=("position",),
+    actuator=slowed,
+)
+
+
 def hardening(t, x, u, p):
     position, rate = x.y
     spring = p.stiffness * position + p.cubic * position**3
@@ -93,13 +108,17 @@ def prepared(plant, records, window, substeps=4):
 
 @pytest.mark.parametrize(
     ("plant", "moved"),
-    [(RUBBING, {"mass": 0.6, "dry": 0.3}), (LAGGED, {"mass": 0.6, "actuator_lag": 0.03})],
-    ids=["dry friction", "actuator lag"],
+    [
+        (RUBBING, {"mass": 0.6, "dry": 0.3}),
+        (LAGGED, {"mass": 0.6, "actuator_lag": 0.03}),
+        (OWN_LAG, {"mass": 0.6, "actuator_lag": 0.03}),
+    ],
+    ids=["dry friction", "actuator lag", "actuator of the user's own"],
 )
 def test_derivatives_are_finite_differences(plant, moved):
     problem, unknowns = prepared(plant, twice(plant.with_parameters(moved)), 5.0)
     assert problem.declared.tolist() == [True, False, True]
-    assert problem.compiled == (plant is RUBBING)
+    assert problem.compiled == (plant is not OWN_LAG)
     jacobian = np.moveaxis(signals(unknowns, problem)[:, :, 0, :-1], -1, 0)
     own, free = unknowns.starts.shape[1], len(problem.free)
 
@@ -123,7 +142,9 @@ def test_derivatives_are_finite_differences(plant, moved):
         assert np.linalg.norm(slope - column) <= 1e-5 * np.linalg.norm(column), j
 
 
-@pytest.mark.parametrize("plant", [RUBBING, LAGGED], ids=["machine code", "scan"])
+@pytest.mark.parametrize(
+    "plant", [RUBBING, LAGGED, OWN_LAG], ids=["machine code", "machine code behind a lag", "scan"]
+)
 def test_a_beginning_is_scored_as_in_the_whole_runs_and_the_rest_is_not(plant):
     problem, unknowns = prepared(plant, twice(plant), None)
     part = output_error.beginning(problem, 0.25)

@@ -161,9 +161,18 @@ def test_wrong_calls_are_named():
         remaining(result, validation=eoi.Record(TIME[:8] + 1e3, force()[:8], np.ones(8)))
     with pytest.raises(ValueError, match=r"`validation\[.*\]` must not be one of the records"):
         remaining(result, validation=record)
-    lagged = augmented(PLANT, [place(PLANT, effects.ActuatorLag(), 0)], {"actuator_lag": 0.02})
-    with pytest.raises(ValueError, match="without delay or lag"):
-        remaining(replace(result, plant=lagged))
+
+
+def test_a_drag_is_named_behind_a_lag_of_the_input():
+    lag = (effects.ActuatorLag(), 0)
+    record = with_hidden(
+        lag, (effects.QuadraticDrag(), 0), values={"actuator_lag": 0.05, "quadratic_drag": 0.2}
+    )
+    lagged = augmented(PLANT, [place(PLANT, *lag)], {"actuator_lag": 0.03})
+    found = remaining(refine(lagged, record, substeps=2), substeps=2)
+    assert found.best is not None
+    assert found.best.names == ("quadratic_drag",)
+    assert found.best.values["quadratic_drag"] == pytest.approx(0.2, rel=0.35)
 
 
 def test_internal_states_and_several_runs_are_followed():

@@ -1,0 +1,168 @@
+"""Measured sets that were fitted by hand first: what discovery answers with nothing set.
+
+    python benchmarks/measured/campaign.py [--only NAME …] [--write]
+
+The sets stand in `campaign_cases.py`. Discovery sees the estimation records and, as `validation`,
+the held-out ones; the untouched ones chose nothing, and count. Needs the folder of measured records
+(EOI_DATA, by default ../shared/data beside the repository); a set that is absent is skipped, and
+the report says so.
+"""
+
+import argparse
+import math
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+import eoi_jax as eoi
+from benchmarks.common import Report, data_directory, table
+from benchmarks.measured.campaign_cases import RIGS, Errors, Rig
+
+_WINDOWS = 10  # free runs in a record, as in the hand fits
+_START = 50  # samples that give the initial state, not scored; a third of shorter runs
+_SERVED = 1.15  # of the expert's error, geometric mean of whole runs and windows
+_WRONG = 1.1  # of the declared model's error, effects having been added
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a discovery said of a set, with its errors on the part that counts, by output."""
+
+    rig: Rig
+    status: str
+    effects: tuple[str, ...]
+    before: tuple[Errors, ...]
+    after: tuple[Errors, ...]
+    seconds: float
+
+    @property
+    def over_expert(self) -> float:
+        """Geometric mean over outputs, whole runs and windows; not finite where a run diverges."""
+        return _over(self.after, tuple(self.rig.expert.values()))
+
+    @property
+    def over_declared(self) -> float:
+        return _over(self.after, tuple(self.rig.declared.values()))
+
+    @property
+    def verdict(self) -> str:
+        if self.effects and not self.over_declared <= _WRONG:
+            return "wrong"
+        return "served" if self.over_expert <= _SERVED else "not served"
+
+
+def main() -> None:
+    """Every set that is there, one after another."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", default=list(RIGS), metavar="NAME")
+    parser.add_argument("--write", action="store_true", help="update the file in results/")
+    options = parser.parse_args()
+    eoi.configure()
+    warnings.simplefilter("ignore", eoi.RecordWarning)
+    report = Report("Measured sets fitted by hand first")
+    answers = {}
+    for name in options.only:
+        folder = data_directory() / name.split(",")[0]
+        if not folder.is_dir():
+            report.add(f"{name} is skipped: {folder} is absent; set EOI_DATA.")
+            continue
+        answers[name] = answered(RIGS[name](data_directory()))
+        print(_line(name, answers[name]), flush=True)
+    report.add(*_tables(answers))
+    report.close(__file__, options.write)
+
+
+def answered(rig: Rig, refine: bool = False) -> Answer:
+    """Discover once with nothing set, and score the declared and the final model."""
+    started = time.perf_counter()
+    found = eoi.discover(rig.plant, rig.estimation, validation=rig.held_out, refine=refine)
+    seconds = time.perf_counter() - started
+    records = rig.untouched or rig.held_out
+    return Answer(
+        rig,
+        found.status.code,
+        tuple(added.effect.name for added in found.added),
+        errors(found.declared.plant, records, rig.scale),
+        errors(found.plant, records, rig.scale),
+        seconds,
+    )
+
+
+def errors(plant: eoi.Plant, records: Sequence[eoi.Record], scale: float) -> tuple[Errors, ...]:
+    """Root mean squares by output: whole free runs; runs that start again ten times a record."""
+
+    def pooled(windows: int) -> np.ndarray:
+        squares, counts = 0.0, 0
+        for record in records:
+            count = len(record) // windows
+            window = count * record.sample_period if windows > 1 else np.inf
+            run = eoi.validate(
+                plant, record, initial_samples=min(_START, count // 3), window=window
+            )
+            squares = squares + np.asarray(run.rmse) ** 2 * run.scored
+            counts += run.scored
+        return scale * np.sqrt(squares / counts)
+
+    return tuple(zip(pooled(1).tolist(), pooled(_WINDOWS).tolist(), strict=True))
+
+
+def _over(reached: Sequence[Errors], best: Sequence[Errors]) -> float:
+    ratios = np.asarray(reached) / np.asarray(best)
+    return float(np.exp(np.mean(np.log(ratios)))) if np.all(np.isfinite(ratios)) else math.inf
+
+
+def _shown(pairs: Sequence[Errors]) -> str:
+    return "; ".join(" / ".join(f"{value:.3g}" for value in pair) for pair in pairs)
+
+
+def _line(name: str, answer: Answer) -> str:
+    return (
+        f"{name}: {answer.status}, {'+'.join(answer.effects) or '-'}, {_shown(answer.before)} -> "
+        f"{_shown(answer.after)} {answer.rig.unit} "
+        f"(expert {_shown(tuple(answer.rig.expert.values()))}), "
+        f"{answer.over_expert:.2f}, {answer.verdict}, {answer.seconds:.1f} s"
+    )
+
+
+def _tables(answers: dict[str, Answer]) -> list[str]:
+    rows = [
+        [
+            f"{name} [{answer.rig.unit}]",
+            answer.status,
+            ", ".join(answer.effects) or "–",
+            _shown(tuple(answer.rig.declared.values())),
+            _shown(answer.before),
+            _shown(answer.after),
+            _shown(tuple(answer.rig.expert.values())),
+            f"{answer.over_expert:.2f}",
+            answer.verdict,
+            f"{answer.seconds:.1f}",
+        ]
+        for name, answer in answers.items()
+    ]
+    head = ["set", "status", "added", "declared, by hand", "before", "after", "expert",
+            "after over expert", "verdict", "s"]  # fmt: skip
+    counts = {
+        word: sum(answer.verdict == word for answer in answers.values())
+        for word in ("served", "not served", "wrong")
+    }
+    legend = (
+        "Errors: whole free run / windows, on the untouched part (held-out where there is none). "
+        f"*Served*: at most {_SERVED} of the expert's, geometric mean; *wrong*: effects added and "
+        f"more than {_WRONG} of the declared model's."
+    )
+    return [
+        legend,
+        ", ".join(f"{word}: {count}" for word, count in counts.items()) + f", of {len(answers)}.",
+        table(head, rows),
+    ]
+
+
+if __name__ == "__main__":
+    main()
