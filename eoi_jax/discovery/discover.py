@@ -9,19 +9,26 @@ r"""Find the effects that a model lacks from its residual, and add them.
 5. The set is added (`augmented`) and all parameters are fitted again; the search is repeated from
    that model until no further set is justified.
 6. Free runs on held-out records, before and after.
-7. On request, refinement by output error, with effects that only the free runs show (`refined`).
+7. Where that gives no answer, the declared model is refined and effects are searched in its free
+   runs (`free_run_search`).
+8. On request, refinement by output error, with effects that only the free runs show (`refined`).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._status import Status
+from eoi_jax.data.holds import undeclared_hold, with_hold
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import HOLDS
 from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
 from eoi_jax.discovery.hold_choice import with_best_hold
 from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ends, ranking
@@ -51,12 +58,13 @@ from eoi_jax.estimation.identify import (
 )
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
-from eoi_jax.models.augmented import Placed
+from eoi_jax.models.augmented import Placed, added_effects
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import rare
+from eoi_jax.models.effects import Drift, SinusoidalDisturbance, rare, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns
 
 _PASSES = 30  # of the declared model at most: the search starts from its converged fit
@@ -144,6 +152,7 @@ def discover(
     else:
         search = replace(search, lowpass=indices.lowpass)
         discovery = with_best_hold(search.on, fit_records, held_out, indices)
+    discovery = search.in_free_runs(discovery, fit_records, held_out)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -185,7 +194,8 @@ class _Search:
         prepared, records, short_notes = _informative_records(self.plant, records, self.lowpass)
         start = min(float(record.time[0]) for record in records)
         effects, rare_effects = (
-            tuple(effect.since(start) for effect in group) for group in (self.effects, self.rare)
+            tuple(effect.since(start) for effect in group if not effect.only_in_free_runs)
+            for group in (self.effects, self.rare)
         )
         declared = estimate(self.plant, prepared, passes=_PASSES)
         if declared.status.code in ("no_data", "diverged"):
@@ -211,6 +221,44 @@ class _Search:
             discovery = _judged_by_free_runs(task, discovery)
         discovery = _with_doubts(task, discovery, self.refine)
         return replace(discovery, notes=(*short_notes, *discovery.notes))
+
+    def in_free_runs(
+        self, discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
+    ) -> Discovery:
+        """The answer, with what free runs show where it has none and records are held out.
+
+        Args:
+            discovery: the answer so far.
+            records: to fit, as given.
+            held_out: that judge, as given.
+        """
+        if discovery.in_sample or not _leaves_open(discovery):
+            return discovery
+        self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+        plant, fitted = discovery.declared.nominal, discovery.declared.records[0]
+        holds = (fitted.hold,) if undeclared_hold(records) is None else HOLDS
+        start = min(float(record.time[0]) for record in records)
+        tried = self.effects if self.named else (*self.effects, *wider())
+        effects = tuple(effect.since(start) for effect in tried)
+        variants = [
+            tuple(with_hold(part, hold, fitted.skew) for part in (records, held_out))
+            for hold in holds
+        ]
+        models = [] if discovery.lead is None else [discovery.lead.found.plant]
+        rival = discovery.plant if discovery.added else None
+        models += [] if rival is None else [rival]
+        count = len(added_effects(plant))
+        further = [(model, added_effects(model)[count:]) for model in models]
+        starts = [discovery.declared.plant, plant]
+        answer = search_free_runs(starts, variants, effects, further, rival, self.alpha)
+        if answer is None:
+            return discovery
+        prepared = prepare_records(plant, answer.records, self.lowpass)
+        task = Task(
+            plant, prepared, answer.records, answer.judging, effects, discovery.declared,
+            self.alpha, self.most, self.window,
+        )  # fmt: skip
+        return _by_free_runs(task, discovery, answer)
 
 
 def _informative_records(
@@ -336,14 +384,7 @@ def _polished(
         names = " and ".join(name.replace("_", " ") for name in names_of(better.placed))
         notes.append(f"found in the free run alone: {names}")
     result = better.refinement
-    # One pass gives the remaining injection; parameters and errors are those of the refinement.
-    injection_fit = estimate(result.plant, task.prepared, passes=1)
-    fit = replace(
-        injection_fit, parameters=result.parameters, information=result.information,
-        plant=result.plant,
-        certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
-        status=result.status,
-    )  # fmt: skip
+    fit = _as_fit(task, result)
     refined_effects = [
         replace(
             addition,
@@ -361,6 +402,55 @@ def _polished(
         added=tuple(added),
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
         notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _leaves_open(discovery: Discovery) -> bool:
+    """Whether free runs are searched: without an answer, or with one that may stand in for another.
+
+    A disturbance in time may stand in for what the library lacks; and free runs may show more than
+    the injection does.
+    """
+    code = discovery.status.code
+    in_time = any(isinstance(one.effect, Drift | SinusoidalDisturbance) for one in discovery.added)
+    beyond = beyond_noise(discovery.windows_after, discovery.held_out)
+    return code == "unexplained" or (code == "explained" and (in_time or bool(beyond)))
+
+
+def _by_free_runs(task: Task, discovery: Discovery, answer: FreeRunAnswer) -> Discovery:
+    """The discovery with what lowers the error of free runs, where the injection has no answer."""
+    base, best = answer.base, answer.best
+    notes = [note for note in discovery.notes if not note.startswith("hold ")]
+    notes += [_REFINED_FIRST, f"hold {answer.records[0].hold}: as free runs on other data prefer"]
+    fit = _as_fit(task, best.refinement)
+    added = tuple(_added(task.plant, fit, placed) for placed in best.placed)
+    short_before, short_after = base.runs[1], best.runs[1]
+    assert short_before is not None
+    assert short_after is not None
+    ratio = float(np.exp(best.error - base.error))
+    status = discovery.status
+    if added:
+        status = Status("partial", _PARTIAL.format(" and ".join(names_of(best.placed)), ratio))
+    return replace(
+        discovery,
+        effects=names_of(best.placed),
+        added=added,
+        explained=1.0 - ratio**2 if added else 0.0,
+        before=base.runs[0], windows_before=short_before,
+        after=best.runs[0], windows_after=short_after,
+        found=fit, plant=fit.plant, status=status, lead=None, held_out=answer.judging,
+        notes=(*notes, *on_bounds(task.plant, fit.plant), *_uncertain_effects(added)),
+    )  # fmt: skip
+
+
+def _as_fit(task: Task, result: Refinement) -> Identification:
+    """A refinement as a fit: one pass gives the injection that is left."""
+    injection_fit = estimate(result.plant, task.prepared, passes=1)
+    return replace(
+        injection_fit, parameters=result.parameters, information=result.information,
+        plant=result.plant,
+        certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
+        status=result.status,
     )  # fmt: skip
 
 
@@ -504,6 +594,14 @@ _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
+_REFINED_FIRST = (
+    "the injection gives no answer: the declared model was refined by the error of its free runs, "
+    "and effects were searched in these. Errors before are those of the refined declared model"
+)
+_PARTIAL = (
+    "with {} free runs on the held-out records have {:.3g} of the error; the injection shows that "
+    "something is left"
+)
 _REFIT_STATUS = "the refit of the augmented model ended as"
 _UNCERTAIN = "the records hardly tell the size of"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"

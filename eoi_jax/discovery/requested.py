@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.models.effects import standard
+from eoi_jax.models.effects import standard, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -12,9 +12,9 @@ from eoi_jax.models.plant import Plant
 
 def requested(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
     """The effects by name or as objects; the standard ones for None."""
-    library = standard()
     if effects is None:
-        return library
+        return standard()
+    library = (*standard(), *wider())
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []

@@ -145,13 +145,14 @@ def augmented(
     added = {name: float(values[name]) for placement in placements for name in placement.names}
     moving = states + nz > 0
     slow = any(isinstance(placement.effect, AbstractActuator) for placement in placements)
+    dynamics = _Dynamics(plant.dynamics, declared_names, placements, nz)
     return Plant(
-        _Dynamics(plant.dynamics, declared_names, placements, nz),
+        dynamics,
         {**plant.parameters, **added},
         relative_degree=plant.degrees,
         inputs=plant.inputs,
         outputs=plant.outputs,
-        internal=_Internal(plant.internal, declared_names, placements, nz) if moving else None,
+        internal=_Internal(plant.internal, dynamics, nz) if moving else None,
         internal_initial=_Start(plant.internal_initial, declared_names, states) if moving else None,
         bounds=limits,
         fixed=plant.fixed,
@@ -263,9 +264,18 @@ class _Internal:
     """g of the augmented plant."""
 
     base: Dynamics | None
-    names: tuple[str, ...]
-    placed: tuple[Placed, ...]
+    dynamics: _Dynamics
     nz: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters of the declared plant."""
+        return self.dynamics.names
+
+    @property
+    def placed(self) -> tuple[Placed, ...]:
+        """The added effects."""
+        return self.dynamics.placed
 
     @property
     def states(self) -> tuple[str, ...] | None:
@@ -298,6 +308,9 @@ class _Internal:
         for placement, z in _split_states(self.placed, x.z[self.nz :]):
             _, shape = split_parameters(placement, p)
             at = instant(placement, t, x, at_input, z)
+            if placement.effect.follows_slope:
+                rows = x.y[1:2] if x.y.shape[0] > 1 else self.dynamics(t, x, u, p)[None]
+                at = at._replace(slope=placement.coordinate(rows)[0])
             if placement.effect.states:
                 rates.append(
                     jnp.reshape(placement.effect.rate(at, shape), (placement.effect.states,))

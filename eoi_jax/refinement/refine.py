@@ -75,6 +75,7 @@ class RefinementSettings:
     max_reduction: float = 0.01
     halvings: int = 3  # of windows that nobody asked for, where runs in them diverge at the start
     search_points: int = 64
+    lost: float = 1e3  # error of a single fit over the spread of the output that is no answer
     search_rounds: int = 4
     beginnings: tuple[float, ...] = (0.125, 0.25, 0.5)  # shares of runs in which errors grow
     # Mean square of the errors in the first of these shares, over that of the whole runs, below
@@ -230,6 +231,9 @@ def refine_once(
     if not np.all(np.isfinite(error)):
         return unanswered(plant, records, window, Status("diverged", DIVERGED))
     fit = fitted(problem, unknowns, sensitivities, error, Effort(max_steps, None), None)
+    spread = 1.0 / np.asarray(problem.scale)
+    if not fit.differentiable or np.any(rms(fit.error, fit.use) > _SETTINGS.lost * spread):
+        return unanswered(plant, records, window, Status("diverged", DIVERGED))
     return refinement_of(fit, records, spans, window)
 
 

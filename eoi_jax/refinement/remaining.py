@@ -236,4 +236,4 @@ def _pairs(
 
 def _is_tried(effect: AbstractEffect) -> bool:
     forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
-    return forces_alone and effect.states == 0
+    return forces_alone and (effect.states == 0 or hasattr(effect, "along"))

@@ -51,6 +51,9 @@ class ScoreTestSettings:
     peaks: int = 5  # frequencies of the residual at which a sinusoid is tried
     # Singular value, over the largest, of columns of which one follows from the others.
     rank_tolerance: float = 1e-8
+    # Share of a changed input, in its own effect, up to which it may be meant: where the input acts
+    # otherwise, the plant's gain has made up for it.
+    most_of_change: float = 20.0
     min_new: float = 1e-6  # share of a column's power that the model's own unknowns must leave
 
 
@@ -241,7 +244,11 @@ class LinearisedRuns:
             rate = placed.coordinate(y[..., placed.row, :]) if has_rate else 0.0 * t
             level = placed.coordinate(y[..., 0, :])
             channel = u[..., 0] if u.shape[-1] else 0.0 * t
-            at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=None)
+            z = None
+            if effect.states:  # of effects that say what these are along a run
+                period = float(np.mean(np.asarray(t)[:, 0, 2] - np.asarray(t)[:, 0, 0]))
+                z = jnp.asarray(effect.along(np.asarray(level), period, shape))
+            at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=z)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
             pushes = self._pushes(placed)
@@ -262,7 +269,8 @@ class LinearisedRuns:
         if isinstance(effect, AbstractActuator):
             mean = (u[..., 0, i] + 4.0 * u[..., 1, i] + u[..., 2, i]) / 6.0
             for run in range(len(u)):
-                late = np.asarray(_acted(effect, t[run, :, 1], mean[run], shape))
+                times, means = np.asarray(t[run, :, 1]), np.asarray(mean[run])
+                late = effect.sampled(times, means, np.reshape(shape, (1, -1)))[0]
                 new[run, ..., i] += (late - mean[run])[:, None]
         else:
             assert isinstance(effect, AbstractInputEffect)
@@ -299,7 +307,7 @@ class Try:
         values = self.named(gains).values()
         pairs = zip(values, effect.parameters, strict=True)
         allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
-        return allowed and (bool(effect.gains) or bool(0.5 < gains[0] < 2.0))
+        return allowed and (bool(effect.gains) or bool(0.5 < gains[0] < _SETTINGS.most_of_change))
 
 
 def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
@@ -342,11 +350,6 @@ def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[
         return np.stack([values[:, :-1:n], middle, ends[:, n - 1 :: n]], axis=2)
 
     return time, u, *(at(state) for state in states)
-
-
-@jit
-def _acted(effect: AbstractActuator, *args: Any) -> Any:
-    return effect.along(*(jnp.asarray(argument) for argument in args))
 
 
 @jit

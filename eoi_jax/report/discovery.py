@@ -78,6 +78,8 @@ def _lacking(discovery: Discovery) -> str:
     code = discovery.status.code
     if code == "nothing_missing":
         start = "The model lacks nothing that the records show"
+    elif code == "partial":
+        start = f"The model lacks {lacking}, and something that is left"
     elif code == "unexplained" and lacking:
         start = f"The model lacks {lacking}, and something that none of the tested effects explains"
     elif code == "unexplained":

@@ -57,6 +57,7 @@ class At(NamedTuple):
             output itself, which friction treats as a speed.
         u: the input (of the channel, or the first one).
         z: internal states of the effect, shape (states,).
+        slope: first derivative of `y`, for effects with `follows_slope`.
     """
 
     t: Any
@@ -64,6 +65,7 @@ class At(NamedTuple):
     v: Any
     u: Any
     z: Any
+    slope: Any = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,8 @@ class AbstractEffect(ABC):
         depends_on: the variable that it is plotted against: "y", "v", "u" or "t".
         contains: names of simpler effects that are special cases of it.
         rarity: twice the log-odds by which a more common effect of the same fit is preferred.
+        follows_slope: whether its internal states follow `At.slope`.
+        only_in_free_runs: whether `discover` tries it in free runs alone, and not in the injection.
     """
 
     name: ClassVar[str]
@@ -129,6 +133,8 @@ class AbstractEffect(ABC):
     depends_on: ClassVar[str] = "t"
     contains: ClassVar[tuple[str, ...]] = ()
     rarity: ClassVar[float] = 0.0
+    follows_slope: ClassVar[bool] = False
+    only_in_free_runs: ClassVar[bool] = False
 
     def __eq__(self, other: object) -> bool:
         # Equality by value, so that models with equal effects are compiled once.

@@ -19,6 +19,9 @@ from eoi_jax.models.effects.effect import (
     quantiles,
 )
 
+# A lag of fewer steps settles within each, by exp(-1000); the limit keeps the derivative at zero.
+_SHORTEST = 1e-3
+
 
 class InputDeadZone(AbstractInputEffect):
     """sign(u) max(|u| - g, 0)."""
@@ -77,6 +80,29 @@ class InputQuadratic(AbstractInputEffect):
         return at.u + shape[0] * at.u * (jnp.abs(at.u) if self.odd else at.u)
 
 
+class InputYield(AbstractInputEffect):
+    """clip(u, -L, L) + s u: what yields, with a slope beyond.
+
+    A damper whose fluid yields, prescribed speed in and force out; a valve that is nearly open.
+    """
+
+    name = "input_yield"
+    sentence = "an input that yields, with a smaller slope beyond"
+    shapes = (Parameter("level", "{u}", lower=0.0), Parameter("slope", "1", lower=0.0))
+    depends_on = "u"
+    contains = ("input_saturation",)
+    only_in_free_runs = True
+
+    def grid(self, seen: Seen) -> Grid:
+        levels = quantiles(np.abs(seen.u), [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9])[:, 0]
+        levels = levels[levels > 0] if np.any(levels > 0) else np.ones(1)
+        slopes = np.array([0.01, 0.03, 0.1, 0.3])
+        return np.stack(np.meshgrid(levels, slopes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return jnp.clip(at.u, -shape[0], shape[0]) + shape[1] * at.u
+
+
 class ActuatorLag(AbstractActuator):
     """T dz/dt = u - z; the plant gets z, which is in steady state at the start of the record."""
 
@@ -115,13 +141,35 @@ class ActuatorLag(AbstractActuator):
         return np.stack(signals)
 
 
-def _decay(lag: Any, period: Any, xp: Any, shortest: float = 1e-3) -> Any:
-    """exp(-h/T) of a lag with time constant T.
+class InputRate(AbstractActuator):
+    """u + L/T (u - z), T dz/dt = u - z: what follows the rate of the input too, smoothed over T."""
 
-    A T below `shortest` steps settles within each, by exp(-1000); the limit keeps the derivative at
-    T = 0.
-    """
-    return xp.exp(-period / xp.maximum(lag, shortest * period))
+    name = "input_rate"
+    sentence = "a response to the rate of the input"
+    shapes = (Parameter("lead", "s"), Parameter("lag", "s", lower=0.0))
+    depends_on = "t"
+    only_in_free_runs = True
+
+    def grid(self, seen: Seen) -> Grid:
+        lags = np.unique(np.maximum(np.array([0.1, 0.5, 2.0]) / seen.band, seen.sample_period))
+        leads = np.array([-4.0, -1.0, -0.5, 0.5, 1.0, 4.0])
+        pairs = np.stack(np.meshgrid(leads, lags, indexing="ij"), axis=-1).reshape(-1, 2)
+        return pairs * np.array([1.0, 1.0]) * np.stack([pairs[:, 1], np.ones(len(pairs))], axis=1)
+
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        lag = jnp.maximum(shape[1], _SHORTEST * (time[1] - time[0]))
+        return u + shape[0] / lag * (u - ActuatorLag().along(time, u, [lag]))
+
+    def sampled(
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+    ) -> Float[np.ndarray, "grid S"]:
+        lags = np.maximum(shapes[:, 1:], _SHORTEST * (time[1] - time[0]))
+        return u + shapes[:, :1] / lags * (u - ActuatorLag().sampled(time, u, lags))
+
+
+def _decay(lag: Any, period: Any, xp: Any) -> Any:
+    """exp(-h/T) of a lag with time constant T."""
+    return xp.exp(-period / xp.maximum(lag, _SHORTEST * period))
 
 
 class InputDelay(AbstractActuator):

@@ -16,10 +16,13 @@ from eoi_jax.models.effects.inputs import (
     InputDeadZone,
     InputDelay,
     InputQuadratic,
+    InputRate,
     InputSaturation,
+    InputYield,
 )
-from eoi_jax.models.effects.memory import Hysteresis
+from eoi_jax.models.effects.memory import Hysteresis, SecondNode
 from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow
+from eoi_jax.models.effects.products import Product
 from eoi_jax.models.effects.stiffness import (
     CubicStiffness,
     EndStop,
@@ -71,6 +74,24 @@ def standard() -> tuple[AbstractEffect, ...]:
         Overflow(),
         InternalOverflow(caught=True),
         InternalOverflow(caught=False),
+    )
+
+
+def wider() -> tuple[AbstractEffect, ...]:
+    """Effects that `discover` tries in free runs alone, where nothing else is an answer.
+
+    Products of signals, a second store, a yield law, a response to the rate of the input.
+
+    Returns:
+        One object of each form.
+    """
+    return (
+        Product("u", "y"),
+        Product("u", "v"),
+        Product("y", "v"),
+        SecondNode(),
+        InputYield(),
+        InputRate(),
     )
 
 

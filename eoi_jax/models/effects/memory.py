@@ -4,7 +4,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from eoi_jax.data.recursion import states
 from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, mechanical
 from eoi_jax.models.plant import Plant
 
@@ -43,3 +45,43 @@ class Hysteresis(AbstractTerm):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.z[0]
+
+
+class SecondNode(AbstractTerm):
+    r"""A store that is not measured, beside the measured one: a (z - y), dz/dt = b (y - z).
+
+    Heat in a housing, charge behind a resistance, gas behind a throttle. In equilibrium at the
+    start of a record; the state is the difference w = z - y, dw/dt = -b w - dy/dt.
+    """
+
+    name = "second_node"
+    sentence = "a second store, not measured, that exchanges with the first one"
+    gains = (Parameter("exchange", "{f/y}", lower=0.0),)
+    shapes = (Parameter("rate", "1/s", lower=0.0),)
+    states = 1
+    depends_on = "y"
+    follows_slope = True
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(1.0 / seen.duration, 0.5 / seen.sample_period, 12)[:, None]
+
+    def rate(self, at: At, shape: Any) -> Any:
+        return -shape[0] * at.z - at.slope
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * at.z[0]
+
+    def along(
+        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+    ) -> Float[np.ndarray, "1 runs S 3"]:
+        """The state along y at the start, the middle and the end of each sample, from zero on."""
+        decay = np.exp(-shape[0] * period)
+        mean = (1.0 - decay) / (shape[0] * period)
+        change = (y[..., 2] - y[..., 0]).T
+        ends = states(np.full((1, 1), decay), np.full(1, -mean), change)[:, 0].T
+        begins = np.concatenate([np.zeros((len(y), 1)), ends[:, :-1]], axis=1)
+        return np.stack([begins, 0.5 * (begins + ends), ends], axis=-1)[None]

@@ -18,6 +18,12 @@ class Product(AbstractTerm):
     name = "product"
     sentence = "a product of two signals"
     gains = (Parameter("", ""),)
+    depends_on = "y"
+    only_in_free_runs = True
+
+    @property
+    def kind(self) -> str:
+        return f"{self.name} {self.first} {self.second}"
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return gain[0] * getattr(at, self.first) * getattr(at, self.second)

@@ -216,7 +216,8 @@ class _EffectFormulas:
         self.placed = placed
         self.states = tuple(f"z{first + i + 1}" if numbered else "z" for i in range(count))
         self._inner = len(inner)
-        self._symbolic = SymbolicPlant(plant, placed.names, (*inner, *self.states))
+        slope = (f"{plant.outputs[placed.output]}'",) if placed.effect.follows_slope else ()
+        self._symbolic = SymbolicPlant(plant, placed.names, (*inner, *self.states, *slope))
         self._parameters = [Symbol(name, parameter=True) for name in placed.names]
 
     def term(self) -> Expression:
@@ -255,6 +256,8 @@ class _EffectFormulas:
             named = parameter_type(self.placed.names)(*theta)
             declared = State(x.y, x.z[: self._inner])
             at = instant(self.placed, t, declared, u, x.z[self._inner :])
+            if self.placed.effect.follows_slope:
+                at = at._replace(z=at.z[:-1], slope=at.z[-1])
             return function(at, *split_parameters(self.placed, named))
 
         unknown: Expression = Call(self.placed.effect.name, tuple(self._parameters))

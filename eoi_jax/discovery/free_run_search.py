@@ -1,0 +1,334 @@
+r"""Find effects by what they do to free runs, where the injection alone gives no answer.
+
+The injection weighs a missing effect by its force, the free run by its consequences; a base whose
+parameters are biased hides right effects from both. The search:
+
+1. The base: the declared model refined by output error, over whole records and over short runs,
+   from the estimate of the passes and from nominal values, with each hold of the inputs that is
+   possible; of these the one with the smallest free-run errors on the records that judge.
+2. Candidates: the effects, and pairs, of which a score test of the base says most (`remaining`),
+   and the set that the injection came to.
+3. Each of the first few is added, and all parameters are refined again.
+4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
+   candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
+   these records exceeds its own standard error by enough. Then from 2, until none does.
+5. What can be left out again without a larger error is left out.
+
+Disturbances in time are not tried: they stand in for what the library lacks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.record import Record
+from eoi_jax.models.augmented import Placed, augmented
+from eoi_jax.models.effects import ConstantOffset, Drift, SinusoidalDisturbance
+from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.refinement.remaining import remaining
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
+
+
+@dataclass(frozen=True)
+class FreeRunRules:
+    """What decides in the search; errors are natural logarithms of root mean squares."""
+
+    most: int = 4  # effects or pairs that are added one after another
+    tried: int = 6  # candidates that are refined with in each round
+    # Fall of the mean error from which on an effect stays, and below which it is left out again.
+    # Set with measured records in view: 0.03 is what repeats of an experiment differ by.
+    min_fall: float = 0.03
+    min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
+    blocks: int = 10  # of each record; as many windows
+    start: int = 50  # samples that give the state of a run, at most; a third of a short run
+    min_window: int = 12  # samples
+    same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
+    largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
+
+
+_RULES = FreeRunRules()
+
+Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
+RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A refined model with its free runs on the records that judge.
+
+    Attributes:
+        refinement: of the model with `placed` in it.
+        placed: effects that were added to the declared model.
+        runs: whole runs, and runs in windows.
+    """
+
+    refinement: Refinement
+    placed: tuple[Placed, ...]
+    runs: FreeRuns
+
+    @cached_property
+    def error(self) -> float:
+        """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
+        return _mean_error(self.runs)
+
+
+@dataclass(frozen=True)
+class FreeRunAnswer:
+    """What the search came to.
+
+    Attributes:
+        base: the declared model, refined.
+        best: the model with the effects that stayed; the base where none did.
+        records, judging: the variant of the records that predicts best.
+    """
+
+    base: Judged
+    best: Judged
+    records: tuple[Record, ...]
+    judging: tuple[Record, ...]
+
+
+def search_free_runs(
+    starts: Sequence[Plant],
+    variants: Sequence[RecordPair],
+    effects: Sequence[AbstractEffect],
+    further: Sequence[Model] = (),
+    rival: Plant | None = None,
+    level: float = 0.01,
+) -> FreeRunAnswer | None:
+    """Search from the declared model.
+
+    Args:
+        starts: the declared model at the values to refine it from, nominal ones last.
+        variants: records to fit, and records that the fit does not see, once for each way in which
+            they may have been made (the hold of their inputs).
+        effects: to try.
+        further: models that have effects already; they are tried in the first round.
+        rival: another answer, which must predict worse.
+        level: of significance of the score test, for all tries together.
+
+    Returns:
+        None where the declared model has no fit, the records are too short to judge, or the rival
+        is as good.
+    """
+    tried = [effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)]
+    searches = [
+        search
+        for records, judging in variants
+        if (judge := _Judge.of(judging)) is not None
+        and (search := _Search.begun(starts, records, judge)) is not None
+    ]
+    if not searches:
+        return None
+    # A hold that the records of the fit refute is none, whatever others say.
+    lowest = min(search.base.refinement.cost for search in searches)
+    likely = [s for s in searches if s.base.refinement.cost < lowest + _RULES.same_cost]
+    search = min(likely, key=lambda search: search.base.error)
+    best = search.base
+    for number in range(_RULES.most):
+        candidates = search.candidates(best, tried, level)
+        if number == 0:
+            candidates += [*further, *search.at_nominal(starts[-1], candidates)]
+        trials = [search.fitted(*candidate, best) for candidate in candidates]
+        accepted = [t for t in trials if t is not None and search.judge.prefers(t, best)]
+        if not accepted:
+            break
+        best = _plainest(accepted)
+    best = search.settled(search.leanest(best))
+    if rival is not None:
+        other = Judged(best.refinement, (), search.judge.runs(rival))
+        if not search.judge.prefers(best, other):
+            return None
+    return FreeRunAnswer(search.base, best, search.records, search.judge.records)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Records on which models are compared.
+
+    Attributes:
+        records: that no fit has seen.
+        window: length of short runs [s]. head: samples at the start of each, not scored.
+        whole_head: the same of whole runs.
+    """
+
+    records: tuple[Record, ...]
+    window: float
+    head: int
+    whole_head: int
+
+    @classmethod
+    def of(cls, records: tuple[Record, ...]) -> "_Judge | None":
+        """None where the records are too short for windows."""
+        shortest = min(len(record) for record in records)
+        count = max(shortest // _RULES.blocks, _RULES.min_window)
+        if 2 * count > shortest:
+            return None
+        heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
+        return cls(records, count * records[0].sample_period, *heads)
+
+    def runs(self, plant: Plant) -> FreeRuns:
+        """Free runs of a model."""
+        return (
+            judged_runs(plant, self.records, self.whole_head),
+            judged_runs(plant, self.records, self.head, self.window),
+        )
+
+    def prefers(self, trial: Judged, best: Judged) -> bool:
+        """Whether a model is better than another by more than chance."""
+        if best.error - trial.error < _RULES.min_fall:
+            return False
+        pairs = zip(best.runs, trial.runs, strict=True)
+        deviations = [self._deviations(before, after) for before, after in pairs]
+        return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
+
+    def _deviations(self, before: Validation | None, after: Validation | None) -> float:
+        """Mean fall of the error over blocks, over its standard error.
+
+        Of squares or of logarithms, whichever is larger: a few blocks may hold most of the error.
+        """
+        if before is None or after is None:
+            return 0.0
+        old, new = (self._blocks(runs, before.rmse) for runs in (before, after))
+        if not np.all(np.isfinite(old)) or not np.all(np.isfinite(new)):
+            return np.inf if np.all(np.isfinite(new)) else -np.inf
+        tiny = np.finfo(float).tiny
+        return max(_standardised(old - new), _standardised(np.log((old + tiny) / (new + tiny))))
+
+    def _blocks(
+        self, validation: Validation, scale: Float[np.ndarray, " ny"]
+    ) -> Float[np.ndarray, " blocks"]:
+        """Mean squared errors of the blocks of all records, all outputs together."""
+        means = []
+        for record, prediction in zip(validation.records, validation.predictions, strict=True):
+            error = (record.outputs - prediction.outputs) / scale
+            square = np.where(record.output_valid, error**2, np.nan)
+            for part in np.array_split(square, _RULES.blocks):
+                if np.any(~np.isnan(part)):
+                    means.append(np.nanmean(part))
+        return np.asarray(means)
+
+
+def _mean_error(runs: FreeRuns) -> float:
+    """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
+    sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
+    return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
+
+
+def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
+    """Mean over its standard error; 0 where there is none."""
+    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+    return float(np.mean(values)) / spread if spread > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search on records that were made in one way.
+
+    Attributes:
+        records: to fit. judge: the others.
+        base: the declared model, refined.
+    """
+
+    records: tuple[Record, ...]
+    judge: _Judge
+    base: Judged
+
+    @classmethod
+    def begun(
+        cls, starts: Sequence[Plant], records: tuple[Record, ...], judge: _Judge
+    ) -> "_Search | None":
+        """With the best base over whole records and over windows; None where there is no fit."""
+        fits = [
+            _fitted(start, (), records, window, judge)
+            for window in (None, judge.window)
+            for start in starts
+        ]
+        bases = [fit for fit in fits if fit is not None]
+        return cls(records, judge, min(bases, key=lambda fit: fit.error)) if bases else None
+
+    def candidates(
+        self, best: Judged, effects: Sequence[AbstractEffect], level: float
+    ) -> list[Model]:
+        """Models with the effects that a score test says most of, and always with an offset."""
+        plant = best.refinement.plant
+        offsets = placements(plant, [e for e in effects if isinstance(e, ConstantOffset)])
+        sets = [
+            (one.placed, one.values)
+            for one in remaining(best.refinement, effects, level=level).significant
+        ]
+        sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
+        fresh = [one for one in sets if not _repeated(best.placed, one[0])]
+        first: dict[tuple, Model] = {}
+        for placed, values in fresh:
+            key = tuple(sorted(_place_of(one)[:2] for one in placed))
+            first.setdefault(key, (augmented(plant, placed, values), placed))
+        return list(first.values())[: _RULES.tried]
+
+    def at_nominal(self, nominal: Plant, candidates: Sequence[Model]) -> list[Model]:
+        """The candidates with the declared parameters at nominal values."""
+        return [(plant.with_parameters(nominal.parameters), placed) for plant, placed in candidates]
+
+    def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
+        """A model refined over runs as those of the best one so far, and judged."""
+        window = best.refinement.window
+        return _fitted(plant, (*best.placed, *placed), self.records, window, self.judge)
+
+    def leanest(self, best: Judged) -> Judged:
+        """The model without the effects that it can be without."""
+        declared, values = self.base.refinement.plant, best.refinement.parameters
+        declared = declared.with_parameters({name: values[name] for name in declared.names})
+        for effect in best.placed if len(best.placed) > 1 else ():
+            placed = tuple(one for one in best.placed if one is not effect)
+            plant = augmented(declared, placed, values)
+            lean = _fitted(plant, placed, self.records, best.refinement.window, self.judge)
+            if lean is not None and lean.error < best.error + _RULES.min_fall:
+                return self.leanest(lean)
+        return best
+
+    def settled(self, best: Judged) -> Judged:
+        """The model refined over both lengths of runs: what predicts better."""
+        fits = [best]
+        for window in (None, self.judge.window):
+            fit = _fitted(best.refinement.plant, best.placed, self.records, window, self.judge)
+            if fit is not None and fit.refinement.status.ok:
+                fits.append(fit)
+        return min(fits, key=lambda fit: fit.error)
+
+
+def _fitted(
+    plant: Plant,
+    placed: tuple[Placed, ...],
+    records: tuple[Record, ...],
+    window: float | None,
+    judge: _Judge,
+) -> Judged | None:
+    """A model refined and judged; None where there is no fit."""
+    refinement = refine_once(plant, records, window)
+    if not refinement.status.fits:
+        return None
+    return Judged(refinement, placed, judge.runs(refinement.plant))
+
+
+def _plainest(trials: Sequence[Judged]) -> Judged:
+    """The model with the fewest effects among those that are as good as the best one."""
+    lowest = min(trial.error for trial in trials)
+    as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
+    return min(as_good, key=lambda trial: (len(trial.placed), trial.error))
+
+
+def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:
+    """Whether one of some effects is in the model already, at the same place."""
+    places = {_place_of(one) for one in present}
+    return any(_place_of(one) in places for one in placed)
+
+
+def _place_of(placed: Placed) -> tuple:
+    return placed.effect.kind, placed.channel, placed.against, placed.through

@@ -1,0 +1,151 @@
+"""Effects that free runs show where the injection has no answer."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.discovery.free_run_search import _Judge, _standardised, search_free_runs
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.refinement.remaining import remaining
+
+PERIOD, COUNT = 2.0, 600
+NOISE = 0.02
+
+
+def heated(t, x, u, p):
+    return p.k * u - (x.y[0] - p.ambient) / p.tau
+
+
+PLATE = eoi.Plant(
+    heated,
+    {"k": 0.3, "ambient": 20.0, "tau": 60.0},
+    relative_degree=1,
+    inputs=("voltage",),
+    outputs=("temperature",),
+    bounds={"tau": (1.0, np.inf)},
+    units={"voltage": "V", "temperature": "K", "tau": "s"},
+)
+TRUE = {"k": 0.4, "ambient": 20.0, "tau": 50.0, "exchange": 0.012, "rate": 0.01}
+
+
+def staircase(seed):
+    random = np.random.default_rng(seed)
+    return np.repeat(random.uniform(2.0, 8.0, COUNT // 30), 30)
+
+
+def measured(seed, exchange=TRUE["exchange"]):
+    """A plate beside a store that nobody measures, by SciPy; at rest with its surroundings."""
+    voltage, time = staircase(seed), PERIOD * np.arange(COUNT)
+
+    def rate(t, x):
+        plate, store = x
+        u = voltage[min(int(t / PERIOD), COUNT - 1)]
+        warmed = TRUE["k"] * u - (plate - TRUE["ambient"]) / TRUE["tau"]
+        return [warmed + exchange * (store - plate), TRUE["rate"] * (plate - store)]
+
+    run = solve_ivp(rate, (0.0, time[-1]), [20.0, 20.0], t_eval=time, max_step=PERIOD, rtol=1e-8)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(COUNT)
+    return eoi.Record(
+        time, voltage, run.y[0] + noise, f"run {seed}", hold="zero", input_names=("voltage",),
+        output_names=("temperature",), units={"voltage": "V", "temperature": "K"},
+    )  # fmt: skip
+
+
+def searched(records, judging, tried):
+    return search_free_runs([PLATE], [((records,), (judging,))], tried)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return searched(measured(1), measured(2), [effects.SecondNode(), effects.ConstantOffset()])
+
+
+def test_a_store_that_is_not_measured_is_found_with_its_size(found):
+    assert [placed.effect.name for placed in found.best.placed] == ["second_node"]
+    values = found.best.refinement.parameters
+    assert values["second_node_exchange"] == pytest.approx(TRUE["exchange"], rel=0.05)
+    assert values["second_node_rate"] == pytest.approx(TRUE["rate"], rel=0.05)
+    assert found.best.runs[0].rmse[0] < 1.3 * NOISE < 5.0 * NOISE < found.base.runs[0].rmse[0]
+
+
+def test_a_model_that_lacks_nothing_gets_no_effect():
+    right = searched(measured(1, 0.0), measured(2, 0.0), [*effects.standard(), *effects.wider()])
+    assert right.best.placed == ()
+    assert right.base.runs[0].rmse[0] < 1.1 * NOISE
+
+
+def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
+    """dw/dt = -b w - dy/dt from zero, by SciPy's filter on a straight line between samples."""
+    y = np.cumsum(np.random.default_rng(0).standard_normal((1, 50)), axis=1)
+    stages = np.stack([y[:, :-1], 0.5 * (y[:, :-1] + y[:, 1:]), y[:, 1:]], axis=-1)
+    rate, h = 0.3, 0.5
+    along = effects.SecondNode().along(stages, h, np.array([rate]))
+    decay = np.exp(-rate * h)
+    expected = lfilter([-(1.0 - decay) / (rate * h)], [1.0, -decay], np.diff(y[0]))
+    np.testing.assert_allclose(along[0, 0, :, 2], expected, rtol=1e-12)
+    np.testing.assert_allclose(along[0, 0, 1:, 0], expected[:-1], rtol=1e-12)
+
+
+def test_an_input_that_yields_is_found_where_the_gain_has_made_up_for_it():
+    def maxwell(t, x, u, p):
+        return p.stiffness * u - p.rate * x.y[0]
+
+    plant = eoi.Plant(maxwell, {"stiffness": 60.0, "rate": 30.0}, 1, ("velocity",), ("force",))
+    placed = place(plant, effects.InputYield(), 0)
+    values = dict(zip(placed.names, (2.0, 0.05), strict=True))
+    true = augmented(plant.with_parameters({"stiffness": 900.0}), [placed], values)
+
+    def run(seed):
+        random, time = np.random.default_rng(seed), 0.01 * np.arange(1500)
+        velocity = 30.0 * np.sin(7.0 * time + random.uniform(0, 6)) * (1 + 0.5 * np.sin(time))
+        record = eoi.simulate(true, time, velocity, hold="linear")
+        noise = 0.5 * random.standard_normal(record.outputs.shape)
+        return eoi.Record(time, velocity, record.outputs + noise, f"run {seed}", hold="linear",
+                          input_names=("velocity",), output_names=("force",))  # fmt: skip
+
+    tried = [effects.InputYield(), effects.InputSaturation(), effects.InputQuadratic()]
+    answer = search_free_runs([plant], [((run(1),), (run(2),))], tried)
+    assert answer is not None
+    assert [placed.effect.name for placed in answer.best.placed] == ["input_yield"]
+    assert answer.best.refinement.parameters["input_yield_level"] == pytest.approx(2.0, rel=0.1)
+
+
+def test_records_too_short_for_windows_are_not_judged():
+    record = measured(1)
+    short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
+    assert _Judge.of((short,)) is None
+    assert searched(record, short, [effects.ConstantOffset()]) is None
+
+
+def test_a_fall_is_measured_by_its_scatter():
+    values = np.array([1.0, 2.0, 3.0, 2.0])
+    error = np.std(values, ddof=1) / 2.0
+    assert _standardised(values) == pytest.approx(2.0 / error)
+    assert _standardised(np.ones(1)) == 0.0
+
+
+def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():
+    answer = eoi.discover(PLATE, measured(1), validation=measured(2))
+    assert "second_node" in answer.effects
+    assert answer.status.code in ("partial", "explained")
+    assert answer.after.rmse[0] < 0.5 * answer.before.rmse[0]
+    assert "second store" in str(answer)
+
+
+def test_a_single_fit_says_where_its_runs_diverge():
+    record = measured(1)
+    unstable = eoi.Plant(
+        lambda t, x, u, p: p.a * x.y[0] ** 3 + p.k * u, {"a": 1.0, "k": 1.0}, 1,
+        ("voltage",), ("temperature",), units={"voltage": "V", "temperature": "K"},
+    )  # fmt: skip
+    assert refine_once(unstable, (record,), None).status.code == "diverged"
+
+
+def test_the_score_test_tries_a_store_beside_a_parameter():
+    refined = refine_once(PLATE, (measured(1),), None)
+    ranked = remaining(refined, [effects.SecondNode(), effects.ConstantOffset()])
+    assert ranked.significant[0].names == ("second_node",)
