@@ -27,6 +27,7 @@ from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.estimate import (
     ALL_DIVERGED,
@@ -46,6 +47,7 @@ from eoi_jax.refinement.fit import (
     unweighed,
     watching,
 )
+from eoi_jax.refinement.in_loop import refined_in_loop
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     CONVERGED,
@@ -108,6 +110,7 @@ def refine(
     huber: float | None = None,
     validation: Record | Sequence[Record] | None = None,
     callback: Callable[[int, int], None] | None = None,
+    controller: Controller | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
@@ -149,6 +152,10 @@ def refine(
             status ``"start_kept"``. None: nothing is held out.
         callback: called with the number of the solver's steps done and `max_steps`, from 0 again
             where weights or steps are settled anew; the solver is compiled with it.
+        controller: drives inputs of the plant by the simulated outputs, in all runs, so that whole
+            ones of an unstable plant stay near the record. The recorded input serves to check that
+            it is the controller of the record (`simulation/closed_loop.py`). None: the recorded
+            input drives the plant.
 
     Returns:
         The estimate, never worse than its start on these runs. Look at `status` first. At the
@@ -158,7 +165,8 @@ def refine(
 
     Raises:
         ValueError: arguments or records that do not fit the plant, dry friction that cannot be
-            simulated.
+            simulated, a controller that does not reproduce the recorded input, or that plant or
+            records cannot be simulated with.
 
     Source:
         Output-error method: L. Ljung, *System Identification*, 2nd ed., section 3.2; elimination of
@@ -167,6 +175,12 @@ def refine(
         `estimation/regression/robust_covariance.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
+    if controller is not None:
+        fit = partial(refine, substeps=substeps, max_steps=max_steps, huber=huber,
+                      callback=callback)  # fmt: skip
+        open_loop = fit if window is None and starts is None else None
+        fit = partial(fit, window=window, starts=starts, rounds=rounds)
+        return refined_in_loop(fit, nominal, records, validation, controller, open_loop)
     records = check_records(nominal, records)
     held_out = () if validation is None else check_records(nominal, validation)
     if window is not None and window != np.inf:
@@ -341,7 +355,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
-    if question.window is None and not question.many_starts:
+    if question.window is None and not question.many_starts and nominal.sampled is None:
         growth_window = window_of(nominal, records, rms(initial_error, problem.use), problem)
         if growth_window is not None:
             return _refined(nominal, records, replace(question, window=growth_window))
