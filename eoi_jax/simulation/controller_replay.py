@@ -170,7 +170,9 @@ def compared(
         rounding = _SETTINGS.rounding * quantum
         if quantum * _SETTINGS.levels > np.ptp(u):
             rounding = 0.0
-        percent = f"{100 * size / spread:.2g} %" if spread > 0 else "no variation of it"
+        percent = "no variation of it"
+        if spread > 0:  # rounding alone says nothing
+            percent = f"{100 * size / spread:.2g} %" if size > 1e-9 * spread else "every digit"
         good = np.isfinite(size) and size <= max(controller.tolerance * spread, rounding, 1e-12)
         if not good:
             worst = record.time[known][int(np.argmax(np.nan_to_num(np.abs(error), nan=np.inf)))]
