@@ -24,7 +24,7 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
-from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
@@ -62,7 +62,8 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span, spans_of, used_window
-from eoi_jax.refinement.windowed import settled, window_of, worse
+from eoi_jax.refinement.windowed import lost_growth, settled, worse
+from eoi_jax.simulation.error_growth import ErrorGrowth
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 from eoi_jax.simulation.validate import Validation, validated_alike
 
@@ -92,6 +93,18 @@ _WORSE = (
     "the refined parameters make {} on the held-out records worse ({}), so those of the start "
     "stay: the model lacks something that the parameters would make up for. Ask `discover`, or fit "
     "shorter runs with `window`"
+)
+_MODE = (
+    "there the model has an unstable mode with a time constant of {:.2g} s, and errors of a start "
+    "grow beyond any use even in runs of {:.2g} s"
+)
+_FROM_PASSES = (
+    "No run can be simulated from the start ({}): the fit began at the estimate of passes"
+)
+_NO_WINDOW = (
+    "no run can be simulated from the starting parameters ({}), and passes over the records lead "
+    "to none that do better: start from other parameters (`starts = 200` tries so many around "
+    "them), or bound those that make the mode so fast"
 )
 _SCORED = "must have a sample behind the burn-in and where the inputs are known"
 _WHERE = "Take such an output out of the model, or fill in the inputs where they are certain."
@@ -254,6 +267,7 @@ class _Question:
     Attributes:
         window: length of runs; None: whole records, or what the growth of errors asks for.
         points: further starts. many_starts: whether the caller asked for any.
+        from_passes: whether passes have estimated the start already.
     """
 
     window: float | None
@@ -263,6 +277,7 @@ class _Question:
     many_starts: bool
     rounds: int
     huber: float | None
+    from_passes: bool = False
 
 
 def _with_best_hold(
@@ -356,9 +371,14 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
     if question.window is None and not question.many_starts and nominal.sampled is None:
-        growth_window = window_of(nominal, records, rms(initial_error, problem.use), problem)
-        if growth_window is not None:
-            return _refined(nominal, records, replace(question, window=growth_window))
+        growth = lost_growth(nominal, records, rms(initial_error, problem.use), problem)
+        if growth is not None and growth.leaves_no_window:
+            result = _from_passes(nominal, records, question, growth)
+            if not result.status.fits:
+                return result
+            return compared_with(result, nominal, initial_error, problem.use, spans)
+        if growth is not None:
+            return _refined(nominal, records, replace(question, window=growth.window))
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     if len(question.points):
         rough = _rougher(problem, records, spans, unknowns, initial_error)
@@ -378,6 +398,23 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     result = refinement_of(lowest(fits, huber), records, spans, window)
     note = choose_steps(result.plant, records).note if substeps is None else ""
     return replace(result, notes=(*result.notes, note)) if note else result
+
+
+def _from_passes(
+    nominal: Plant, records: tuple[Record, ...], question: _Question, growth: ErrorGrowth
+) -> Refinement:
+    """From the estimate of passes, which simulate nothing, where no window holds the start."""
+    mode = _MODE.format(1.0 / growth.rate, growth.shortest)
+    if not question.from_passes:
+        passes = identify(nominal, records)
+        if passes.status.fits:
+            again = replace(question, from_passes=True)
+            result = _refined(passes.plant, records, again)
+            if not result.status.fits:
+                return unanswered(nominal, records, None, result.status)
+            return replace(result, notes=(*result.notes, _FROM_PASSES.format(mode)))
+    reason = _NO_WINDOW.format(mode)
+    return unanswered(nominal, records, None, Status("diverged", reason))
 
 
 def _begun(

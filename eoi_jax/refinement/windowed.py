@@ -32,10 +32,10 @@ from eoi_jax.simulation.validate import Validation, judged_runs
 Refine = Callable[[Refinement, Plant, float], Refinement]
 
 
-def window_of(
+def lost_growth(
     plant: Plant, records: Sequence[Record], rmse: Float[np.ndarray, " ny"], problem: Problem
-) -> float | None:
-    """Length of runs [s] that say something; None where whole ones do, or errors do not grow.
+) -> ErrorGrowth | None:
+    """Growth of errors in whole runs that say nothing; None where they do, or errors do not grow.
 
     Args:
         plant: where the fit starts.
@@ -48,7 +48,7 @@ def window_of(
     if not is_lost(rmse, rms(deviation, use)):
         return None
     growth = error_growth(plant, records)
-    return growth.window if growth.growing and growth.cuts(records) else None
+    return growth if growth.growing and growth.cuts(records) else None
 
 
 def settled(result: Refinement, again: Refine) -> Refinement:
