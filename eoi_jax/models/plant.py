@@ -85,7 +85,8 @@ class Plant(eqx.Module):
         actuator: ``a(t, u, p)``, maps the means of the inputs over the steps of a record, (S, nu),
             at the middles of the steps, (S,), to the inputs of f and g. For delays and lags, which
             depend only on past inputs.
-        sampled: of the last internal states, if they change at samples only.
+        sampled: of the last internal states, if they change at samples only. Simulations follow
+            them (`validate`, `refine`), passes and effects do not.
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,

@@ -21,7 +21,8 @@ e. What it gives away: the motion that e itself has caused, as excitation, and t
 frequencies, 1/|S|² for the best estimate. With the recorded input the error is e itself as long as
 the start is known; of an unstable plant that holds in windows only, each of which pays for a start
 of its own. A disturbance d of the plant adds S G d here, which stays bounded, and G d there, which
-grows through each window.
+grows through each window. A law that is not linear, or meets its limits, adds a bias of second
+order in e.
 
 Source: output error of a closed loop, L. Ljung, *System Identification*, 2nd ed., section 13.5.
 """

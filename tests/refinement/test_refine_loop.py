@@ -1,9 +1,13 @@
 """Refinement with the controller in the loop."""
 
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.sampled_states import SampledStates
 from tests.simulation.closed_loops import TRUTH, WRONG, controller, double, measured
 
 
@@ -92,3 +96,36 @@ def test_where_the_loop_is_lost_at_the_start_windows_come_first(c):
     assert any(note.startswith("The loop is lost") for note in better.notes)
     for name, value in TRUTH.items():
         assert abs(better.parameters[name] - value) < 4.0 * better.standard_errors[name]
+
+
+def test_several_starts_have_the_controller_too():
+    starts = [{"a": 15.0, "b": 0.3, "c": 6.0}, {"a": 30.0, "b": 2.0, "c": 5.0}]
+    better = eoi.refine(double(**WRONG), measured(count=500), starts=starts,
+                        controller=controller())  # fmt: skip
+    assert better.parameters == pytest.approx(TRUTH, rel=1e-6)
+
+
+def test_results_draw_themselves(refined):
+    refined.plot()
+    eoi.validate(refined.plant, measured(noise=1e-3), controller=controller()).plot()
+    plt.close("all")
+
+
+def test_passes_and_effects_do_not_follow_sampled_states():
+    sampled = SampledStates(lambda t, x, u, p: u, 1, 0.01)
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * x.z[0] - x.y[0], {"b": 1.0},
+        internal=lambda t, x, u, p: jnp.array([0.0, -1.0]), internal_initial=[0.0, 0.0],
+        sampled=sampled,
+    )  # fmt: skip
+    record = measured().without_inputs("r")
+    with pytest.raises(ValueError, match="must have no states that change at samples: passes"):
+        eoi.identify(plant, record)
+    effect = place(plant, eoi.effects.CubicDamping(), 0)
+    with pytest.raises(ValueError, match="for effects to be added"):
+        augmented(plant, [effect], dict.fromkeys(effect.names, 1.0))
+
+
+def test_a_reference_too_many_is_named_with_what_to_do():
+    with pytest.raises(ValueError, match=r'Leave the others out: `record.without_inputs\("r"\)`'):
+        eoi.identify(double(), measured())
