@@ -232,9 +232,15 @@ def closed_loop(
         closed_records.append(closed_record)
         notes.append(note)
     note = f"Simulated with the controller in the loop. It reproduces {'; '.join(notes)}."
+    if not all(record.hold_declared for record in _as_sequence(records)):
+        note += " Nobody declared the hold of the inputs: a controller holds them (zero)."
     return ClosedLoop(
         closed, tuple(closed_records), plant, tuple(record for record, _ in opened), note
     )
+
+
+def _as_sequence(records: Record | Sequence[Record]) -> tuple[Record, ...]:
+    return (records,) if isinstance(records, Record) else tuple(records)
 
 
 Opened = list[tuple[Record, Float[np.ndarray, "time nr"]]]
@@ -250,9 +256,8 @@ def _checked(
     check(plant.actuator is None, "plant.inputs", rule, "a delay or lag", advice)
     rule = "must be states (relative degree 1 or more) for a controller to read them"
     check(not plant.has_algebraic, "plant.outputs", rule, "relative degree 0")
-    data_set = (records,) if isinstance(records, Record) else tuple(records)
     opened: Opened = []
-    for record in data_set:
+    for record in _as_sequence(records):
         check_kind("records", record, Record, "a Record or several")
         for name in controller.reference:
             check_choice(f"controller.reference (input of {record.name})", name, record.input_names)

@@ -223,5 +223,7 @@ def _reason(
     return (
         "Neither a delay of up to "
         f"{_SETTINGS.longest} samples, nor a factor, nor an offset explains it: look at gains, "
-        "signs, limits, and at which signals the controller reads."
+        "signs, limits, and at which signals the controller reads. Are the samples those of the "
+        "controller? A record whose stamps are not uniform is resampled; `Record.from_period` "
+        "takes the samples as they are."
     )

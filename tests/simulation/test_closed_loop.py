@@ -105,7 +105,8 @@ def test_a_law_without_a_state_and_a_set_point():
     plant = eoi.Plant(first_order, {"a": 2.0, "b": 0.1})
     run = eoi.validate(plant, record, controller=eoi.Controller(law), initial_samples=20)
     assert run.rmse[0] < EXACT
-    assert run.records[0].hold == "zero"  # nobody declared it: a controller holds
+    assert run.records[0].hold == "zero"
+    assert "a controller holds them (zero)" in run.notes[-1]
 
 
 def test_rounding_of_the_input_is_taken_over():
@@ -232,7 +233,8 @@ def refused(match, record=None, plant=None, **changes):
 def test_a_controller_that_does_not_reproduce_the_input_is_refused_with_how_much_and_when():
     # Another gain of the derivative: neither a delay, nor a factor, nor an offset.
     refused(r"must reproduce the recorded input current of run 1 .* difference of .* A rms \(.* %"
-            r".*largest at t = .* Neither a delay", derivative=1.0)  # fmt: skip
+            r".*largest at t = .* Neither a delay .* `Record.from_period`",
+            derivative=1.0)  # fmt: skip
 
 
 def test_a_factor_is_named():
