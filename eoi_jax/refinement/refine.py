@@ -137,9 +137,10 @@ def refine(
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
             anew at the start of each. None: whole records; where these say nothing at the start,
-            for the plant is unstable, windows over which errors of their starts stay
-            small (`simulation/error_growth.py`), and a note says so. Infinite: whole records in any
-            case. With `starts` runs are whole where nothing is said.
+            for the plant is unstable, windows over which errors of their starts stay small
+            (`simulation/error_growth.py`), and a note says so; where they do not even in the
+            shortest ones, the fit begins at the estimate of `identify`. Infinite: whole records in
+            any case. With `starts` runs are whole where nothing is said.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the fastest mode of the plant needs them (`simulation/step_size.py`),
             and twice as many as long as their error would show in the estimate.
