@@ -41,6 +41,7 @@ from .estimation.lowpass import LowPass as LowPass
 from .estimation.sweep.best import best as best
 from .estimation.sweep.store import open_sweep as open_sweep
 from .estimation.sweep.sweep import sweep as sweep
+from .models.controller import Controller as Controller
 from .models.equations.text_model import plant_from_text as plant_from_text
 from .models.export.export import export as export
 from .models.linear_system import plant_from_control as plant_from_control

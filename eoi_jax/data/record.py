@@ -218,17 +218,8 @@ class Record(Result):
         """
         check_positive("sample_period", sample_period, "It is the time between samples in seconds.")
         time = float(sample_period) * np.arange(read_signals("outputs", outputs).shape[0])
-        return cls(
-            time,
-            inputs,
-            outputs,
-            name,
-            input_names=input_names,
-            units=units,
-            hold=hold,
-            output_names=output_names,
-            burn_in=burn_in,
-        )
+        return cls(time, inputs, outputs, name, input_names=input_names, units=units, hold=hold,
+                   output_names=output_names, burn_in=burn_in)  # fmt: skip
 
     # -- parts ----------------------------------------------------------------------------
 
@@ -341,13 +332,34 @@ class Record(Result):
         new._assign({"_skew": np.asarray(delays, dtype=float), "_middle": None})
         return new
 
-    def without_inputs(self) -> "Record":
-        """The record with its outputs only."""
+    def without_inputs(self, *names: str) -> "Record":
+        """The record without some of its inputs.
+
+        Args:
+            names: of inputs that no model reads, for example the reference of a controller; none:
+                the record with its outputs only.
+
+        Raises:
+            ValueError: a name that is none of the record's inputs.
+        """
+        for name in names:
+            check_choice("names", name, self.input_names)
+        chosen = np.asarray([bool(names) and name not in names for name in self.input_names], bool)
+        labels = tuple(np.asarray(self.input_names)[chosen].tolist())
+        return self.with_inputs(self.inputs[:, chosen], labels, self.skew[chosen])
+
+    def with_inputs(self, inputs: Inputs, names: tuple[str, ...], skew: Any = None) -> "Record":
+        """The same instants and outputs with other inputs, known where the present ones are.
+
+        Args:
+            inputs: (N, nu).
+            names: of each.
+            skew: time by which each acts later than it was logged, (nu,) [s]; None: by none.
+        """
         new = self._changed(None)
-        no_inputs = np.zeros((len(self), 0))
-        masks = self.valid, np.ones(len(self), bool), self.output_valid
-        new._set(no_inputs, self.outputs, masks, self.time, self.sample_period)
-        new._assign({"input_names": (), "_skew": None})
+        masks = self.valid, self.input_valid, self.output_valid
+        new._set(inputs, self.outputs, masks, self.time, self.sample_period)
+        new._assign({"input_names": names, "_skew": skew if np.any(skew) else None})
         return new
 
     def segments(self) -> list[tuple[int, int]]:

@@ -196,6 +196,8 @@ def prepare_records(
         explicit: whether for an observer in explicit form.
     """
     reasons: list[str] = []
+    rule = "must have no states that change at samples: passes do not follow them"
+    check(plant.sampled is None, "plant", rule, plant.name, "Ask `refine`.")
     check(
         not (smoothing and plant.has_algebraic),
         "smoothing",

@@ -129,6 +129,8 @@ def augmented(
     """
     if not placed:
         return plant
+    rule = "must have no states that change at samples for effects to be added"
+    check(plant.sampled is None, "plant", rule, plant.name)
     nz = len(plant.initial_internal)
     declared_names = plant.names
     placements = tuple(placed)

@@ -35,6 +35,7 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                 f"records[{record.name}].{kind}",
                 f"must have {len(names)} channels ({', '.join(names)}) for `{plant.name}`",
                 f"{signals.shape[1]} ({', '.join(labels)})",
+                _extra_inputs(names, labels) if kind == "inputs" else "",
             )
             equal = set(labels) == set(names)
             check(
@@ -61,3 +62,12 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     }
     check_angles(plant, {**units, **plant.units})
     return data_set
+
+
+def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:
+    """What to do with inputs that the plant does not read, such as a reference."""
+    extra = [label for label in labels if label not in names]
+    if len(labels) - len(extra) != len(names):
+        return ""
+    listed = ", ".join(f'"{label}"' for label in extra)
+    return f"Leave the others out: `record.without_inputs({listed})`."

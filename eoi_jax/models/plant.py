@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
-from eoi_jax._types import Input, Output, Regressor, Scalar
+from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import inputs_read
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.algebraic_outputs import check_algebraic
 from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type
+from eoi_jax.models.sampled_states import SampledStates
 from eoi_jax.models.velocities import velocity_rows
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
@@ -84,6 +85,8 @@ class Plant(eqx.Module):
         actuator: ``a(t, u, p)``, maps the means of the inputs over the steps of a record, (S, nu),
             at the middles of the steps, (S,), to the inputs of f and g. For delays and lags, which
             depend only on past inputs.
+        sampled: of the last internal states, if they change at samples only. Simulations follow
+            them (`validate`, `refine`), passes and effects do not.
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
@@ -107,6 +110,7 @@ class Plant(eqx.Module):
     unit_items: tuple[tuple[str, str], ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     kind_items: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
+    sampled: SampledStates | None = eqx.field(static=True, default=None, metadata=WHERE_SET)
 
     def __init__(
         self,
@@ -123,14 +127,14 @@ class Plant(eqx.Module):
         name: str | None = None,
         actuator: Actuator | None = None,
         kinds: Mapping[str, str] | None = None,
+        sampled: SampledStates | None = None,
     ):
         check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
         check_kind("parameters", parameters, Mapping, "a dict by name")
         for field, mapping in (("bounds", bounds), ("units", units), ("kinds", kinds)):
             check_kind(field, mapping or {}, Mapping, "a dict by name")
         self.dynamics = dynamics
-        self.internal = internal
-        self.actuator = actuator
+        self.internal, self.actuator, self.sampled = internal, actuator, sampled
         self.names = tuple(parameters)
         self.inputs, self.outputs = _name_tuple("inputs", inputs), _name_tuple("outputs", outputs)
         self.fixed = _name_tuple("fixed", fixed)
@@ -270,6 +274,7 @@ class Plant(eqx.Module):
             name=self.name,
             actuator=self.actuator,
             kinds=dict(self.kind_items),
+            sampled=self.sampled,
         )
 
     # -- equations ------------------------------------------------------------------------
@@ -345,6 +350,11 @@ class Plant(eqx.Module):
         start = self.internal_initial
         value = start(self.named(theta)) if callable(start) else start
         return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
+
+    @property
+    def unknown_internal(self) -> int:
+        """Number of internal states that a run may start with at any value: the first ones."""
+        return len(self.initial_internal) - (self.sampled.size if self.sampled else 0)
 
     @property
     def initial_internal(self) -> Float[np.ndarray, " nz"]:

@@ -296,7 +296,10 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
     content = {
         field.name: _encode(getattr(value, field.name), arrays)
         for field in fields
-        if getattr(value, field.name) is not None or field.metadata != WHERE_SET
+        if not (
+            WHERE_SET.items() <= field.metadata.items()
+            and getattr(value, field.name) is field.default
+        )
     }
     if isinstance(value, MissingEffect):
         content = {key: _encode(element, arrays) for key, element in value.fields.items()}

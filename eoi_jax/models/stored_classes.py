@@ -30,6 +30,7 @@ CLASSES: Mapping[str, str] = {
     "Inspection": "data.inspection",
     "Channel": "data.inspection",
     "Plant": "models.plant",
+    "SampledStates": "models.sampled_states",
     "LinearChains": "models.linear_system:_Chains",
     "LinearZeroDynamics": "models.linear_system:_ZeroDynamics",
     "TextEquations": "models.equations.system:Equations",

@@ -24,9 +24,10 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
-from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.estimate import (
     ALL_DIVERGED,
@@ -46,6 +47,7 @@ from eoi_jax.refinement.fit import (
     unweighed,
     watching,
 )
+from eoi_jax.refinement.in_loop import refined_in_loop
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     CONVERGED,
@@ -60,7 +62,8 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span, spans_of, used_window
-from eoi_jax.refinement.windowed import settled, window_of, worse
+from eoi_jax.refinement.windowed import lost_growth, settled, worse
+from eoi_jax.simulation.error_growth import ErrorGrowth
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 from eoi_jax.simulation.validate import Validation, validated_alike
 
@@ -92,6 +95,18 @@ _WORSE = (
     "stay: the model lacks something that the parameters would make up for. Ask `discover`, or fit "
     "shorter runs with `window`"
 )
+_MODE = (
+    "there the model has an unstable mode with a time constant of {:.2g} s, and errors of a start "
+    "grow beyond any use even in runs of {:.2g} s"
+)
+_FROM_PASSES = (
+    "No run can be simulated from the start ({}): the fit began at the estimate of passes"
+)
+_NO_WINDOW = (
+    "no run can be simulated from the starting parameters ({}), and passes over the records lead "
+    "to none that do better: start from other parameters (`starts = 200` tries so many around "
+    "them), or bound those that make the mode so fast"
+)
 _SCORED = "must have a sample behind the burn-in and where the inputs are known"
 _WHERE = "Take such an output out of the model, or fill in the inputs where they are certain."
 
@@ -109,6 +124,7 @@ def refine(
     huber: float | None = None,
     validation: Record | Sequence[Record] | None = None,
     callback: Callable[[int, int], None] | None = None,
+    controller: Controller | None = None,
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
@@ -122,9 +138,10 @@ def refine(
         window: length of each run [s], about: every record is cut into runs of equal length, of a
             few samples at least; the answer has the length that was used. The state is estimated
             anew at the start of each. None: whole records; where these say nothing at the start,
-            for the plant is unstable, windows over which errors of their starts stay
-            small (`simulation/error_growth.py`), and a note says so. Infinite: whole records in any
-            case. With `starts` runs are whole where nothing is said.
+            for the plant is unstable, windows over which errors of their starts stay small
+            (`simulation/error_growth.py`), and a note says so; where they do not even in the
+            shortest ones, the fit begins at the estimate of `identify`. Infinite: whole records in
+            any case. With `starts` runs are whole where nothing is said.
         substeps: steps of the simulation per sample; one does where the sampling is fine. None:
             four, more where the fastest mode of the plant needs them (`simulation/step_size.py`),
             and twice as many as long as their error would show in the estimate.
@@ -150,6 +167,10 @@ def refine(
             status ``"start_kept"``. None: nothing is held out.
         callback: called with the number of the solver's steps done and `max_steps`, from 0 again
             where weights or steps are settled anew; the solver is compiled with it.
+        controller: drives inputs of the plant by the simulated outputs, in all runs, so that whole
+            ones of an unstable plant stay near the record. The recorded input serves to check that
+            it is the controller of the record (`simulation/closed_loop.py`). None: the recorded
+            input drives the plant.
 
     Returns:
         The estimate, never worse than its start on these runs. Look at `status` first. At the
@@ -159,7 +180,8 @@ def refine(
 
     Raises:
         ValueError: arguments or records that do not fit the plant, dry friction that cannot be
-            simulated.
+            simulated, a controller that does not reproduce the recorded input, or that plant or
+            records cannot be simulated with.
 
     Source:
         Output-error method: L. Ljung, *System Identification*, 2nd ed., section 3.2; elimination of
@@ -168,6 +190,12 @@ def refine(
         `estimation/regression/robust_covariance.py`.
     """
     nominal = plant.plant if isinstance(plant, Identification) else plant
+    if controller is not None:
+        fit = partial(refine, substeps=substeps, max_steps=max_steps, huber=huber,
+                      callback=callback)  # fmt: skip
+        open_loop = fit if window is None and starts is None else None
+        fit = partial(fit, window=window, starts=starts, rounds=rounds)
+        return refined_in_loop(fit, nominal, records, validation, controller, open_loop)
     records = check_records(nominal, records)
     held_out = () if validation is None else check_records(nominal, validation)
     if window is not None and window != np.inf:
@@ -244,6 +272,7 @@ class _Question:
     Attributes:
         window: length of runs; None: whole records, or what the growth of errors asks for.
         points: further starts. many_starts: whether the caller asked for any.
+        from_passes: whether passes have estimated the start already.
     """
 
     window: float | None
@@ -253,6 +282,7 @@ class _Question:
     many_starts: bool
     rounds: int
     huber: float | None
+    from_passes: bool = False
 
 
 def _with_best_hold(
@@ -345,10 +375,15 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
     problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
-    if question.window is None and not question.many_starts:
-        growth_window = window_of(nominal, records, rms(initial_error, problem.use), problem)
-        if growth_window is not None:
-            return _refined(nominal, records, replace(question, window=growth_window))
+    if question.window is None and not question.many_starts and nominal.sampled is None:
+        growth = lost_growth(nominal, records, rms(initial_error, problem.use), problem)
+        if growth is not None and growth.leaves_no_window:
+            result = _from_passes(nominal, records, question, growth)
+            if not result.status.fits:
+                return result
+            return compared_with(result, nominal, initial_error, problem.use, spans)
+        if growth is not None:
+            return _refined(nominal, records, replace(question, window=growth.window))
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     if len(question.points):
         rough = _rougher(problem, records, spans, unknowns, initial_error)
@@ -368,6 +403,23 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     result = refinement_of(lowest(fits, huber), records, spans, window)
     note = choose_steps(result.plant, records).note if substeps is None else ""
     return replace(result, notes=(*result.notes, note)) if note else result
+
+
+def _from_passes(
+    nominal: Plant, records: tuple[Record, ...], question: _Question, growth: ErrorGrowth
+) -> Refinement:
+    """From the estimate of passes, which simulate nothing, where no window holds the start."""
+    mode = _MODE.format(1.0 / growth.rate, growth.shortest)
+    if not question.from_passes:
+        passes = identify(nominal, records)
+        if passes.status.fits:
+            again = replace(question, from_passes=True)
+            result = _refined(passes.plant, records, again)
+            if not result.status.fits:
+                return unanswered(nominal, records, None, result.status)
+            return replace(result, notes=(*result.notes, _FROM_PASSES.format(mode)))
+    reason = _NO_WINDOW.format(mode)
+    return unanswered(nominal, records, None, Status("diverged", reason))
 
 
 def _begun(

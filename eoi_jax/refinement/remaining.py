@@ -141,9 +141,9 @@ def remaining(
         cause: records that were not used (`validation`) refuse what only fits better.
 
     Raises:
-        ValueError: a refinement without an answer, or of a plant with an output of relative
-            degree 0; records of `validation` that do not fit the plant, that
-            the fit has seen, or that are too short.
+        ValueError: a refinement without an answer, of a plant with an output of relative degree 0,
+            or with a controller in the loop; records of `validation` that do not fit the plant,
+            that the fit has seen, or that are too short.
 
     Source:
         C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test); M. S. Bartlett (independent
@@ -153,6 +153,8 @@ def remaining(
     plant, records = refinement.plant, refinement.records
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
+    check(not refinement.in_loop, "refinement", "must be of runs that the recorded input drives",
+          "one with the controller in the loop", "Refine in windows without it.")  # fmt: skip
     algebraic = [name for name, on in zip(plant.outputs, plant.algebraic, strict=True) if on]
     check(not algebraic, "refinement", "must be of a plant whose outputs are all states",
           f"{', '.join(algebraic)} of relative degree 0",

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
+from eoi_jax._types import WHERE_SET
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.models.plant import Plant
@@ -64,6 +65,7 @@ class Refinement(Result):
         substeps: steps of the simulation per sample.
         engine: that ran the simulations, and why where it was not the fast one.
         common_factors: parameters that no record tells apart, where the estimate leaves some open.
+        in_loop: whether a controller drove the runs by what they simulate.
     """
 
     parameters: dict[str, float]
@@ -88,3 +90,4 @@ class Refinement(Result):
     substeps: int = 4
     engine: EngineUsed = NOT_RECORDED
     common_factors: tuple[CommonFactor, ...] = ()
+    in_loop: bool = field(default=False, metadata=WHERE_SET)

@@ -32,10 +32,10 @@ from eoi_jax.simulation.validate import Validation, judged_runs
 Refine = Callable[[Refinement, Plant, float], Refinement]
 
 
-def window_of(
+def lost_growth(
     plant: Plant, records: Sequence[Record], rmse: Float[np.ndarray, " ny"], problem: Problem
-) -> float | None:
-    """Length of runs [s] that say something; None where whole ones do, or errors do not grow.
+) -> ErrorGrowth | None:
+    """Growth of errors in whole runs that say nothing; None where they do, or errors do not grow.
 
     Args:
         plant: where the fit starts.
@@ -48,15 +48,15 @@ def window_of(
     if not is_lost(rmse, rms(deviation, use)):
         return None
     growth = error_growth(plant, records)
-    return growth.window if growth.growing and growth.cuts(records) else None
+    return growth if growth.growing and growth.cuts(records) else None
 
 
-def settled(result: Refinement, again: Refine) -> Refinement:
+def settled(result: Refinement, refit: Refine) -> Refinement:
     """The answer to a fit in windows that nobody asked for: asked again at its estimate.
 
     Args:
         result: the fit in windows.
-        again: another fit.
+        refit: another fit.
 
     Returns:
         The fit of whole runs where these are not lost at the estimate and windows do not contradict
@@ -65,27 +65,27 @@ def settled(result: Refinement, again: Refine) -> Refinement:
     if not result.status.ok or result.window is None:
         return result
     growth = error_growth(result.plant, result.records)
-    whole = _whole(result, again, growth)
-    if whole is not None:
-        return whole
+    full = _of_full_runs(result, refit, growth)
+    if full is not None:
+        return full
     if growth.growing and abs(np.log(growth.window / result.window)) > np.log1p(RULES.settled):
-        other = again(result, result.plant, growth.window)
+        other = refit(result, result.plant, growth.window)
         result = other if other.status.ok else result
-    longer = _extended(result, again)
+    longer = _extended(result, refit)
     if growth.largest <= RULES.hopeless:
         while longer is not result:
-            result, longer = longer, _extended(longer, again)
-        whole = _whole(result, again, growth)
-        if whole is not None:
-            return whole
+            result, longer = longer, _extended(longer, refit)
+        full = _of_full_runs(result, refit, growth)
+        if full is not None:
+            return full
     result = longer
     note = restarted(len(result.starts), growth, "Fitted", result.window)
     return replace(result, notes=(*result.notes, note))
 
 
-def _extended(result: Refinement, again: Refine) -> Refinement:
+def _extended(result: Refinement, refit: Refine) -> Refinement:
     """The fit in longer windows, where the model follows these as well."""
-    longer = again(result, result.plant, RULES.extension * (result.window or np.inf))
+    longer = refit(result, result.plant, RULES.extension * (result.window or np.inf))
     if not longer.status.ok or longer.window is None:
         return result
     return longer if _follows(longer, result) else result
@@ -106,20 +106,20 @@ def _residual(result: Refinement) -> Float[np.ndarray, " ny"]:
     return result.rmse / np.sqrt(max(1.0 - unknowns / scored, np.finfo(float).eps))
 
 
-def _whole(result: Refinement, again: Refine, growth: ErrorGrowth) -> Refinement | None:
+def _of_full_runs(result: Refinement, refit: Refine, growth: ErrorGrowth) -> Refinement | None:
     """The fit of whole runs from an estimate in windows; None where it is none, or is worse."""
     records = result.records
     runs = judged_runs(result.plant, records)
     lost = is_lost(runs.nrmse, np.ones_like(runs.nrmse))
     if lost and growth.largest > RULES.hopeless:
         return None
-    whole = again(result, result.plant, np.inf)
-    if not whole.status.ok or (lost and not _follows(whole, result)):
+    full = refit(result, result.plant, np.inf)
+    if not full.status.ok or (lost and not _follows(full, result)):
         return None
     window = result.window or np.inf
     head = window_head(window, result.plant, records)
-    old, new = (judged_runs(plant, records, head, window) for plant in (result.plant, whole.plant))
-    return None if worse(old, new) else whole
+    old, new = (judged_runs(plant, records, head, window) for plant in (result.plant, full.plant))
+    return None if worse(old, new) else full
 
 
 def worse(before: Validation, after: Validation, negligible: float = 0.01) -> bool:

@@ -87,15 +87,24 @@ class ErrorGrowth:
     Attributes:
         largest: error over the noise that the start of a whole run ends with, at most.
         window: length [s] of runs in which it stays small; infinite if it does in all.
+        rate: of the fastest unstable mode [1/s]; 0 where errors do not grow.
+        shortest: length of the shortest windows [s].
     """
 
     largest: float
     window: float
+    rate: float = 0.0
+    shortest: float = 0.0
 
     @property
     def growing(self) -> bool:
         """Whether errors of a start grow so that a whole free run may be lost by them."""
         return not self.largest < RULES.growing
+
+    @property
+    def leaves_no_window(self) -> bool:
+        """Whether errors of a start grow beyond any use in the shortest windows, too."""
+        return bool(self.rate * self.shortest > np.log(RULES.hopeless))
 
     def cuts(self, records: Sequence[Record]) -> bool:
         """Whether windows of this length cut some record into several."""
@@ -118,6 +127,8 @@ def error_growth(
     return ErrorGrowth(
         max(growth.largest for growth in growths),
         max(min(growth.window for growth in growths), shortest),
+        max(growth.rate for growth in growths),
+        shortest,
     )
 
 
@@ -178,10 +189,11 @@ def _along(plant: Plant, record: Record, initial_samples: int | None) -> ErrorGr
         lags, growth = _grown(slopes, rows, nearest, firsts, head, period)
     (beyond,) = np.nonzero(~(growth <= RULES.window))
     window = lags[beyond[0]] * period if len(beyond) else np.inf
-    fastest = np.quantile(rates, RULES.quantile)
+    fastest = float(np.quantile(rates, RULES.quantile))
     if fastest > 0:
         window = min(window, RULES.exponent / fastest)
-    return ErrorGrowth(float(np.max(np.where(np.isfinite(growth), growth, np.inf))), float(window))
+    largest = float(np.max(np.where(np.isfinite(growth), growth, np.inf)))
+    return ErrorGrowth(largest, float(window), max(fastest, 0.0))
 
 
 def _grown(

@@ -89,13 +89,15 @@ def initial_states(
     spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
     first_samples = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0), past)
     cost, values = _descend(first_samples, starts, measured)
-    if len(declared):
+    if run.plant.unknown_internal or past is not None:
         # Internal states stay where the model starts them, and inputs have always been at their
         # first values, unless the first samples tell (BIC): from a few noisy ones they would come
         # out anywhere.
-        freed_cost, freed_values = _descend(first_samples, values[:, None], np.ones_like(measured))
+        sampled = len(z) - run.plant.unknown_internal  # the last ones, which start as declared
+        free = np.arange(len(measured)) < len(measured) - sampled
+        freed_cost, freed_values = _descend(first_samples, values[:, None], free)
         count = np.maximum(np.sum(valid, axis=(1, 2)), 2)
-        unknown = len(z) + (
+        unknown = run.plant.unknown_internal + (
             0 if past is None else np.sum(np.any(past != 0, axis=(1, 2, 3)), axis=1)
         )
         significant = freed_cost < cost * np.exp(-2.0 * unknown * np.log(count) / count)

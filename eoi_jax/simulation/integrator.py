@@ -464,7 +464,16 @@ def _advance(
 
 
 def _smooth_step(problem: _Problem, x: State) -> State:
-    return _advance(problem, x, 0.0, 1.0, None)
+    return _advance(problem, _sampled(problem, x), 0.0, 1.0, None)
+
+
+def _sampled(problem: _Problem, x: State) -> State:
+    """The state behind a sample at the start of the step, of a plant that has sampled states."""
+    plant = problem.plant
+    if plant.sampled is None:
+        return x
+    p = plant.named(problem.theta)
+    return State(x.y, plant.sampled.after(problem.time, x, problem.inputs[0], p, problem.step))
 
 
 # -- dry friction -------------------------------------------------------------------------
@@ -483,13 +492,14 @@ def _sticking_step(problem: _Problem, x: State) -> State:
 
     # A loop, although nearly every step is one piece: the equations are then compiled once.
     start = jnp.zeros_like(problem.step)
-    return lax.while_loop(unfinished, piece, (x, start, start))[0]
+    begun = _sampled(problem, x), start, start
+    return lax.while_loop(unfinished, piece, begun)[0]
 
 
 def _sticking_step_unrolled(problem: _Problem, x: State) -> State:
     """The same, piece by piece: at most one cut for each output that sticks."""
     most_cuts = np.count_nonzero(problem.friction)
-    fraction = jnp.zeros_like(problem.step)
+    x, fraction = _sampled(problem, x), jnp.zeros_like(problem.step)
     for cuts in range(most_cuts + 1):
         piece = partial(_until_stop, problem, x, fraction, jnp.asarray(cuts < most_cuts))
         # The first piece always runs; the others where the one before ended at a stop.

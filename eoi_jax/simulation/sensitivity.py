@@ -113,7 +113,11 @@ class RunKernel(eqx.Module):
         places = (np.asarray(part, dtype=int) for part in (self.rows, self.columns))
         y = empty.at[tuple(places)].set(values[:count])
         z = self.plant.internal_start(jnp.asarray(theta))
-        return State(y, jnp.where(declared > 0, z, values[count : count + z.size]))
+        as_declared = declared > 0
+        if self.plant.sampled is not None:  # those start as declared in every run
+            sampled = np.arange(z.size) >= z.size - self.plant.sampled.size
+            as_declared = as_declared | sampled
+        return State(y, jnp.where(as_declared, z, values[count : count + z.size]))
 
     def directions(self, start_size: int) -> Direction:
         """Of each unknown; so many are in the start."""

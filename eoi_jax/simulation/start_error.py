@@ -176,6 +176,7 @@ def _start_error(
     covariance = inverse @ inverse.T
     behind = slopes[count:] / scale
     squares = np.einsum("tju,uv,tjv->tj", behind, covariance, behind)
+    squares = np.maximum(squares, 0.0)  # by rounding, of a start that the run has forgotten
     late = np.mean(squares[-max(len(squares) // 4, 1) :], axis=0)
     total = np.sum(squares, axis=0) + max(samples - count - len(squares), 0) * late
     return float(np.sqrt(np.max(total / max(samples - count, 1) / noise**2)))

@@ -6,7 +6,7 @@ lags were before the record) is part of no model: it is estimated from the first
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
+from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.masks import scored_samples, transient_samples
@@ -30,8 +31,10 @@ from eoi_jax.data.windows import (
     start_samples,
 )
 from eoi_jax.models.check_records import check_records
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.closed_loop import closed_loop
 from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
@@ -60,6 +63,7 @@ class Validation(Result):
         notes: sentences on what limits the numbers.
         records: that it was judged on.
         window: length of the runs [s]; None for whole records.
+        in_loop: whether a controller drove the runs by what they simulate.
     """
 
     rmse: PerOutput
@@ -72,6 +76,7 @@ class Validation(Result):
     notes: tuple[str, ...]
     records: tuple[Record, ...] = ()
     window: float | None = None
+    in_loop: bool = field(default=False, metadata=WHERE_SET)
 
 
 @one_thread()
@@ -82,6 +87,7 @@ def validate(
     initial_samples: int | None = None,
     window: float | None = None,
     substeps: int | None = None,
+    controller: Controller | None = None,
 ) -> Validation:
     """Simulate a plant along records and compare.
 
@@ -111,20 +117,35 @@ def validate(
         substeps: steps of the simulation per sample. None: four, more where the fastest mode of the
             plant needs them, and twice as many as long as their error would show in the residual
             (`step_size.py`).
+        controller: drives inputs of the plant by the simulated outputs: whole runs of an unstable
+            plant then stay near the record. The recorded input serves to check that it is the
+            controller of the record (`closed_loop.py`). None: the recorded input drives the plant.
 
     Returns:
         Errors over all scored samples of all records, and predictions over all samples.
 
     Raises:
         ValueError: no record, channels or units that are not the plant's, too few samples, a
-            window not longer than the initial samples.
+            window not longer than the initial samples, a controller that does not reproduce the
+            recorded input, or that plant or records cannot be simulated with.
     """
+    if controller is not None:
+        loop = closed_loop(plant, records, controller)
+        closed_runs = validate(loop.plant, loop.records, initial_samples=initial_samples,
+                               window=window, substeps=substeps)  # fmt: skip
+        return replace(
+            closed_runs,
+            predictions=loop.predictions(closed_runs.predictions),
+            notes=(*closed_runs.notes, loop.note),
+            records=loop.originals,
+            in_loop=True,
+        )
     if window is not None:
         length = None if window == np.inf else window
         return judged_runs(plant, records, initial_samples, length, substeps)
     whole = judged_runs(plant, records, initial_samples, None, substeps)
-    if not is_lost(whole.nrmse, np.ones_like(whole.nrmse)):
-        return whole
+    if plant.sampled is not None or not is_lost(whole.nrmse, np.ones_like(whole.nrmse)):
+        return whole  # the growth of errors is that of the plant without its controller
     growth = error_growth(plant, whole.records, initial_samples)
     if not growth.growing or not growth.cuts(whole.records):
         return whole
@@ -250,7 +271,7 @@ def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
 def _check_record(
     plant: Plant, record: Record, initial_samples: int | None, window: float | None
 ) -> None:
-    unknowns = plant.rows + len(plant.initial_internal)
+    unknowns = plant.rows + plant.unknown_internal
     if initial_samples is not None:
         check_count("initial_samples", initial_samples)
     head = _head(plant, record, initial_samples)

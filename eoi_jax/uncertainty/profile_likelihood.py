@@ -20,6 +20,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check, check_choice, check_kind, real
 from eoi_jax._display import Result
 from eoi_jax.data.record import Record
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
@@ -70,6 +71,7 @@ def profile(
     level: float = 0.95,
     substeps: int | None = None,
     max_steps: int = 50,
+    controller: Controller | None = None,
 ) -> Profile:
     """Profile likelihood of one parameter of a refined estimate.
 
@@ -83,12 +85,14 @@ def profile(
         level: of the interval.
         substeps: steps of the simulation per sample; those of the refinement if None.
         max_steps: of the solver, for each point.
+        controller: that of the refinement, if it had one in the loop.
 
     Returns:
         The profile, and the interval in it. On a bound it ends there.
 
     Raises:
-        ValueError: no such free parameter, one without a standard error, no other free one.
+        ValueError: no such free parameter, one without a standard error, no other free one, a
+            controller where the refinement had none, or none where it had one.
 
     Source:
         J. Kent, Biometrika 69 (1982) 19; A. Raue et al., Bioinformatics 25 (2009) 1923.
@@ -96,6 +100,8 @@ def profile(
     check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant = refinement.plant
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
+    rule = "must be the one of the refinement, and None if it had none"
+    check((controller is not None) == refinement.in_loop, "controller", rule, controller)
     free = [parameter for parameter in plant.names if parameter not in plant.fixed]
     check_choice("name", name, free)
     check(len(free) > 1, "name", "must have another free parameter beside it", name,
@@ -112,8 +118,9 @@ def profile(
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
         return refine(
-            moved, records, window=refinement.window or np.inf, substeps=count, max_steps=max_steps
-        )
+            moved, records, window=refinement.window or np.inf, substeps=count,
+            max_steps=max_steps, controller=controller,
+        )  # fmt: skip
 
     centre = fit(fixed_plant, plant.parameters[name])
     check(centre.status.ok, "records", "must be those of the refinement", str(centre.status))

@@ -72,3 +72,35 @@ def test_a_start_that_held_out_records_prefer_is_kept():
     assert np.all(np.isfinite(list(kept.standard_errors.values())))
     better = eoi.refine(start, fitted, validation=fitted)
     assert better.parameters["a"] == pytest.approx(-25.0, rel=1e-6)
+
+
+def tank_record():
+    time = 5e-3 * np.arange(1200)
+    u = 6.0 + 3.0 * np.sin(0.7 * time) + np.sin(3.0 * time)
+    return eoi.simulate(eoi.plants.level_tank(true=True), time, u, initial=0.2, hold="linear",
+                        substeps=4)  # fmt: skip
+
+
+def test_a_start_that_no_window_holds_begins_at_the_estimate_of_passes():
+    # An inflow that grows with the level: e-fold within a microsecond, 1/5000 of a sample.
+    wild = eoi.plants.level_tank().with_parameters({"alpha": -1e5, "beta": -1e3})
+    refined = eoi.refine(wild, tank_record())
+    assert refined.parameters == pytest.approx(
+        eoi.plants.level_tank(true=True).parameters, rel=1e-5
+    )
+    assert refined.window is None
+    assert refined.nominal.parameters == wild.parameters
+    assert refined.before[0] > 1e3
+    (note,) = [note for note in refined.notes if note.startswith("No run can be simulated")]
+    assert "an unstable mode with a time constant of" in note
+
+
+def test_where_passes_lead_nowhere_either_it_is_refused_with_what_to_do():
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.a * x.y[0] + p.b * u[0], {"a": 1e5, "b": 1.0}, fixed=("a",)
+    )
+    record = tank_record()
+    refined = eoi.refine(plant, record)
+    assert refined.status.code == "diverged"
+    assert "passes over the records lead to none that do better" in refined.status.message
+    assert refined.parameters == plant.parameters
