@@ -5,11 +5,13 @@ affine is moved by Δ. One that divides is moved so that its reciprocal changes 
 
     1/θ' = 1/θ - Δ/θ²,
 
-which is exact where f is affine in 1/θ, as (K u - b ẏ)/J is in J. Any other that must keep its
-sign, by its bounds or because f is not finite at zero, is moved on a logarithmic scale,
-θ' = θ exp(Δ/θ). No step of the last two is longer than a factor of eight, and none reaches zero,
-while a friction or a stiffness, in which f is affine, ends on its bound of zero exactly where the
-records say so.
+which is exact where f is affine in 1/θ, as (K u - b ẏ)/J is in J. Nothing happens to f where 1/θ
+passes zero: a term vanishes and comes back with the other sign. So a divisor without bounds passes
+through infinity, from one sign to the other, where the records ask for it (a sensor that counts
+backwards); a bound keeps the sign. Any other that must keep its sign, by its bounds or because f is
+not finite at zero, is moved on a logarithmic scale, θ' = θ exp(Δ/θ). No step of the last two
+changes the size by more than a factor of eight, and none reaches zero, while a friction or a
+stiffness, in which f is affine, ends on its bound of zero exactly where the records say so.
 
 A parameter a in which f is affine may be multiplied by powers of others, as K is by 1/J: its slope
 is ∂f/∂a ∝ Π θ_j^e_j. Then it is the product c = a Π θ_j^e_j that is moved on a linear scale,
@@ -17,7 +19,8 @@ is ∂f/∂a ∝ Π θ_j^e_j. Then it is the product c = a Π θ_j^e_j that is m
     a' = (a + κ) Π (θ_j'/θ_j)^-e_j,     κ = Δ_a + a Σ e_j Δ_j/θ_j,
 
 for the step of a would else make up for that of the linearised 1/J, which is not taken. With κ in
-the place of Δ_a, a bound of zero is κ ≥ -a.
+the place of Δ_a, a bound of zero is κ ≥ -a. Slopes with an affine parameter are affine in 1/θ_j
+too: there e_j = -1, and a' changes its sign with θ_j.
 """
 
 import functools
@@ -33,7 +36,7 @@ from jaxtyping import Bool, Float
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
 
-LINEAR, LOGARITHMIC, RECIPROCAL = 0, 1, 2
+LINEAR, LOGARITHMIC, RECIPROCAL, SIGNED_RECIPROCAL = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class StepScales:
     Hashable, so that a compiled program may depend on it.
 
     Attributes:
-        scales: of each parameter, `LINEAR`, `LOGARITHMIC` or `RECIPROCAL`.
+        scales: of each parameter, `LINEAR`, `LOGARITHMIC`, `RECIPROCAL` (of one sign) or
+            `SIGNED_RECIPROCAL`.
         exponents: e_j in the slope of each parameter (rows) with the others (columns); zero where
             it is no product of powers.
     """
@@ -83,8 +87,10 @@ def step_scales(plant: Plant) -> StepScales:
     if plant.is_affine:
         count = len(plant.names)
         return StepScales((LINEAR,) * count, ((0.0,) * count,) * count)
-    signed = (np.asarray(plant.lower) >= 0.0) | (np.asarray(plant.upper) <= 0.0)
-    return _scales(*_key(plant), tuple(signed.tolist()))
+    lower, upper = np.asarray(plant.lower), np.asarray(plant.upper)
+    signed = (lower >= 0.0) | (upper <= 0.0)
+    unbounded = np.isinf(lower) & np.isinf(upper)
+    return _scales(*_key(plant), tuple(signed.tolist()), tuple(unbounded.tolist()))
 
 
 def bent_parameters(plant: Plant) -> Bool[np.ndarray, " np"]:
@@ -133,9 +139,13 @@ def _structure(
 
 @functools.lru_cache(maxsize=64)
 def _scales(
-    structure: Any, theta: tuple[float, ...], dtype: Any, signed: tuple[bool, ...]
+    structure: Any,
+    theta: tuple[float, ...],
+    dtype: Any,
+    signed: tuple[bool, ...],
+    unbounded: tuple[bool, ...],
 ) -> StepScales:
-    """`step_scales` of a plant with bounds of one sign for the parameters `signed`."""
+    """`step_scales` of a plant whose bounds leave some parameters one sign, and others free."""
     plant, values = _plant_of(structure, theta), np.asarray(theta)
     bent, powers = _structure(structure, theta, dtype)
     tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
@@ -143,7 +153,8 @@ def _scales(
     for i in np.flatnonzero(bent).tolist():
         if signed[i] or _is_singular(plant, values, i):
             is_divisor = _is_reciprocal(plant, values, i, tolerance)
-            scales[i] = RECIPROCAL if is_divisor else LOGARITHMIC
+            divisor = SIGNED_RECIPROCAL if unbounded[i] else RECIPROCAL
+            scales[i] = divisor if is_divisor else LOGARITHMIC
     return StepScales(tuple(scales.tolist()), tuple(map(tuple, powers.tolist())))
 
 
@@ -239,16 +250,19 @@ def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
     """
     if scales.trivial:
         return step
-    moved = theta + _alone(theta, step, xp.asarray(scales.scales), xp)
+    kinds = xp.asarray(scales.scales)
+    moved = theta + _alone(theta, step, kinds, xp)
     if not any(map(any, scales.exponents)):
         return moved - theta
     exponents = xp.asarray(scales.exponents)
     ratio = moved / xp.where(theta != 0, theta, 1.0)
-    # A parameter that changes its sign multiplies by no power.
-    logarithm = xp.where(ratio > 0, xp.log(xp.where(ratio > 0, ratio, 1.0)), 0.0)
-    relative = xp.where(ratio > 0, step / xp.where(theta != 0, theta, 1.0), 0.0)
+    # One that changes its sign multiplies by no power, but for a divisor: by the reciprocal.
+    flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
+    size = xp.where(flipped, -ratio, ratio)
+    logarithm = xp.where(size > 0, xp.log(xp.where(size > 0, size, 1.0)), 0.0)
+    relative = xp.where(size > 0, step / xp.where(theta != 0, theta, 1.0), 0.0)
     power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
-    product = (theta + step + theta * share) * xp.exp(-power)
+    product = (theta + step + theta * share) * _sign(flipped, exponents, xp) * xp.exp(-power)
     return xp.where(xp.any(exponents != 0, axis=-1), product, moved) - theta
 
 
@@ -257,9 +271,48 @@ def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
     most = _SETTINGS.max_factor
     relative = step / xp.where(theta != 0, theta, 1.0)
     logarithmic = xp.exp(xp.clip(relative, -np.log(most), np.log(most)))
-    reciprocal = 1.0 / xp.clip(1.0 - relative, 1.0 / most, most)
-    factor = xp.where(scales == RECIPROCAL, reciprocal, logarithmic)
+    change = 1.0 - relative  # of the reciprocal, a factor
+    sign = xp.where((scales == SIGNED_RECIPROCAL) & (change < 0), -1.0, 1.0)
+    reciprocal = sign / xp.clip(sign * change, 1.0 / most, most)
+    factor = xp.where(scales >= RECIPROCAL, reciprocal, logarithmic)
     return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
+
+
+def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> Any:
+    """The step of the linearised model of which a change is the scaled one: `scaled_step` undone.
+
+    It says what the linearised model expects of a change, where a bound or the largest factor has
+    shortened the step.
+
+    Args:
+        theta: parameters, shape (…, np).
+        change: of the parameters, shape (…, np).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    if scales.trivial:
+        return change
+    kinds, safe = xp.asarray(scales.scales), xp.where(theta != 0, theta, 1.0)
+    ratio = (theta + change) / safe
+    ratio = xp.where((theta != 0) & (ratio != 0), ratio, 1.0)
+    logarithm = xp.log(xp.abs(ratio))
+    scaled = theta * xp.where(kinds >= RECIPROCAL, 1.0 - 1.0 / ratio, logarithm)
+    alone = xp.where((kinds == LINEAR) | (theta == 0), change, scaled)
+    if not any(map(any, scales.exponents)):
+        return alone
+    exponents = xp.asarray(scales.exponents)
+    flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
+    known = (ratio > 0) | flipped
+    logarithm, relative = (xp.where(known, part, 0.0) for part in (logarithm, alone / safe))
+    power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
+    product = (theta + change) * _sign(flipped, exponents, xp) * xp.exp(power)
+    step = product - theta - theta * share
+    return xp.where(xp.any(exponents != 0, axis=-1), step, alone)
+
+
+def _sign(flipped: Any, exponents: Any, xp: Any) -> Any:
+    """Of the powers of divisors some of which change their sign, in the slopes of all others."""
+    return xp.prod(xp.where(flipped[..., None, :] & (exponents == -1.0), -1.0, 1.0), axis=-1)
 
 
 def step_room(
@@ -272,12 +325,12 @@ def step_room(
     kinds = np.asarray(scales.scales)
 
     def room(limit: Any, beyond: float) -> np.ndarray:
-        # A limit of zero, or at infinity, is not reached.
+        # A limit of zero, at infinity or of the other sign is not reached.
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithmic = theta * np.log(limit / theta)
             reciprocal = theta * (1.0 - theta / limit)
-        scaled = np.where(kinds == RECIPROCAL, reciprocal, logarithmic)
-        reached = (limit != 0) & np.isfinite(limit) & np.isfinite(scaled)
+        scaled = np.where(kinds >= RECIPROCAL, reciprocal, logarithmic)
+        reached = (limit * theta > 0) & np.isfinite(limit) & np.isfinite(scaled)
         return np.where(
             (kinds == LINEAR) | (theta == 0), limit - theta, np.where(reached, scaled, beyond)
         )

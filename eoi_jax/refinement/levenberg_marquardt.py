@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.step_scales import StepScales, scaled_step
+from eoi_jax.models.step_scales import StepScales, linear_step, scaled_step
 from eoi_jax.refinement.problem import (
     CONVERGED,
     HostRuns,
@@ -151,7 +151,8 @@ class _Arrow(optx.AbstractDescent):
         if not self.scales.trivial:
             theta = scaled_step(state.theta, theta, self.scales, jnp)
         theta = jnp.clip(theta, state.room[0], state.room[1])
-        starts = _own_steps(rows[:, :start_size], theta * state.shared) / state.start_lengths
+        linear = linear_step(state.theta, theta, self.scales, jnp) * state.shared
+        starts = _own_steps(rows[:, :start_size], linear) / state.start_lengths
         return Unknowns(theta, starts), optx.RESULTS.successful
 
 
