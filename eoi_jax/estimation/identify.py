@@ -45,6 +45,7 @@ from eoi_jax.estimation.iteration import (
     mean,
     sample_counts,
 )
+from eoi_jax.estimation.kept_signs import with_kept_signs
 from eoi_jax.estimation.kernel import Steps, Sums, Trace
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
@@ -223,7 +224,11 @@ def identify(
     fit = refit(plant)
     if not fit.status.fits:
         return fit
-    return held_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
+
+    def cost(result: Identification) -> float:
+        return float(np.log(mean_index(result)))
+
+    return with_kept_signs(plant, held_runaways(plant, fit, refit, cost), refit, cost)
 
 
 def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:

@@ -25,6 +25,7 @@ from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.kept_signs import with_kept_signs
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -192,12 +193,15 @@ def refine(
         return result
     alone = replace(question, points=points[:0], many_starts=False, rounds=1)
     alone = replace(alone, window=result.window if window is None else window)
-    result = held_runaways(
-        nominal,
-        result,
-        lambda model: _with_best_hold(model, records, alone)[0],
-        lambda refined: refined.cost,
-    )
+
+    def refit(model: Plant) -> Refinement:
+        return _with_best_hold(model, records, alone)[0]
+
+    def cost(refined: Refinement) -> float:
+        return refined.cost
+
+    result = held_runaways(nominal, result, refit, cost)
+    result = with_kept_signs(nominal, result, refit, cost)
     if not result.status.ok or not held_out:
         return result
     before, after = validated_alike((nominal, result.plant), held_out)
