@@ -278,6 +278,27 @@ def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
     return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
 
 
+def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
+    """A step so short that the reciprocal of no divisor without bounds grows beyond the factor.
+
+    Near its zero that is little of a step, and the rest of it, taken in full, would belong to a
+    reciprocal that is not there yet: a search would never get away from zero.
+
+    Args:
+        theta: parameters, shape (np,).
+        step: of the linearised model, shape (np,).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    if SIGNED_RECIPROCAL not in scales.scales:
+        return step
+    most, kinds = _SETTINGS.max_factor, xp.asarray(scales.scales)
+    relative = step / xp.where(theta != 0, theta, 1.0)
+    longest = xp.where(relative > 0, most + 1.0, most - 1.0)
+    share = longest / xp.maximum(xp.abs(relative), longest)
+    return step * xp.min(xp.where(kinds == SIGNED_RECIPROCAL, share, 1.0))
+
+
 def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> Any:
     """The step of the linearised model of which a change is the scaled one: `scaled_step` undone.
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.step_scales import StepScales, linear_step, scaled_step
+from eoi_jax.models.step_scales import StepScales, coordinates, linear_step, scaled_step, shortened
 from eoi_jax.refinement.problem import (
     CONVERGED,
     HostRuns,
@@ -84,7 +84,9 @@ class _Reduced(eqx.Module):
 class _Arrow(optx.AbstractDescent):
     """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept.
 
-    Marquardt's steps are the same on any scale of a parameter; what they move is not.
+    Marquardt's steps are the same on any scale of a parameter; what they move is not. Parameters
+    that multiply a divisor are damped as the products that they are (`step_scales.py`): as the
+    divisor grows, its own column and theirs become one.
     """
 
     lower: Float[Host, " free"]
@@ -112,6 +114,9 @@ class _Arrow(optx.AbstractDescent):
         slope = jnp.einsum("iru,ir->u", columns[..., start_size:], error)
         stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
         columns = columns.at[..., start_size:].multiply(jnp.where(stuck, 0.0, 1.0))
+        if not self.scales.trivial:
+            products = coordinates(y.theta, self.scales, jnp)
+            columns = columns.at[..., start_size:].set(columns[..., start_size:] @ products)
         power = jnp.sum(columns**2, axis=1)
         faintest = jnp.pad(self.faintest, (0, start_size - len(self.faintest)))
         traced = power[:, :start_size] > faintest**2
@@ -149,10 +154,14 @@ class _Arrow(optx.AbstractDescent):
         theta, _ = _shared_step(rows, start_size, damping)
         theta = theta / state.shared
         if not self.scales.trivial:
+            products = coordinates(state.theta, self.scales, jnp)
+            theta = shortened(state.theta, products @ theta, self.scales, jnp)
             theta = scaled_step(state.theta, theta, self.scales, jnp)
-        theta = jnp.clip(theta, state.room[0], state.room[1])
-        linear = linear_step(state.theta, theta, self.scales, jnp) * state.shared
-        starts = _own_steps(rows[:, :start_size], linear) / state.start_lengths
+        theta = linear = jnp.clip(theta, state.room[0], state.room[1])
+        if not self.scales.trivial:
+            linear = linear_step(state.theta, theta, self.scales, jnp)
+            linear = jnp.linalg.solve(products, linear)
+        starts = _own_steps(rows[:, :start_size], linear * state.shared) / state.start_lengths
         return Unknowns(theta, starts), optx.RESULTS.successful
 
 

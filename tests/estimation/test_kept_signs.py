@@ -9,15 +9,19 @@ import eoi_jax as eoi
 PERIOD, GAIN, LAG = 0.02, -2.4, -0.5  # kV and kA of a motor whose encoder counts backwards
 
 
-@pytest.fixture(scope="module")
-def record():
+def measured(gain, lag, start, holds):
     """V = kV v + kA dv/dt with held V, solved in closed form."""
     draw = np.random.default_rng(3)
-    volts = np.repeat(draw.uniform(-6.0, 6.0, 60), 15)
-    decay = np.exp(-GAIN / LAG * PERIOD)
-    speed = lfilter([0.0, (1.0 - decay) / GAIN], [1.0, -decay], volts)
+    volts = np.repeat(draw.uniform(-6.0, 6.0, holds), 15)
+    decay = np.exp(-gain / lag * PERIOD)
+    speed, _ = lfilter([0.0, (1.0 - decay) / gain], [1.0, -decay], volts, zi=[start])
     speed += 5e-3 * draw.standard_normal(len(speed))
     return eoi.Record(PERIOD * np.arange(len(volts)), volts, speed, "run", hold="zero")
+
+
+@pytest.fixture(scope="module")
+def record():
+    return measured(GAIN, LAG, 0.0, 60)
 
 
 def motor(bounds=None, start=0.1):
@@ -33,6 +37,17 @@ def test_a_divisor_without_bounds_gets_to_the_other_sign(verb, start, record):
     assert fit.status.code == "converged"
     for name, true in (("kV", GAIN), ("kA", LAG)):
         assert abs(fit.parameters[name] - true) < 4.0 * fit.standard_errors[name] + 1e-3 * abs(true)
+
+
+@pytest.mark.parametrize("gain, lag", [(2.4, 20.0), (-2.4, -5.0), (2.4, 0.5)])
+def test_refinement_gets_to_a_divisor_from_far_off_and_either_sign(gain, lag):
+    """Three seconds of a motor that moves at the start: far off, 1/kA is next to nothing."""
+    short = measured(gain, lag, 3.0, 10)
+    fits = [eoi.refine(motor(start=start), short) for start in (0.1, 4.0, -4.0)]
+    for fit in fits:
+        assert fit.status.code == "converged"
+        assert abs(fit.parameters["kA"] - lag) < 4.0 * fit.standard_errors["kA"]
+        assert fit.parameters["kA"] == pytest.approx(fits[0].parameters["kA"], rel=1e-3)
 
 
 @pytest.mark.parametrize("bounds", [(0.0, None), (0.0, 10.0), (-10.0, 10.0)])

@@ -16,6 +16,7 @@ from eoi_jax.models.step_scales import (
     coordinates,
     linear_step,
     scaled_step,
+    shortened,
     step_room,
     step_scales,
 )
@@ -96,6 +97,21 @@ def test_a_divisor_without_bounds_passes_through_infinity(xp):
     step = theta * np.array([1.4, 1.0 + 1e-9, 1.4, 1e9])
     moved = theta + np.asarray(scaled_step(theta, step, alone(*[SIGNED_RECIPROCAL] * 4), xp))
     np.testing.assert_allclose(moved, [-5.0, -16.0, 5.0, -0.25], rtol=1e-12)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_a_step_is_shortened_where_a_reciprocal_would_grow_beyond_the_factor(xp):
+    """1/θ of the first from 0.5 to 50 or to -50: so far as to 4 or to -4, and so the second."""
+    scales, theta = alone(SIGNED_RECIPROCAL, LINEAR), np.array([2.0, 1.0])
+    for target in (50.0, -50.0):
+        step = np.array([2.0 * (1.0 - target / 0.5), 3.0])
+        part = np.asarray(shortened(theta, step, scales, xp))
+        moved = theta + scaled_step(theta, part, scales)
+        np.testing.assert_allclose(1.0 / moved[0], np.sign(target) * 4.0)
+        share = (np.sign(target) * 4.0 - 0.5) / (target - 0.5)
+        np.testing.assert_allclose(moved[1], 1.0 + 3.0 * share)
+    small = np.array([1.9, 3.0])
+    np.testing.assert_array_equal(shortened(theta, small, scales, xp), small)
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
