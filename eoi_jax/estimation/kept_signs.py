@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import RECIPROCAL, step_scales
 
@@ -32,10 +33,10 @@ _KEPT = (
 )
 
 
-def with_kept_signs(
+def without_runaways(
     plant: Plant, fit: Any, refit: Callable[[Plant], Any], cost: Callable[[Any], float]
 ) -> Any:
-    """An estimate, with a note on each divisor that fits with the other sign only.
+    """An estimate with parameters that ran off held, and a note on each divisor of a wrong sign.
 
     Args:
         plant: with the nominal parameters.
@@ -43,6 +44,7 @@ def with_kept_signs(
         refit: makes another one from a plant without these bounds.
         cost: logarithm of what a fit minimises.
     """
+    fit = held_runaways(plant, fit, refit, cost)
     names = [name for name in _divisors(plant) if _is_large(plant, name, fit.parameters[name])]
     if not names:
         return fit

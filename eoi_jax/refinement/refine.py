@@ -25,8 +25,7 @@ from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.estimation.kept_signs import with_kept_signs
-from eoi_jax.estimation.runaway import held_runaways
+from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.estimate import (
@@ -61,6 +60,7 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span, spans_of, used_window
+from eoi_jax.refinement.start_check import with_start_check
 from eoi_jax.refinement.windowed import settled, window_of, worse
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
 from eoi_jax.simulation.validate import Validation, validated_alike
@@ -200,8 +200,7 @@ def refine(
     def cost(refined: Refinement) -> float:
         return refined.cost
 
-    result = held_runaways(nominal, result, refit, cost)
-    result = with_kept_signs(nominal, result, refit, cost)
+    result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
     if not result.status.ok or not held_out:
         return result
     before, after = validated_alike((nominal, result.plant), held_out)

@@ -39,7 +39,7 @@ def test_a_divisor_without_bounds_gets_to_the_other_sign(verb, start, record):
         assert abs(fit.parameters[name] - true) < 4.0 * fit.standard_errors[name] + 1e-3 * abs(true)
 
 
-@pytest.mark.parametrize("gain, lag", [(2.4, 20.0), (-2.4, -5.0), (2.4, 0.5)])
+@pytest.mark.parametrize(("gain", "lag"), [(2.4, 20.0), (-2.4, -5.0), (2.4, 0.5)])
 def test_refinement_gets_to_a_divisor_from_far_off_and_either_sign(gain, lag):
     """Three seconds of a motor that moves at the start: far off, 1/kA is next to nothing."""
     short = measured(gain, lag, 3.0, 10)
