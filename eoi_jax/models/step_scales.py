@@ -351,7 +351,7 @@ def step_room(
             logarithmic = theta * np.log(limit / theta)
             reciprocal = theta * (1.0 - theta / limit)
         scaled = np.where(kinds >= RECIPROCAL, reciprocal, logarithmic)
-        reached = (limit * theta > 0) & np.isfinite(limit) & np.isfinite(scaled)
+        reached = (np.sign(limit) * np.sign(theta) > 0) & np.isfinite(limit) & np.isfinite(scaled)
         return np.where(
             (kinds == LINEAR) | (theta == 0), limit - theta, np.where(reached, scaled, beyond)
         )
