@@ -245,7 +245,7 @@ def changed(rate=RATE, more=None, **changes):
         (changed(definitions={"e": "a +"}), "`model.definitions.e` must be one expression"),
         (changed(more=LAG, initial={"z": 0.0}), "`model.derivatives.z` must be used on the way to"),
         (changed(RATE + "+ z", LAG), "`model.initial` must have the internal state z"),
-        (changed(initial={"rate": 1.0}), r"internal states only \(there are none\)"),
+        (changed(initial={"speed": 1.0}), r"must have states only \(angle, rate\), got .speed."),
         (changed(RATE + "+ z", LAG, initial={"z": "angle"}), "`model.initial.z`.*got angle"),
         (changed(derivatives={"rate": "-a"}), "`model.derivatives` must have angle.*Add it: angle"),
         (changed(outputs=[]), "`model.outputs` must name at least one"),
