@@ -17,13 +17,6 @@ _FORM = "Write {output: (value, rate, …)}, with None for what is not known: {'
 _MOST_SHOWN = 4  # records in a sentence
 
 
-def state_name(output: str, row: int) -> str:
-    """An output or its derivative: angle, d angle/dt, d²angle/dt²."""
-    if row == 0:
-        return output
-    return f"d {output}/dt" if row == 1 else f"d^{row} {output}/dt^{row}"
-
-
 def checked_starts(
     initial: Mapping[str, Any] | None, outputs: Sequence[str], degrees: Sequence[int]
 ) -> StartItems:
@@ -107,7 +100,7 @@ def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " ow
               for row in range(degree)]  # fmt: skip
     parts = []
     for record, fitting in values:
-        fits = [f"{state_name(name, row)} {value:.3g}, not {declared[name][row]:g}"
+        fits = [f"{name}{"'" * row} {value:.3g}, not {declared[name][row]:g}"
                 for (name, row), value in zip(states, fitting, strict=True)
                 if name in declared and declared[name][row] is not None]  # fmt: skip
         parts.append(f"{record} {', '.join(fits)}")

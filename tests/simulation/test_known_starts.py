@@ -103,7 +103,7 @@ def test_a_start_that_the_records_contradict_is_said_and_stays():
     fit = eoi.refine(pendulum(AT_REST), moving)
     (note,) = [note for note in fit.notes if "known start" in note]
     assert fit.starts[0].y[1, 0] == 0.0
-    assert "drop d angle/dt 0.9" in note or "drop d angle/dt 1" in note
+    assert "by record: drop angle' 0.9" in note or "by record: drop angle' 1" in note
     assert "not 0." in note
     validation = eoi.validate(pendulum(AT_REST, **TRUE), moving)
     assert any("contradicts the records" in note for note in validation.notes)
