@@ -100,9 +100,12 @@ def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " ow
               for row in range(degree)]  # fmt: skip
     parts = []
     for record, fitting in values:
-        fits = [f"{name}{"'" * row} {value:.3g}, not {declared[name][row]:g}"
-                for (name, row), value in zip(states, fitting, strict=True)
-                if name in declared and declared[name][row] is not None]  # fmt: skip
+        fits = []
+        for (name, row), value in zip(states, fitting, strict=True):
+            known = declared[name][row] if name in declared else None
+            if known is not None:
+                derivative = name + "'" * row
+                fits.append(f"{derivative} {value:.3g}, not {known:g}")
         parts.append(f"{record} {', '.join(fits)}")
     shown = parts[:_MOST_SHOWN] + (["…"] if len(parts) > _MOST_SHOWN else [])
     return (
