@@ -102,10 +102,10 @@ def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " ow
     for record, fitting in values:
         fits = []
         for (name, row), value in zip(states, fitting, strict=True):
-            known = declared[name][row] if name in declared else None
-            if known is not None:
+            start = declared[name][row] if name in declared else None
+            if start is not None:
                 derivative = name + "'" * row
-                fits.append(f"{derivative} {value:.3g}, not {known:g}")
+                fits.append(f"{derivative} {value:.3g}, not {start:g}")
         parts.append(f"{record} {', '.join(fits)}")
     shown = parts[:_MOST_SHOWN] + (["…"] if len(parts) > _MOST_SHOWN else [])
     return (

@@ -123,16 +123,16 @@ def _structure(
     plant, values = _plant_of(structure, theta), np.asarray(theta)
     tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
     free = np.flatnonzero(np.asarray(plant.free) * (values != 0)).tolist()
-    here = _evaluated(plant, values, _slopes)
+    nominal = _evaluated(plant, values, _slopes)
     doubled = {i: _evaluated(plant, _moved(values, i, 2.0 * theta[i]), _slopes) for i in free}
     bent = np.zeros(len(values), dtype=bool)
     for i in free:
-        bent[i] = _power(here[..., i], doubled[i][..., i], tolerance) != 0.0
+        bent[i] = _power(nominal[..., i], doubled[i][..., i], tolerance) != 0.0
     powers = np.zeros((len(values), len(values)))
     for j in np.flatnonzero(bent).tolist():
         for i in free:
             if not bent[i]:
-                power = _power(here[..., i], doubled[j][..., i], tolerance)
+                power = _power(nominal[..., i], doubled[j][..., i], tolerance)
                 powers[i, j] = power if np.isfinite(power) else 0.0
     return bent, powers
 
@@ -158,16 +158,16 @@ def _scales(
     return StepScales(tuple(scales.tolist()), tuple(map(tuple, powers.tolist())))
 
 
-def _power(here: np.ndarray, doubled: np.ndarray, tolerance: float) -> float:
+def _power(nominal: np.ndarray, doubled: np.ndarray, tolerance: float) -> float:
     """The power of a parameter in a slope, from the slope where it is doubled; NaN if it is none.
 
     Zero also where the slope is not finite or zero at all probes.
     """
-    usable = np.isfinite(here) & np.isfinite(doubled) & ((here != 0) | (doubled != 0))
+    usable = np.isfinite(nominal) & np.isfinite(doubled) & ((nominal != 0) | (doubled != 0))
     if not np.any(usable):
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = doubled[usable] / here[usable]
+        ratio = doubled[usable] / nominal[usable]
         even = np.all(np.abs(ratio - ratio[0]) <= tolerance * np.abs(ratio[0]))
         return round(float(np.log2(ratio[0])), 6) + 0.0 if even and ratio[0] > 0 else np.nan
 
@@ -211,8 +211,8 @@ def _slopes(plant: Plant, probe: tuple[Any, ...]) -> Any:
 
 def _is_singular(plant: Plant, theta: Float[np.ndarray, " np"], i: int) -> bool:
     """Whether f or g, finite at θ, is not finite where parameter i is zero."""
-    here, there = (_evaluated(plant, values) for values in (theta, _moved(theta, i, 0.0)))
-    return bool(np.any(np.isfinite(here) & ~np.isfinite(there)))
+    nominal, at_zero = (_evaluated(plant, values) for values in (theta, _moved(theta, i, 0.0)))
+    return bool(np.any(np.isfinite(nominal) & ~np.isfinite(at_zero)))
 
 
 def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolerance: float) -> bool:
@@ -318,17 +318,17 @@ def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> An
     ratio = xp.where((theta != 0) & (ratio != 0), ratio, 1.0)
     logarithm = xp.log(xp.abs(ratio))
     scaled = theta * xp.where(kinds >= RECIPROCAL, 1.0 - 1.0 / ratio, logarithm)
-    alone = xp.where((kinds == LINEAR) | (theta == 0), change, scaled)
+    uncoupled = xp.where((kinds == LINEAR) | (theta == 0), change, scaled)
     if not any(map(any, scales.exponents)):
-        return alone
+        return uncoupled
     exponents = xp.asarray(scales.exponents)
     flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
-    known = (ratio > 0) | flipped
-    logarithm, relative = (xp.where(known, part, 0.0) for part in (logarithm, alone / safe))
+    is_power = (ratio > 0) | flipped
+    logarithm, relative = (xp.where(is_power, part, 0.0) for part in (logarithm, uncoupled / safe))
     power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
     product = (theta + change) * _sign(flipped, exponents, xp) * xp.exp(power)
     step = product - theta - theta * share
-    return xp.where(xp.any(exponents != 0, axis=-1), step, alone)
+    return xp.where(xp.any(exponents != 0, axis=-1), step, uncoupled)
 
 
 def _sign(flipped: Any, exponents: Any, xp: Any) -> Any:

@@ -27,11 +27,9 @@ from eoi_jax.refinement.problem import (
     Outcome,
     Problem,
     Unknowns,
-    direction,
     errors,
     scored_values,
     signals,
-    unit_directions,
 )
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import Host, added_up
@@ -337,7 +335,20 @@ def _search(
 
 def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
     """Columns of the Jacobian of each run with its own unknowns, starts first."""
-    columns = jax.vmap(lambda vector: jacobian.mv(direction(unknowns, vector)))(
-        unit_directions(unknowns)
+    columns = jax.vmap(lambda vector: jacobian.mv(_direction(unknowns, vector)))(
+        _unit_directions(unknowns)
     )
     return jnp.moveaxis(columns, 0, -1)
+
+
+def _unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
+    """Directions along each unknown of a run alone, start first."""
+    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
+
+
+def _direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
+    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
+    start_size = unknowns.starts.shape[1]
+    return Unknowns(
+        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
+    )

@@ -591,19 +591,6 @@ def ill_conditioned(squares: Any, theta: Any, power: Any, max_share: float = 1e-
     return (moved > max_share**2 * (power + squares[:, -1])[:, None]).any(axis=1)
 
 
-def unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
-    """Directions along each unknown of a run alone, start first."""
-    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
-
-
-def direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
-    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
-    start_size = unknowns.starts.shape[1]
-    return Unknowns(
-        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
-    )
-
-
 class Outcome(eqx.Module):
     """Where the solver ended.
 
