@@ -324,7 +324,11 @@ def test_a_mistake_in_the_table_names_the_field(tmp_path, old, new, message):
 def test_the_models_of_the_documentation_are_models():
     page = Path(__file__).resolve().parents[3] / "docs" / "equations.md"
     tables = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
-    first, second, battery, third = tables
+    first, second, released, battery, third = tables
+    swing = {**tomllib.loads(released)["model"], "outputs": ["angle"]}
+    swing["parameters"] = {"a": 1.0, "b": 1.0}
+    plant = plant_of(struct(ModelTable, swing, "model"), "swing")
+    assert plant.initial == {"angle": (None, 0.0)}
     cell = plant_of(struct(ModelTable, tomllib.loads(battery)["model"], "model"), "cell")
     assert cell.degrees == (0,)
     pendulum = tomllib.loads(first)["model"]
