@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.models.augmented import augmented, place
 from eoi_jax.simulation.simulate import simulate
 
 PERIOD, NOISE, TRUE = 0.02, 5e-3, {"a": 20.0, "b": 0.5}
@@ -123,6 +124,8 @@ def test_known_starts_survive_effects_and_files(tmp_path):
     assert plant.initial == {"angle": (1.0, 0.0)}
     changed = plant.with_parameters({"a": 9.0}).declared_anew(fixed=("b",))
     assert changed.initial == plant.initial
+    drag = place(plant, eoi.effects.QuadraticDrag(), 0)
+    assert augmented(plant, [drag], {drag.names[0]: 0.1}).initial == plant.initial
     found = eoi.refine(plant, swing(0))
     found.save(tmp_path / "fit")
     assert eoi.load(tmp_path / "fit").plant.initial == plant.initial
