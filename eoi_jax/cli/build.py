@@ -361,7 +361,7 @@ def _forms(field: str, name: str) -> list[AbstractEffect]:
 
 def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
     """Outputs and their derivatives at the start, shape (r, ny)."""
-    start = np.zeros((model.rows, len(model.outputs)))
+    start = np.nan_to_num(model.known_start)
     for name, value in table.initial.items():
         check_choice("simulate.initial", name, model.outputs)
         values = np.atleast_1d(value)

@@ -137,6 +137,8 @@ class Record(Result):
     _output_valid: OutputMask | None = field(default=None, metadata=WHERE_SET)
     # By which the inputs act later than they were logged [s]; None: they do not.
     _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
+    # Whether it is the later part of another record; None: it is not.
+    _continues: bool | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -234,13 +236,8 @@ class Record(Result):
         Raises:
             ValueError: an index that is no slice, a step, fewer than 8 (valid) samples.
         """
-        check(
-            isinstance(index, slice),
-            "record[…]",
-            "must be sliced",
-            repr(index),
-            "Write record[1000:5000].",
-        )
+        advice = "Write record[1000:5000]."
+        check(isinstance(index, slice), "record[…]", "must be sliced", repr(index), advice)
         check(
             index.step in (None, 1),
             "record[…]",
@@ -275,12 +272,17 @@ class Record(Result):
     def split(self, fraction: Real) -> tuple["Record", "Record"]:
         """The first `fraction` of the samples, and the remaining ones.
 
+        The second part begins in the middle: known starts of a plant are not its own. A slice
+        counts as a record with a beginning.
+
         Raises:
             ValueError: a fraction outside (0, 1), or a part of fewer than 8 samples.
         """
         check(bool(0 < fraction < 1), "fraction", "must lie in (0, 1)", fraction)
         cut = round(float(fraction) * len(self))
-        return self[:cut], self[cut:]
+        first, second = self[:cut], self[cut:]
+        second._assign({"_continues": True})
+        return first, second
 
     def with_outputs(self, outputs: Outputs, name: str, simulated: Mask | None = None) -> "Record":
         """The same instants and inputs with simulated outputs.
@@ -369,6 +371,11 @@ class Record(Result):
     def input_segments(self) -> list[tuple[int, int]]:
         """Runs (start, stop) of consecutive samples with known inputs."""
         return runs(self.input_valid)
+
+    @property
+    def continues(self) -> bool:
+        """Whether it is the second part of a `split`, which begins in the middle of a run."""
+        return bool(self._continues)
 
     @property
     def bridged(self) -> "Record":

@@ -45,6 +45,7 @@ from eoi_jax.estimation.iteration import (
     mean,
     sample_counts,
 )
+from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.estimation.kernel import Steps, Sums, Trace
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
@@ -60,7 +61,6 @@ from eoi_jax.estimation.preparation import (
 )
 from eoi_jax.estimation.regression.least_squares import standard_errors, untraced
 from eoi_jax.estimation.regression.robust_covariance import long_run
-from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.estimation.undersampled import resolved
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -223,7 +223,7 @@ def identify(
     fit = refit(plant)
     if not fit.status.fits:
         return fit
-    return held_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
+    return without_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
 
 
 def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:

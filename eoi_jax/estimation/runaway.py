@@ -81,13 +81,13 @@ def held_runaways(
     names = runaways(plant, values, lambda: fit.standard_errors)
     if not names or len(names) == int(np.sum(plant.free)):
         return fit
-    again, held = fit, dict(values)
+    refitted, held = fit, dict(values)
     for count in itertools.count(1):
         held = {name: _towards(plant.parameters[name], values[name], count) for name in names}
         is_last = all(held[name] == values[name] for name in names)
-        again = refit(plant.declared_anew({**values, **held}, fixed=names))
-        as_good = is_last or cost(again) <= cost(fit) + _SETTINGS.max_rise
-        if again.status.ok and as_good:
+        refitted = refit(plant.declared_anew({**values, **held}, fixed=names))
+        as_good = is_last or cost(refitted) <= cost(fit) + _SETTINGS.max_rise
+        if refitted.status.ok and as_good:
             break
         if is_last:
             return fit
@@ -96,7 +96,7 @@ def held_runaways(
                         held[name])
         for name in names
     ]  # fmt: skip
-    return replace(again, nominal=plant, notes=(*again.notes, *notes))
+    return replace(refitted, nominal=plant, notes=(*refitted.notes, *notes))
 
 
 _RAN_OFF = (

@@ -160,6 +160,7 @@ def augmented(
         fixed=plant.fixed,
         units=units,
         kinds=dict(plant.kind_items),
+        initial=plant.initial,
         name=plant.name,
         actuator=_Actuator(plant.actuator, declared_names, placements)
         if slow or plant.actuator

@@ -23,6 +23,7 @@ from eoi_jax.compiler.jax_private import inputs_read
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.algebraic_outputs import check_algebraic
 from eoi_jax.models.kinds import checked_kinds, kind_of
+from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type
 from eoi_jax.models.sampled_states import SampledStates
 from eoi_jax.models.velocities import velocity_rows
@@ -87,12 +88,18 @@ class Plant(eqx.Module):
             depend only on past inputs.
         sampled: of the last internal states, if they change at samples only. Simulations follow
             them (`validate`, `refine`), passes and effects do not.
+        initial: ``{output: (value, rate, …)}``: what is known of the outputs and their derivatives
+            at the start of a record, None for what is not: ``{"angle": (None, 0.0)}`` is released
+            from rest. A number alone is the output's own. What is not known is estimated, of each
+            record by itself. It holds where a run begins with its record, not in later windows,
+            behind gaps of inputs, or in the second part of `Record.split`.
 
     Raises:
         ValueError: a name that is no identifier or unknown, a nominal value outside its bounds,
             r < 0, a kind that contradicts the unit, an `internal` without `internal_initial`, a
-            function that reads an output of relative degree 0, or such an output that depends on
-            no state and no parameter.
+            known start that is no finite number or of no state of its output, a function that reads
+            an output of relative degree 0, or such an output that depends on no state and no
+            parameter.
     """
 
     dynamics: Dynamics = eqx.field(static=True)
@@ -111,6 +118,7 @@ class Plant(eqx.Module):
     name: str = eqx.field(static=True)
     kind_items: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
     sampled: SampledStates | None = eqx.field(static=True, default=None, metadata=WHERE_SET)
+    start_items: StartItems = eqx.field(static=True, default=())
 
     def __init__(
         self,
@@ -128,6 +136,7 @@ class Plant(eqx.Module):
         actuator: Actuator | None = None,
         kinds: Mapping[str, str] | None = None,
         sampled: SampledStates | None = None,
+        initial: Mapping[str, Any] | None = None,
     ):
         check(callable(dynamics), "dynamics", "must be a function f(t, x, u, p)", dynamics)
         check_kind("parameters", parameters, Mapping, "a dict by name")
@@ -151,12 +160,8 @@ class Plant(eqx.Module):
         for key, low, value, high in zip(
             self.names, self.lower, self.theta, self.upper, strict=True
         ):
-            check(
-                bool(low < high),
-                f"bounds[{key}]",
-                "must be (lower, upper) with lower < upper",
-                (float(low), float(high)),
-            )
+            rule, pair = "must be (lower, upper) with lower < upper", (float(low), float(high))
+            check(bool(low < high), f"bounds[{key}]", rule, pair)
             check(
                 bool(low <= value <= high),
                 f"parameters[{key}]",
@@ -165,7 +170,8 @@ class Plant(eqx.Module):
                 "Move the nominal value or widen the bounds.",
             )
         self.degrees = _degrees(relative_degree, len(self.outputs))
-        self.internal_initial = _internal_initial(internal, internal_initial)
+        self.start_items = checked_starts(initial, self.outputs, self.degrees)
+        self.internal_initial = internal_start_of(internal, internal_initial)
         self.unit_items = tuple((units or {}).items())
         self._check_units()
         self.kind_items = checked_kinds(kinds or {}, self.outputs, self.units)
@@ -193,6 +199,16 @@ class Plant(eqx.Module):
             name: declared.get(name) or kind_of(name, self.units.get(name, ""), degree)
             for name, degree in zip(self.outputs, self.degrees, strict=True)
         }
+
+    @property
+    def initial(self) -> dict[str, tuple[float | None, ...]]:
+        """Known starts by output: its value, its rate, …; None for what is not known."""
+        return dict(self.start_items)
+
+    @property
+    def known_start(self) -> Float[np.ndarray, "r ny"]:
+        """Known starts as in `State.y`; NaN where a start is not known."""
+        return start_table(self.start_items, self.outputs, self.rows)
 
     @property
     def relative_degree(self) -> int:
@@ -252,8 +268,15 @@ class Plant(eqx.Module):
         parameters: Mapping[str, float] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         fixed: Sequence[str] = (),
+        initial: Mapping[str, Any] | None = None,
     ) -> "Plant":
         """The plant with some values and bounds replaced, and more parameters fixed.
+
+        Args:
+            parameters: values that are replaced, by name.
+            bounds: those that are replaced, by name.
+            fixed: parameters that are fixed besides those that are.
+            initial: known starts in place of all of the plant's; None: these.
 
         Raises:
             ValueError: as for a new plant.
@@ -275,6 +298,7 @@ class Plant(eqx.Module):
             actuator=self.actuator,
             kinds=dict(self.kind_items),
             sampled=self.sampled,
+            initial=self.initial if initial is None else initial,
         )
 
     # -- equations ------------------------------------------------------------------------
@@ -522,20 +546,6 @@ def _degrees(relative_degree: int | Sequence[int], ny: int) -> tuple[int, ...]:
         "0 is an output that is a function of the states.",
     )
     return tuple(int(degree) for degree in degrees)
-
-
-def _internal_initial(internal: Dynamics | None, initial: Any) -> Any:
-    if internal is None:
-        check(initial is None, "internal_initial", "must be left out without `internal`", initial)
-        return ()
-    check(
-        initial is not None,
-        "internal_initial",
-        "must be given with `internal`",
-        "none",
-        "Give z at the start of the record, or a function of the parameters.",
-    )
-    return initial if callable(initial) else tuple(float(value) for value in initial)
 
 
 # Magnitudes of each coordinate at which the structure is probed, on both sides of zero. The range

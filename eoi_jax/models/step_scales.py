@@ -5,11 +5,13 @@ affine is moved by Δ. One that divides is moved so that its reciprocal changes 
 
     1/θ' = 1/θ - Δ/θ²,
 
-which is exact where f is affine in 1/θ, as (K u - b ẏ)/J is in J. Any other that must keep its
-sign, by its bounds or because f is not finite at zero, is moved on a logarithmic scale,
-θ' = θ exp(Δ/θ). No step of the last two is longer than a factor of eight, and none reaches zero,
-while a friction or a stiffness, in which f is affine, ends on its bound of zero exactly where the
-records say so.
+which is exact where f is affine in 1/θ, as (K u - b ẏ)/J is in J. Nothing happens to f where 1/θ
+passes zero: a term vanishes and comes back with the other sign. So a divisor without bounds passes
+through infinity, from one sign to the other, where the records ask for it (a sensor that counts
+backwards); a bound keeps the sign. Any other that must keep its sign, by its bounds or because f is
+not finite at zero, is moved on a logarithmic scale, θ' = θ exp(Δ/θ). No step of the last two
+changes the size by more than a factor of eight, and none reaches zero, while a friction or a
+stiffness, in which f is affine, ends on its bound of zero exactly where the records say so.
 
 A parameter a in which f is affine may be multiplied by powers of others, as K is by 1/J: its slope
 is ∂f/∂a ∝ Π θ_j^e_j. Then it is the product c = a Π θ_j^e_j that is moved on a linear scale,
@@ -17,7 +19,8 @@ is ∂f/∂a ∝ Π θ_j^e_j. Then it is the product c = a Π θ_j^e_j that is m
     a' = (a + κ) Π (θ_j'/θ_j)^-e_j,     κ = Δ_a + a Σ e_j Δ_j/θ_j,
 
 for the step of a would else make up for that of the linearised 1/J, which is not taken. With κ in
-the place of Δ_a, a bound of zero is κ ≥ -a.
+the place of Δ_a, a bound of zero is κ ≥ -a. Slopes with an affine parameter are affine in 1/θ_j
+too: there e_j = -1, and a' changes its sign with θ_j.
 """
 
 import functools
@@ -33,7 +36,7 @@ from jaxtyping import Bool, Float
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
 
-LINEAR, LOGARITHMIC, RECIPROCAL = 0, 1, 2
+LINEAR, LOGARITHMIC, RECIPROCAL, SIGNED_RECIPROCAL = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class StepScales:
     Hashable, so that a compiled program may depend on it.
 
     Attributes:
-        scales: of each parameter, `LINEAR`, `LOGARITHMIC` or `RECIPROCAL`.
+        scales: of each parameter, `LINEAR`, `LOGARITHMIC`, `RECIPROCAL` (of one sign) or
+            `SIGNED_RECIPROCAL`.
         exponents: e_j in the slope of each parameter (rows) with the others (columns); zero where
             it is no product of powers.
     """
@@ -83,8 +87,10 @@ def step_scales(plant: Plant) -> StepScales:
     if plant.is_affine:
         count = len(plant.names)
         return StepScales((LINEAR,) * count, ((0.0,) * count,) * count)
-    signed = (np.asarray(plant.lower) >= 0.0) | (np.asarray(plant.upper) <= 0.0)
-    return _scales(*_key(plant), tuple(signed.tolist()))
+    lower, upper = np.asarray(plant.lower), np.asarray(plant.upper)
+    signed = (lower >= 0.0) | (upper <= 0.0)
+    unbounded = np.isinf(lower) & np.isinf(upper)
+    return _scales(*_key(plant), tuple(signed.tolist()), tuple(unbounded.tolist()))
 
 
 def bent_parameters(plant: Plant) -> Bool[np.ndarray, " np"]:
@@ -117,25 +123,29 @@ def _structure(
     plant, values = _plant_of(structure, theta), np.asarray(theta)
     tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
     free = np.flatnonzero(np.asarray(plant.free) * (values != 0)).tolist()
-    here = _evaluated(plant, values, _slopes)
+    nominal = _evaluated(plant, values, _slopes)
     doubled = {i: _evaluated(plant, _moved(values, i, 2.0 * theta[i]), _slopes) for i in free}
     bent = np.zeros(len(values), dtype=bool)
     for i in free:
-        bent[i] = _power(here[..., i], doubled[i][..., i], tolerance) != 0.0
+        bent[i] = _power(nominal[..., i], doubled[i][..., i], tolerance) != 0.0
     powers = np.zeros((len(values), len(values)))
     for j in np.flatnonzero(bent).tolist():
         for i in free:
             if not bent[i]:
-                power = _power(here[..., i], doubled[j][..., i], tolerance)
+                power = _power(nominal[..., i], doubled[j][..., i], tolerance)
                 powers[i, j] = power if np.isfinite(power) else 0.0
     return bent, powers
 
 
 @functools.lru_cache(maxsize=64)
 def _scales(
-    structure: Any, theta: tuple[float, ...], dtype: Any, signed: tuple[bool, ...]
+    structure: Any,
+    theta: tuple[float, ...],
+    dtype: Any,
+    signed: tuple[bool, ...],
+    unbounded: tuple[bool, ...],
 ) -> StepScales:
-    """`step_scales` of a plant with bounds of one sign for the parameters `signed`."""
+    """`step_scales` of a plant whose bounds leave some parameters one sign, and others free."""
     plant, values = _plant_of(structure, theta), np.asarray(theta)
     bent, powers = _structure(structure, theta, dtype)
     tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
@@ -143,20 +153,21 @@ def _scales(
     for i in np.flatnonzero(bent).tolist():
         if signed[i] or _is_singular(plant, values, i):
             is_divisor = _is_reciprocal(plant, values, i, tolerance)
-            scales[i] = RECIPROCAL if is_divisor else LOGARITHMIC
+            divisor = SIGNED_RECIPROCAL if unbounded[i] else RECIPROCAL
+            scales[i] = divisor if is_divisor else LOGARITHMIC
     return StepScales(tuple(scales.tolist()), tuple(map(tuple, powers.tolist())))
 
 
-def _power(here: np.ndarray, doubled: np.ndarray, tolerance: float) -> float:
+def _power(nominal: np.ndarray, doubled: np.ndarray, tolerance: float) -> float:
     """The power of a parameter in a slope, from the slope where it is doubled; NaN if it is none.
 
     Zero also where the slope is not finite or zero at all probes.
     """
-    usable = np.isfinite(here) & np.isfinite(doubled) & ((here != 0) | (doubled != 0))
+    usable = np.isfinite(nominal) & np.isfinite(doubled) & ((nominal != 0) | (doubled != 0))
     if not np.any(usable):
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = doubled[usable] / here[usable]
+        ratio = doubled[usable] / nominal[usable]
         even = np.all(np.abs(ratio - ratio[0]) <= tolerance * np.abs(ratio[0]))
         return round(float(np.log2(ratio[0])), 6) + 0.0 if even and ratio[0] > 0 else np.nan
 
@@ -200,8 +211,8 @@ def _slopes(plant: Plant, probe: tuple[Any, ...]) -> Any:
 
 def _is_singular(plant: Plant, theta: Float[np.ndarray, " np"], i: int) -> bool:
     """Whether f or g, finite at θ, is not finite where parameter i is zero."""
-    here, there = (_evaluated(plant, values) for values in (theta, _moved(theta, i, 0.0)))
-    return bool(np.any(np.isfinite(here) & ~np.isfinite(there)))
+    nominal, at_zero = (_evaluated(plant, values) for values in (theta, _moved(theta, i, 0.0)))
+    return bool(np.any(np.isfinite(nominal) & ~np.isfinite(at_zero)))
 
 
 def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolerance: float) -> bool:
@@ -239,16 +250,19 @@ def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
     """
     if scales.trivial:
         return step
-    moved = theta + _alone(theta, step, xp.asarray(scales.scales), xp)
+    kinds = xp.asarray(scales.scales)
+    moved = theta + _alone(theta, step, kinds, xp)
     if not any(map(any, scales.exponents)):
         return moved - theta
     exponents = xp.asarray(scales.exponents)
     ratio = moved / xp.where(theta != 0, theta, 1.0)
-    # A parameter that changes its sign multiplies by no power.
-    logarithm = xp.where(ratio > 0, xp.log(xp.where(ratio > 0, ratio, 1.0)), 0.0)
-    relative = xp.where(ratio > 0, step / xp.where(theta != 0, theta, 1.0), 0.0)
+    # One that changes its sign multiplies by no power, but for a divisor: by the reciprocal.
+    flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
+    size = xp.where(flipped, -ratio, ratio)
+    logarithm = xp.where(size > 0, xp.log(xp.where(size > 0, size, 1.0)), 0.0)
+    relative = xp.where(size > 0, step / xp.where(theta != 0, theta, 1.0), 0.0)
     power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
-    product = (theta + step + theta * share) * xp.exp(-power)
+    product = (theta + step + theta * share) * _sign(flipped, exponents, xp) * xp.exp(-power)
     return xp.where(xp.any(exponents != 0, axis=-1), product, moved) - theta
 
 
@@ -257,9 +271,69 @@ def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
     most = _SETTINGS.max_factor
     relative = step / xp.where(theta != 0, theta, 1.0)
     logarithmic = xp.exp(xp.clip(relative, -np.log(most), np.log(most)))
-    reciprocal = 1.0 / xp.clip(1.0 - relative, 1.0 / most, most)
-    factor = xp.where(scales == RECIPROCAL, reciprocal, logarithmic)
+    change = 1.0 - relative  # of the reciprocal, a factor
+    sign = xp.where((scales == SIGNED_RECIPROCAL) & (change < 0), -1.0, 1.0)
+    reciprocal = sign / xp.clip(sign * change, 1.0 / most, most)
+    factor = xp.where(scales >= RECIPROCAL, reciprocal, logarithmic)
     return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
+
+
+def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
+    """A step so short that the reciprocal of no divisor without bounds grows beyond the factor.
+
+    Near its zero that is little of a step, and the rest of it, taken in full, would belong to a
+    reciprocal that is not there yet: a search would never get away from zero.
+
+    Args:
+        theta: parameters, shape (np,).
+        step: of the linearised model, shape (np,).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    if SIGNED_RECIPROCAL not in scales.scales:
+        return step
+    most, kinds = _SETTINGS.max_factor, xp.asarray(scales.scales)
+    relative = step / xp.where(theta != 0, theta, 1.0)
+    longest = xp.where(relative > 0, most + 1.0, most - 1.0)
+    share = longest / xp.maximum(xp.abs(relative), longest)
+    return step * xp.min(xp.where(kinds == SIGNED_RECIPROCAL, share, 1.0))
+
+
+def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> Any:
+    """The step of the linearised model of which a change is the scaled one: `scaled_step` undone.
+
+    It says what the linearised model expects of a change, where a bound or the largest factor has
+    shortened the step.
+
+    Args:
+        theta: parameters, shape (…, np).
+        change: of the parameters, shape (…, np).
+        scales: of `step_scales`.
+        xp: `numpy` or `jax.numpy`.
+    """
+    if scales.trivial:
+        return change
+    kinds, safe = xp.asarray(scales.scales), xp.where(theta != 0, theta, 1.0)
+    ratio = (theta + change) / safe
+    ratio = xp.where((theta != 0) & (ratio != 0), ratio, 1.0)
+    logarithm = xp.log(xp.abs(ratio))
+    scaled = theta * xp.where(kinds >= RECIPROCAL, 1.0 - 1.0 / ratio, logarithm)
+    uncoupled = xp.where((kinds == LINEAR) | (theta == 0), change, scaled)
+    if not any(map(any, scales.exponents)):
+        return uncoupled
+    exponents = xp.asarray(scales.exponents)
+    flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
+    is_power = (ratio > 0) | flipped
+    logarithm, relative = (xp.where(is_power, part, 0.0) for part in (logarithm, uncoupled / safe))
+    power, share = (xp.einsum("ij,...j->...i", exponents, part) for part in (logarithm, relative))
+    product = (theta + change) * _sign(flipped, exponents, xp) * xp.exp(power)
+    step = product - theta - theta * share
+    return xp.where(xp.any(exponents != 0, axis=-1), step, uncoupled)
+
+
+def _sign(flipped: Any, exponents: Any, xp: Any) -> Any:
+    """Of the powers of divisors some of which change their sign, in the slopes of all others."""
+    return xp.prod(xp.where(flipped[..., None, :] & (exponents == -1.0), -1.0, 1.0), axis=-1)
 
 
 def step_room(
@@ -272,12 +346,12 @@ def step_room(
     kinds = np.asarray(scales.scales)
 
     def room(limit: Any, beyond: float) -> np.ndarray:
-        # A limit of zero, or at infinity, is not reached.
+        # A limit of zero, at infinity or of the other sign is not reached.
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithmic = theta * np.log(limit / theta)
             reciprocal = theta * (1.0 - theta / limit)
-        scaled = np.where(kinds == RECIPROCAL, reciprocal, logarithmic)
-        reached = (limit != 0) & np.isfinite(limit) & np.isfinite(scaled)
+        scaled = np.where(kinds >= RECIPROCAL, reciprocal, logarithmic)
+        reached = (np.sign(limit) * np.sign(theta) > 0) & np.isfinite(limit) & np.isfinite(scaled)
         return np.where(
             (kinds == LINEAR) | (theta == 0), limit - theta, np.where(reached, scaled, beyond)
         )

@@ -20,18 +20,16 @@ from jaxtyping import Array, Float, Int
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.step_scales import StepScales, scaled_step
+from eoi_jax.models.step_scales import StepScales, coordinates, linear_step, scaled_step, shortened
 from eoi_jax.refinement.problem import (
     CONVERGED,
     HostRuns,
     Outcome,
     Problem,
     Unknowns,
-    direction,
     errors,
     scored_values,
     signals,
-    unit_directions,
 )
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import Host, added_up
@@ -84,7 +82,9 @@ class _Reduced(eqx.Module):
 class _Arrow(optx.AbstractDescent):
     """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept.
 
-    Marquardt's steps are the same on any scale of a parameter; what they move is not.
+    Marquardt's steps are the same on any scale of a parameter; what they move is not. Parameters
+    that multiply a divisor are damped as the products that they are (`step_scales.py`): as the
+    divisor grows, its own column and theirs become one.
     """
 
     lower: Float[Host, " free"]
@@ -112,6 +112,9 @@ class _Arrow(optx.AbstractDescent):
         slope = jnp.einsum("iru,ir->u", columns[..., start_size:], error)
         stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
         columns = columns.at[..., start_size:].multiply(jnp.where(stuck, 0.0, 1.0))
+        if not self.scales.trivial:
+            products = coordinates(y.theta, self.scales, jnp)
+            columns = columns.at[..., start_size:].set(columns[..., start_size:] @ products)
         power = jnp.sum(columns**2, axis=1)
         faintest = jnp.pad(self.faintest, (0, start_size - len(self.faintest)))
         traced = power[:, :start_size] > faintest**2
@@ -149,9 +152,14 @@ class _Arrow(optx.AbstractDescent):
         theta, _ = _shared_step(rows, start_size, damping)
         theta = theta / state.shared
         if not self.scales.trivial:
+            products = coordinates(state.theta, self.scales, jnp)
+            theta = shortened(state.theta, products @ theta, self.scales, jnp)
             theta = scaled_step(state.theta, theta, self.scales, jnp)
-        theta = jnp.clip(theta, state.room[0], state.room[1])
-        starts = _own_steps(rows[:, :start_size], theta * state.shared) / state.start_lengths
+        theta = linear = jnp.clip(theta, state.room[0], state.room[1])
+        if not self.scales.trivial:
+            linear = linear_step(state.theta, theta, self.scales, jnp)
+            linear = jnp.linalg.solve(products, linear)
+        starts = _own_steps(rows[:, :start_size], linear * state.shared) / state.start_lengths
         return Unknowns(theta, starts), optx.RESULTS.successful
 
 
@@ -327,7 +335,20 @@ def _search(
 
 def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
     """Columns of the Jacobian of each run with its own unknowns, starts first."""
-    columns = jax.vmap(lambda vector: jacobian.mv(direction(unknowns, vector)))(
-        unit_directions(unknowns)
+    columns = jax.vmap(lambda vector: jacobian.mv(_direction(unknowns, vector)))(
+        _unit_directions(unknowns)
     )
     return jnp.moveaxis(columns, 0, -1)
+
+
+def _unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
+    """Directions along each unknown of a run alone, start first."""
+    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
+
+
+def _direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
+    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
+    start_size = unknowns.starts.shape[1]
+    return Unknowns(
+        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
+    )

@@ -24,7 +24,7 @@ from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
-from eoi_jax.refinement.spans import Span
+from eoi_jax.refinement.spans import Span, starts_record
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.initial_state import Run, initial_states, owned
 from eoi_jax.simulation.integrator import Drive, frictional
@@ -55,7 +55,8 @@ class Problem(eqx.Module):
         record_drives: of a plant with actuators, what drives each segment: behind them its inputs
             change with θ, and with all that came before a run. places: rows of these, one segment
             after the other, that each run takes.
-        declared: 1 where the run starts a record: internal states are then the plant's own.
+        declared: 1 where the run starts a record: internal states are then the plant's own, and
+            what is known of the start of its outputs.
         leaders: of a plant with actuators, the run at the beginning of each segment: where an input
             was before is one of its unknowns.
         squares: sums of squares of the scored outputs of each run.
@@ -187,7 +188,7 @@ def problem_of(
         steps=np.asarray([float(_drive_of(drives, span).step) for span in spans]),
         record_drives=tuple(drives.values()) if acting else (),
         places=_places(drives, spans, int(plant.has_algebraic)) if acting else None,
-        declared=np.asarray([float(span.first == 0) for span in spans]),
+        declared=np.asarray([float(starts_record(records, span)) for span in spans]),
         leaders=_leaders(drives, spans),
         squares=np.sum(y**2, axis=1),
         faintest=_faintest(kernel, spread, records),
@@ -347,7 +348,8 @@ def guessed_starts(
         valid[i, :last] = record.output_valid[head][:last]
     heads, past = _heads(problem, count - 1)
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
-        return initial_states(run, heads, y, valid, past)
+        begins = np.asarray([starts_record(records, span) for span in spans])
+        return initial_states(run, heads, y, valid, past, begins)
 
 
 def _common_length(spans: Sequence[Span]) -> int:
@@ -587,19 +589,6 @@ def ill_conditioned(squares: Any, theta: Any, power: Any, max_share: float = 1e-
     """
     moved = squares[:, :-1] * (np.finfo(theta.dtype).eps * theta) ** 2
     return (moved > max_share**2 * (power + squares[:, -1])[:, None]).any(axis=1)
-
-
-def unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
-    """Directions along each unknown of a run alone, start first."""
-    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
-
-
-def direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
-    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
-    start_size = unknowns.starts.shape[1]
-    return Unknowns(
-        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
-    )
 
 
 class Outcome(eqx.Module):

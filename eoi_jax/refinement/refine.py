@@ -25,7 +25,7 @@ from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification, identify
-from eoi_jax.estimation.runaway import held_runaways
+from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
@@ -62,6 +62,7 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span, spans_of, used_window
+from eoi_jax.refinement.start_check import with_start_check
 from eoi_jax.refinement.windowed import lost_growth, settled, worse
 from eoi_jax.simulation.error_growth import ErrorGrowth
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
@@ -221,12 +222,14 @@ def refine(
         return result
     alone = replace(question, points=points[:0], many_starts=False, rounds=1)
     alone = replace(alone, window=result.window if window is None else window)
-    result = held_runaways(
-        nominal,
-        result,
-        lambda model: _with_best_hold(model, records, alone)[0],
-        lambda refined: refined.cost,
-    )
+
+    def refit(model: Plant) -> Refinement:
+        return _with_best_hold(model, records, alone)[0]
+
+    def cost(refined: Refinement) -> float:
+        return refined.cost
+
+    result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
     if not result.status.ok or not held_out:
         return result
     before, after = validated_alike((nominal, result.plant), held_out)

@@ -27,6 +27,11 @@ class Span:
     segment: tuple[int, int]
 
 
+def starts_record(records: Sequence[Record], span: Span) -> bool:
+    """Whether a run begins where its record does, and that is no later part of another one."""
+    return span.first == 0 and not records[span.record].continues
+
+
 def spans_of(
     records: Sequence[Record], window: float | None, min_samples: int = FEWEST_STEPS
 ) -> list[Span]:

@@ -1,9 +1,10 @@
 """Initial states of free runs: least squares of each run over its first samples.
 
-Outputs and their derivatives start from local polynomials, internal states from where the model
-declares them, delays and lags of inputs as if these had always been at their first values.
-Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the derivatives of
-the errors are differences, for one of the simulation would take longer to compile than all else.
+Outputs and their derivatives start from local polynomials, or where the plant knows them; internal
+states from where the model declares them, delays and lags of inputs as if these had always been at
+their first values. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from
+there; the derivatives of the errors are differences, for one of the simulation would take longer to
+compile than all else.
 All runs are simulated side by side.
 """
 
@@ -55,6 +56,7 @@ def initial_states(
     y: Float[np.ndarray, "runs time ny"],
     valid: Bool[np.ndarray, "runs time ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
+    begins: Bool[np.ndarray, " runs"] | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -65,6 +67,8 @@ def initial_states(
         valid: which of them were measured.
         past: how the inputs there change with their levels before the record (`past_slopes`), of
             a plant with delays or lags of inputs.
+        begins: which runs begin with their record: known starts of the plant hold there. None: no
+            run does.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
@@ -86,8 +90,12 @@ def initial_states(
     shape = (*starts.shape[:2], len(declared))
     starts = np.concatenate([starts, np.broadcast_to(declared, shape)], axis=-1)
     measured = np.arange(starts.shape[-1]) < starts.shape[-1] - len(declared)
+    fixed = known_starts(run.plant, begins, starts.shape[::2])
+    if fixed is not None:
+        starts = np.where(np.isfinite(fixed)[:, None], fixed[:, None], starts)
     spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
-    first_samples = _Heads(run, heads, y, valid, period, np.where(spread > 0, spread, 1.0), past)
+    spread = np.where(spread > 0, spread, 1.0)
+    first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
     cost, values = _descend(first_samples, starts, measured)
     if run.plant.unknown_internal or past is not None:
         # Internal states stay where the model starts them, and inputs have always been at their
@@ -205,14 +213,16 @@ class _Heads:
     period: float
     spread: Float[np.ndarray, " ny"]
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None
+    fixed: Starts | None = None  # finite where an unknown stays as it is
 
     def part(self, runs: Int[np.ndarray, " some"]) -> "_Heads":
         """The first samples of some of the runs."""
         if len(runs) == len(self.y):
             return self
         past = None if self.past is None else self.past[runs]
+        fixed = None if self.fixed is None else self.fixed[runs]
         y, valid = self.y[runs], self.valid[runs]
-        return replace(self, heads=self._driving(runs), y=y, valid=valid, past=past)
+        return replace(self, heads=self._driving(runs), y=y, valid=valid, past=past, fixed=fixed)
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
@@ -260,8 +270,10 @@ class _Heads:
         self, values: Starts, error: np.ndarray, errors: np.ndarray, free: np.ndarray
     ) -> Float[np.ndarray, "runs rows free"]:
         with np.errstate(over="ignore", invalid="ignore"):
-            change = np.moveaxis(error[:, None] - errors, 1, 2)
-            return change / self._small(values)[:, None, free]
+            slopes = np.moveaxis(error[:, None] - errors, 1, 2) / self._small(values)[:, None, free]
+        if self.fixed is None:
+            return slopes
+        return np.where(np.isfinite(self.fixed)[:, None, free], 0.0, slopes)  # stays where it is
 
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
@@ -333,6 +345,24 @@ def owned(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     pairs = [(i, j) for j, degree in enumerate(plant.degrees) for i in range(degree)]
     rows, columns = np.asarray(pairs, dtype=int).reshape(-1, 2).T
     return rows, columns
+
+
+def known_starts(
+    plant: Plant, begins: Bool[np.ndarray, " runs"] | None, shape: tuple[int, int]
+) -> Starts | None:
+    """Known values of the unknowns of runs, NaN where an unknown is none; None if all are unknown.
+
+    Args:
+        plant: whose known starts hold where a record begins.
+        begins: which runs begin with their record; None: no run does.
+        shape: (runs, unknowns), outputs and their derivatives first.
+    """
+    if begins is None or not plant.start_items or not np.any(begins):
+        return None
+    values = plant.known_start[owned(plant)]
+    fixed = np.full(shape, np.nan)
+    fixed[:, : len(values)] = np.where(begins[:, None], values, np.nan)
+    return fixed
 
 
 def states_of(plant: Plant, values: Starts) -> State:

@@ -36,7 +36,8 @@ class RunLane(eqx.Module):
         theta: all parameters, shape (np,).
         start: unknowns of the initial state: outputs and derivatives, then z, then, behind
             actuators, levels of the inputs before the record, shape (own,).
-        declared: 1 where z starts as the plant declares, 0 where `start` says how.
+        declared: 1 where the run begins a record: z then starts as the plant declares, and what is
+            known of the start of the outputs has no slope; 0 where `start` says how.
         scale: 1/σ of each output, shape (ny,).
         threshold: κ of Huber's loss; infinite for squares.
     """
@@ -140,7 +141,11 @@ class RunKernel(eqx.Module):
         def start(values: Array, theta: Array) -> State:
             return self.start(values, theta, lane.declared)
 
-        tangents = (jnp.asarray(part, theta.dtype) for part in (direction.start, direction.theta))
+        tangents = [jnp.asarray(part, theta.dtype) for part in (direction.start, direction.theta)]
+        if self.plant.start_items:
+            fixed = np.zeros(values.shape)
+            fixed[: len(self.rows)] = np.isfinite(self.plant.known_start[self.rows, self.columns])
+            tangents[0] = tangents[0] * (1.0 - lane.declared * jnp.asarray(fixed, theta.dtype))
         return jax.jvp(start, (values, theta), tuple(tangents))
 
     def step(self, lane: RunLane, carry: RunCarry, row: RunRow, h: Scalar) -> tuple[RunCarry, Any]:

@@ -58,8 +58,8 @@ def simulate(
         time: uniform grid, shape (N,) [s].
         inputs: shape (N,) or (N, nu).
         initial: the outputs and their derivatives at ``time[0]``, shape (r, ny); for one output
-            (r,) or the output alone. Zeros by default. Outputs of relative degree 0 have none:
-            what is given for them is not read.
+            (r,) or the output alone. By default the plant's known starts, and zeros. Outputs of
+            relative degree 0 have none: what is given for them is not read.
         hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
             spline), or ``"auto"``: zero if it is piecewise constant, else linear.
         internal: internal states at ``time[0]``, shape (nz,); by default the plant's own start.
@@ -311,7 +311,7 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
 
 def _initial(plant: Plant, initial: Any) -> Float[np.ndarray, "r ny"]:
     r, ny = plant.rows, len(plant.outputs)
-    value = np.zeros((r, ny)) if initial is None else np.asarray(initial, dtype=np.float64)
+    value = np.nan_to_num(plant.known_start) if initial is None else np.asarray(initial, float)
     if ny == 1 and value.shape == ():
         value = np.concatenate([value[None], np.zeros(r - 1)])
     if ny == 1 and value.shape == (r,):

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import driven_parts, plan
 from eoi_jax.simulation.chained_runs import outputs_of
-from eoi_jax.simulation.initial_state import Run, initial_states, owned, states_of
+from eoi_jax.simulation.initial_state import Run, initial_states, known_starts, owned, states_of
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.simulate import acted, drive
 
@@ -65,7 +65,7 @@ def sufficient_start(run: Run, record: Record, head: int) -> int:
         `head`, or it doubled until the error of the start is small in the run. `head` too where a
         third of the record is not enough, or where the model leaves more in more samples.
     """
-    part = max((part for _, part in driven_parts(record)), key=len)
+    first, part = max(driven_parts(record), key=lambda numbered: len(numbered[1]))
     reach = min(len(part), _SETTINGS.reach * head)
     candidates = _doubled(head, _SETTINGS.share * min(len(part), reach))
     runs = plan(part, head, None, run.plant.rows)
@@ -73,16 +73,18 @@ def sufficient_start(run: Run, record: Record, head: int) -> int:
         return head
     begin = runs.starts[0]
     part = part[begin : min(begin + reach, len(part))]
-    slopes, noise = _slopes(run, part, head)
+    begins = first + begin == 0 and not record.continues
+    slopes, noise = _slopes(run, part, head, begins)
     for count in candidates:
         if _start_error(slopes, part.output_valid, noise, count, len(record)) <= _SETTINGS.largest:
-            return count if count == head or _as_quiet(run, part, head, count) else head
+            quiet = count == head or _as_quiet(run, part, head, count, begins)
+            return count if quiet else head
     return head
 
 
-def _as_quiet(run: Run, part: Record, head: int, count: int) -> bool:
+def _as_quiet(run: Run, part: Record, head: int, count: int, begins: bool) -> bool:
     """Whether the model leaves no more in `count` samples than in the first ones."""
-    usual, more = (_begun(run, part, samples).noise for samples in (head, count))
+    usual, more = (_begun(run, part, samples, begins).noise for samples in (head, count))
     limit = 1.0 + _SETTINGS.scatter / np.sqrt(2.0 * head)
     return bool(np.all(more <= limit * np.maximum(usual, _SETTINGS.noise * np.std(part.outputs))))
 
@@ -109,11 +111,11 @@ class _Begun:
     noise: Float[np.ndarray, " ny"]
 
 
-def _begun(run: Run, part: Record, head: int) -> _Begun:
+def _begun(run: Run, part: Record, head: int, begins: bool) -> _Begun:
     whole = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps, part.skew))
     first = _lanes(whole, 1, run.substeps * (head - 1))
     y, valid = part.outputs[:head], part.output_valid[:head]
-    values = initial_states(run, first, y[None], valid[None])
+    values = initial_states(run, first, y[None], valid[None], begins=np.asarray([begins]))
     outputs = outputs_of(run.plant, first, states_of(run.plant, values), run.friction)[0]
     degrees = np.maximum(np.sum(valid, axis=0) - run.plant.rows, 1)
     with np.errstate(all="ignore"):  # of a run that diverges
@@ -122,15 +124,18 @@ def _begun(run: Run, part: Record, head: int) -> _Begun:
 
 
 def _slopes(
-    run: Run, part: Record, head: int
+    run: Run, part: Record, head: int, begins: bool
 ) -> tuple[Float[np.ndarray, "time ny unknowns"], Float[np.ndarray, " ny"]]:
     """Derivatives of the scaled outputs with their start, and the noise of the scaled outputs."""
-    begun = _begun(run, part, head)
+    begun = _begun(run, part, head, begins)
     spread = np.std(part.outputs[:head], axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     rows, columns = owned(run.plant)
     steps = _SETTINGS.difference * spread[columns] / (part.sample_period * head) ** rows
     moved = np.repeat(begun.values, len(steps) + 1, axis=0)
+    fixed = known_starts(run.plant, np.asarray([begins]), begun.values.shape)
+    if fixed is not None:  # without an error
+        steps = np.where(np.isfinite(fixed[0, : len(steps)]), 0.0, steps)
     moved[1:, : len(steps)] += np.diag(steps)
     driving = _lanes(begun.drive, len(moved), len(begun.drive.time))
     outputs = outputs_of(run.plant, driving, states_of(run.plant, moved), run.friction)

@@ -35,6 +35,7 @@ from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.closed_loop import closed_loop
+from eoi_jax.simulation.contradicted_start import contradicted_start
 from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
 from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
@@ -431,12 +432,10 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
     predicted = np.zeros(len(record), dtype=bool)
     driven_by = drive(record.time, record.inputs, record.hold, run.substeps, record.skew)
     past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
-    for start, sample_range, y_hat in zip(
-        runs.starts,
-        runs.predicted,
-        _free_runs(run, record, acted(run.plant, driven_by), runs, past),
-        strict=True,
-    ):
+    begins = np.asarray(runs.starts) + piece.first == 0
+    begins &= not record.continues
+    free_runs, notes = _free_runs(run, record, acted(run.plant, driven_by), runs, past, begins)
+    for start, sample_range, y_hat in zip(runs.starts, runs.predicted, free_runs, strict=True):
         bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
         if bad.any() and diverged is None:
             diverged = record.time[start + int(np.argmax(bad))]
@@ -445,7 +444,6 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
             y_hat[sample_range.start - start : sample_range.stop - start],
             True,
         )
-    notes = []
     if diverged is not None:
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
@@ -454,24 +452,32 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
 
 
 def _free_runs(
-    run: Run, record: Record, record_drive: Drive, runs: Plan, past: np.ndarray | None
-) -> Float[np.ndarray, "runs time ny"]:
-    """The runs of a plan, each from its own estimated initial state.
+    run: Run,
+    record: Record,
+    record_drive: Drive,
+    runs: Plan,
+    past: np.ndarray | None,
+    begins: Bool[np.ndarray, " runs"],
+) -> tuple[Float[np.ndarray, "runs time ny"], list[str]]:
+    """The runs of a plan, each from its own estimated initial state; notes on known starts.
 
-    `past`: how the inputs of all steps change with their levels before the record.
+    `past`: how the inputs of all steps change with their levels before the record. `begins`: which
+    runs begin with it.
     """
     if not runs.starts:
-        return np.zeros((0, runs.steps + 1, record.outputs.shape[1]))
+        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), []
     first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
     head = _parts(record_drive, runs.starts, runs.head - 1)
     y, valid = record.outputs[first_samples], record.output_valid[first_samples]
     head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
-    values = initial_states(run, head, y, valid, head_past)
+    values = initial_states(run, head, y, valid, head_past, begins)
     drives = _parts(record_drive, runs.starts, runs.steps)
     if past is not None:
         whole = past[_steps(record_drive, runs.starts, runs.steps)]
         drives = with_past(drives, whole, values)
-    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+    declared = values if past is None else None  # without levels before the record
+    notes = contradicted_start(run, head, y, valid, declared, begins, record.name)
+    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction), notes
 
 
 def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:

@@ -11,9 +11,12 @@ from eoi_jax.models.step_scales import (
     LINEAR,
     LOGARITHMIC,
     RECIPROCAL,
+    SIGNED_RECIPROCAL,
     StepScales,
     coordinates,
+    linear_step,
     scaled_step,
+    shortened,
     step_room,
     step_scales,
 )
@@ -61,8 +64,9 @@ def test_a_divisor_moves_by_its_reciprocal_and_others_that_keep_their_sign_by_th
     values = {"J": 2.0, "b": 0.5, "w": 3.0, "k": 4.0, "o": 0.1}
     equation = "(u - b*v)/J - w**2*y - tanh(k*v) - sin(y - o)"
     free = body(equation, **values)
-    assert step_scales(free).scales == (RECIPROCAL, LINEAR, LINEAR, LINEAR, LINEAR)
-    bounds = {"b": (0.0, None), "w": (0.0, None), "k": (1.0, None), "o": (-1.0, 1.0)}
+    assert step_scales(free).scales == (SIGNED_RECIPROCAL, LINEAR, LINEAR, LINEAR, LINEAR)
+    bounds = {"b": (0.0, None), "w": (0.0, None), "k": (1.0, None), "o": (-1.0, 1.0),
+              "J": (None, 9.0)}  # fmt: skip
     kept = body(equation, bounds, **values)
     assert step_scales(kept).scales == (RECIPROCAL, LINEAR, LOGARITHMIC, LOGARITHMIC, LINEAR)
     negative = body(equation, {"w": (None, 0.0)}, **{**values, "w": -3.0})
@@ -86,6 +90,42 @@ def test_no_step_changes_the_sign_or_is_longer_than_a_factor_of_eight(scale, xp)
     np.testing.assert_allclose(moved, [0.375, 24.0, -24.0, -0.375, 3.0 + 3e-9], rtol=1e-12)
 
 
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_a_divisor_without_bounds_passes_through_infinity(xp):
+    """f = 1/θ from 2 to -5: 1/θ goes from 0.5 through 0 to -0.2; none goes beyond a factor of 8."""
+    theta = np.array([2.0, 2.0, -2.0, 2.0])
+    step = theta * np.array([1.4, 1.0 + 1e-9, 1.4, 1e9])
+    moved = theta + np.asarray(scaled_step(theta, step, alone(*[SIGNED_RECIPROCAL] * 4), xp))
+    np.testing.assert_allclose(moved, [-5.0, -16.0, 5.0, -0.25], rtol=1e-12)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_a_step_is_shortened_where_a_reciprocal_would_grow_beyond_the_factor(xp):
+    """1/θ of the first from 0.5 to 50 or to -50: so far as to 4 or to -4, and so the second."""
+    scales, theta = alone(SIGNED_RECIPROCAL, LINEAR), np.array([2.0, 1.0])
+    for target in (50.0, -50.0):
+        step = np.array([2.0 * (1.0 - target / 0.5), 3.0])
+        part = np.asarray(shortened(theta, step, scales, xp))
+        moved = theta + scaled_step(theta, part, scales)
+        np.testing.assert_allclose(1.0 / moved[0], np.sign(target) * 4.0)
+        share = (np.sign(target) * 4.0 - 0.5) / (target - 0.5)
+        np.testing.assert_allclose(moved[1], 1.0 + 3.0 * share)
+    small = np.array([1.9, 3.0])
+    np.testing.assert_array_equal(shortened(theta, small, scales, xp), small)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+@pytest.mark.parametrize("mass", [0.5, -5.0])
+def test_a_scaled_step_that_nothing_shortens_is_undone(mass, xp):
+    plant = body("(K*u - b*v)/J + g*exp(w*y)*y", J=2.0, K=1.0, b=0.5, g=3.0, w=1.5)
+    scales, theta = step_scales(plant), np.asarray(plant.theta)
+    assert scales.scales == (SIGNED_RECIPROCAL, LINEAR, LINEAR, LINEAR, LINEAR)
+    step = np.array([2.0 * (1.0 - 2.0 / mass), -0.3, 0.8, 0.1, 0.2])
+    change = scaled_step(theta, step, scales, xp)
+    np.testing.assert_allclose((theta + change)[0], mass)
+    np.testing.assert_allclose(linear_step(theta, change, scales, xp), step, rtol=1e-10)
+
+
 def test_what_is_zero_moves_on_a_linear_scale():
     moved = scaled_step(np.zeros(1), np.array([0.5]), alone(LOGARITHMIC))
     np.testing.assert_array_equal(moved, [0.5])
@@ -104,6 +144,13 @@ def test_a_bound_of_zero_is_no_limit_of_a_step_that_cannot_reach_it():
     low, high = step_room(theta, np.zeros(3), np.full(3, np.inf), scales)
     np.testing.assert_array_equal(low, [-2.0, -np.inf, -np.inf])
     np.testing.assert_array_equal(high, [np.inf, np.inf, np.inf])
+
+
+def test_a_bound_of_the_other_sign_is_no_limit_of_a_divisor():
+    theta, scales = np.full(2, 2.0), alone(RECIPROCAL, LOGARITHMIC)
+    low, high = step_room(theta, np.full(2, -10.0), np.full(2, 8.0), scales)
+    np.testing.assert_array_equal(low, [-np.inf, -np.inf])
+    np.testing.assert_allclose(theta + scaled_step(theta, high, scales), [8.0, 8.0])
 
 
 def test_scales_of_an_affine_plant_are_linear_whatever_the_bounds():
@@ -140,10 +187,11 @@ def test_a_fixed_parameter_is_not_moved_by_what_divides_it():
 
 
 @pytest.mark.parametrize("xp", [np, jnp])
-def test_a_step_is_exact_for_forces_over_a_mass(xp):
-    """K/J, b/J and 1/J from one Gauss-Newton step, whatever the distance."""
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_step_is_exact_for_forces_over_a_mass(sign, xp):
+    """K/J, b/J and 1/J from one Gauss-Newton step, whatever the distance and the signs."""
     plant = body("(K*u - b*v - k*y)/J", fixed=("k",), J=2.0, K=1.0, b=0.5, k=8.0)
-    theta, true = np.asarray(plant.theta), np.array([0.5, 6.0, 2.0, 8.0])
+    theta, true = np.asarray(plant.theta), np.array([sign * 0.5, sign * 6.0, 2.0, 8.0])
 
     def coefficients(p):
         return p[..., 1:] / p[..., :1]

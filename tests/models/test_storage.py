@@ -267,6 +267,7 @@ def test_jax_arrays_are_stored_as_arrays(tmp_path):
 # Fields that these files do not have, with the defaults that they are read with.
 LATER_FIELDS = {
     "kind_items": {"tuple": []},
+    "start_items": {"tuple": []},
     "hold_declared": True,
     "output": {"tuple": []},
     "common_factors": {"tuple": []},

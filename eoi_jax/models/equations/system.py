@@ -15,6 +15,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from eoi_jax._checks import check
 from eoi_jax.models.equations.expression import (
@@ -43,7 +44,7 @@ class Equations:
     Attributes:
         derivatives: by state.
         definitions: by name.
-        initial: of internal states, in the parameters.
+        initial: of internal states, in the parameters; of outputs and their rates, numbers.
         outputs, inputs, parameters: names.
         output: expressions of outputs that are no states, by name.
     """
@@ -144,6 +145,20 @@ class Equations:
             name: parse(texts[name], parameters, f"model.initial.{name}") for name in self.states
         }
 
+    @cached_property
+    def known_starts(self) -> dict[str, tuple[float | None, ...]]:
+        """By output: known starts of its states, None where not known; outputs without any apart.
+
+        Raises:
+            ValueError: a start that is no number.
+        """
+        texts, starts = dict(self.initial), {}
+        for output, chain in self.chains.items():
+            values = tuple(_number(name, texts[name]) if name in texts else None for name in chain)
+            if any(value is not None for value in values):
+                starts[output] = values
+        return starts
+
     @property
     def highest(self) -> tuple[Expression, ...]:
         """y^(r) of each output."""
@@ -185,7 +200,7 @@ class Equations:
             ValueError: what is wrong, in which equation, at which column.
         """
         self._check_names()
-        _ = self.rates, self.starts  # read here, so that a mistake is found here
+        _ = self.rates, self.starts, self.known_starts  # a mistake in them is found here
         used = {*self._reached(), *elsewhere}
         advice = "Use it in an equation, or leave it out."
         for name in self.parameters:
@@ -245,9 +260,9 @@ class Equations:
             check(name in starts, "model.initial", f"must have the internal state {name}",
                   ", ".join(starts) or "nothing", advice)  # fmt: skip
         for name in starts:
-            rule = f"must have internal states only ({', '.join(self.states) or 'there are none'})"
-            advice = "Outputs and their derivatives start where the record does."
-            check(name in self.states, "model.initial", rule, repr(name), advice)
+            rule = f"must have states only ({', '.join(texts)})"
+            advice = "An output that is a function of the states starts where they do."
+            check(name in texts, "model.initial", rule, repr(name), advice)
 
     def _check_twins(self, texts: Mapping[str, str]) -> None:
         """An output with the rate of an internal state would be that state but for a constant."""
@@ -344,6 +359,16 @@ def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: A
 
 
 # -- trees ------------------------------------------------------------------------------------
+
+
+def _number(name: str, text: str) -> float:
+    """The known start of an output or of its rate."""
+    uses = words(text) - {"pi"}
+    advice = "Leave it out to have it estimated, of each record by itself."
+    rule = "must be a number: the start of an output or of its rate is known or not"
+    number = np.nan if uses else float(value_of(parse(text, {}, f"model.initial.{name}"), {}, np))
+    check(bool(np.isfinite(number)), f"model.initial.{name}", rule, f'"{text}"', advice)
+    return number
 
 
 def _known_as(name: str, tree: Expression) -> Expression:

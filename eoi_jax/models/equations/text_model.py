@@ -79,7 +79,9 @@ def plant_from_text(
         inputs: names.
         output: equations of outputs that are functions of the states [units of the outputs].
         definitions: parts of equations by name, in any order.
-        initial: internal states at the start, a number or a text in the parameters [their units].
+        initial: at the start of a record: internal states, a number or a text in the parameters
+            [their units]; outputs and their rates where they are known, a number: ``{"rate": 0.0}``
+            is released from rest, as of `Plant`.
         bounds: ``{name: (lower, upper)}`` of parameters; None for no bound.
         fixed: parameters that keep their nominal value.
         units: ``{name: unit}`` of parameters, inputs, outputs and states.
@@ -127,6 +129,7 @@ def plant_from_text(
         outputs=outputs,
         internal=TextInternal(equations) if moving else None,
         internal_initial=TextStart(equations) if moving else None,
+        initial=equations.known_starts,
         bounds={key: _limits(pair) for key, pair in (bounds or {}).items()},
         fixed=tuple(fixed),
         units=units,

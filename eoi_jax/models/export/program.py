@@ -49,7 +49,7 @@ class Program:
         states: of each output itself and its derivatives below r; internal states; lags of inputs.
         rates: of the states, one each.
         starts: the internal states at the start, in the parameters.
-        start_values: the same as numbers.
+        start_values: the same as numbers, and known starts of the outputs and their derivatives.
         inputs: as measured.
         parameters: with their values.
         definitions: parts that formulas share, each using earlier ones only.
@@ -161,7 +161,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(states),
         tuple(trees),
         dict(zip(names, plain_formulas(start), strict=True)),
-        dict(zip(names, values, strict=True)),
+        {**dict(zip(names, values, strict=True)), **known_starts(plant)},
         tuple(_variable(plant, Symbol(name), name) for name in plant.inputs),
         tuple(
             (_variable(plant, Symbol(name, parameter=True), name, strengths.get(name, "")), value)
@@ -180,6 +180,16 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:
     return Variable(symbol, name, plant.units.get(name, ""), note)
+
+
+def known_starts(plant: Plant) -> dict[Symbol, float]:
+    """Known starts of outputs and their derivatives."""
+    return {
+        Symbol(name, row): value
+        for name, values in plant.start_items
+        for row, value in enumerate(values)
+        if value is not None
+    }
 
 
 def _chains(symbolic: SymbolicPlant, f: Sequence[Node]) -> tuple[list[Variable], list[Node]]:

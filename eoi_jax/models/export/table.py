@@ -9,7 +9,7 @@ from eoi_jax.models.equations.printer import code_notation, power_operator, writ
 from eoi_jax.models.equations.system import TextDynamics
 from eoi_jax.models.equations.text_model import ModelTable, plant_of
 from eoi_jax.models.export.names import identifiers
-from eoi_jax.models.export.program import Program, program
+from eoi_jax.models.export.program import Program, known_starts, program
 from eoi_jax.models.plant import Plant
 
 _TEXT = code_notation(
@@ -90,7 +90,10 @@ def _written(plant: Plant, model: Program) -> ModelTable:
         },
         inputs=tuple(safe[name] for name in plant.inputs),
         definitions={names[symbol]: written(tree, notation) for symbol, tree in definitions},
-        initial={names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
+        initial={
+            **{names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
+            **{names[symbol]: value for symbol, value in known_starts(plant).items()},
+        },
         bounds={safe[name]: pair for name, pair in _bounds(plant).items()},
         fixed=tuple(safe[name] for name in plant.fixed),
         units={safe[name]: unit for name, unit in plant.units.items() if name in safe},

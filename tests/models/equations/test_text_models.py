@@ -245,7 +245,7 @@ def changed(rate=RATE, more=None, **changes):
         (changed(definitions={"e": "a +"}), "`model.definitions.e` must be one expression"),
         (changed(more=LAG, initial={"z": 0.0}), "`model.derivatives.z` must be used on the way to"),
         (changed(RATE + "+ z", LAG), "`model.initial` must have the internal state z"),
-        (changed(initial={"rate": 1.0}), r"internal states only \(there are none\)"),
+        (changed(initial={"speed": 1.0}), r"must have states only \(angle, rate\), got .speed."),
         (changed(RATE + "+ z", LAG, initial={"z": "angle"}), "`model.initial.z`.*got angle"),
         (changed(derivatives={"rate": "-a"}), "`model.derivatives` must have angle.*Add it: angle"),
         (changed(outputs=[]), "`model.outputs` must name at least one"),
@@ -324,7 +324,11 @@ def test_a_mistake_in_the_table_names_the_field(tmp_path, old, new, message):
 def test_the_models_of_the_documentation_are_models():
     page = Path(__file__).resolve().parents[3] / "docs" / "equations.md"
     tables = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
-    first, second, battery, third = tables
+    first, second, released, battery, third = tables
+    swing = {**tomllib.loads(released)["model"], "outputs": ["angle"]}
+    swing["parameters"] = {"a": 1.0, "b": 1.0}
+    plant = plant_of(struct(ModelTable, swing, "model"), "swing")
+    assert plant.initial == {"angle": (None, 0.0)}
     cell = plant_of(struct(ModelTable, tomllib.loads(battery)["model"], "model"), "cell")
     assert cell.degrees == (0,)
     pendulum = tomllib.loads(first)["model"]

@@ -1,0 +1,115 @@
+"""Where records start: known starts of outputs and their derivatives, and internal states."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax._checks import check, check_choice, check_kind, real
+
+# By output: its value at the start of a record, then those of its derivatives; None: not known.
+StartItems = tuple[tuple[str, tuple[float | None, ...]], ...]
+
+_FORM = "Write {output: (value, rate, …)}, with None for what is not known: {'angle': (None, 0.0)}."
+
+
+_MOST_SHOWN = 4  # records in a sentence
+
+
+def checked_starts(
+    initial: Mapping[str, Any] | None, outputs: Sequence[str], degrees: Sequence[int]
+) -> StartItems:
+    """Known starts by output, all of its states long; outputs without a known value are left out.
+
+    Args:
+        initial: as of `Plant`.
+        outputs: names.
+        degrees: relative degree of each.
+
+    Raises:
+        ValueError: a name that is no output, more values than an output has states, a value that is
+            no finite number.
+    """
+    initial = {} if initial is None else initial
+    check_kind("initial", initial, Mapping, "a dict by output")
+    items = []
+    for name, value in initial.items():
+        check_choice("initial", name, outputs)
+        degree = degrees[list(outputs).index(name)]
+        field, is_sequence = f"initial[{name}]", isinstance(value, Sequence | np.ndarray)
+        values = tuple(value) if is_sequence and not isinstance(value, str) else (value,)
+        check(degree > 0, field, "must be left out: the output is a function of the states", value,
+              "Give the starts of these states with `internal_initial`.")  # fmt: skip
+        rule = f"must be at most {degree} values, the output and its derivatives below the highest"
+        check(0 < len(values) <= degree, field, rule, value, _FORM)
+        numbers = [None if number is None else real(number) for number in values]
+        good = all(number is None or np.isfinite(number) for number in numbers)
+        check(good, field, "must hold finite numbers, or None for what is not known", value, _FORM)
+        if any(number is not None for number in numbers):
+            items.append((name, (*numbers, *[None] * (degree - len(numbers)))))
+    return tuple(items)
+
+
+def start_table(
+    items: StartItems, outputs: Sequence[str], rows: int
+) -> Float[np.ndarray, "rows ny"]:
+    """Known starts in the form of `State.y`; NaN where a start is not known.
+
+    Args:
+        items: of `checked_starts`.
+        outputs: names.
+        rows: of `State.y`.
+    """
+    table = np.full((rows, len(outputs)), np.nan)
+    for name, values in items:
+        column = table[: len(values), list(outputs).index(name)]
+        column[:] = [np.nan if value is None else value for value in values]
+    return table
+
+
+def internal_start_of(internal: Any, initial: Any) -> Any:
+    """Internal states at the start of a record: numbers, or a function of the parameters.
+
+    Raises:
+        ValueError: starts without a rate `internal`, or the reverse.
+    """
+    if internal is None:
+        check(initial is None, "internal_initial", "must be left out without `internal`", initial)
+        return ()
+    check(
+        initial is not None,
+        "internal_initial",
+        "must be given with `internal`",
+        "none",
+        "Give z at the start of the record, or a function of the parameters.",
+    )
+    return initial if callable(initial) else tuple(float(value) for value in initial)
+
+
+def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " own"]]]) -> str:
+    """A sentence on known starts that records contradict.
+
+    Args:
+        plant: a `Plant` that knows them.
+        values: name of each record, and what fits it: the states of the outputs, one output after
+            the other.
+    """
+    declared = plant.initial
+    states = [(name, row) for name, degree in zip(plant.outputs, plant.degrees, strict=True)
+              for row in range(degree)]  # fmt: skip
+    parts = []
+    for record, fitting in values:
+        fits = []
+        for (name, row), value in zip(states, fitting, strict=True):
+            start = declared[name][row] if name in declared else None
+            if start is not None:
+                derivative = name + "'" * row
+                fits.append(f"{derivative} {value:.3g}, not {start:g}")
+        parts.append(f"{record} {', '.join(fits)}")
+    shown = parts[:_MOST_SHOWN] + (["…"] if len(parts) > _MOST_SHOWN else [])
+    return (
+        "the known start contradicts the records: free, it would be, by record: "
+        f"{'; '.join(shown)}. It stays as declared; correct it, leave it out, or begin the record "
+        "where it holds"
+    )
