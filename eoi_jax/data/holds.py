@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from eoi_jax.data.holds import (
     undeclared_hold,
     with_hold,
 )
+from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.plant import Plant

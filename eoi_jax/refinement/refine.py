@@ -22,8 +22,8 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
 from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.runaway import held_runaways
 from eoi_jax.models.check_records import check_records

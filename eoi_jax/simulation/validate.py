@@ -17,9 +17,9 @@ from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.data.windows import (
     Plan,
     driven_parts,
