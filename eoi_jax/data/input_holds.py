@@ -48,7 +48,7 @@ def read_hold(hold: Any, names: Sequence[str], automatic: bool = True) -> Hold:
         is_list = isinstance(hold, Sequence) and not isinstance(hold, bytes)
         rule = f"must be {', '.join(HOLDS)}, or such a word for each of the {len(names)} inputs"
         check(is_list and len(hold) == len(names), "hold", rule, hold)
-        words = list(hold)
+        words = [*map(str, hold)]
     for key, word in zip(names, words, strict=True):
         check_choice(f"hold[{key}]", word, HOLDS)
     return shared(words)
@@ -62,6 +62,11 @@ def shared(words: Sequence[str]) -> Hold:
 def hold_of_each(hold: Hold, count: int) -> tuple[str, ...]:
     """The hold of each of `count` inputs."""
     return (hold,) * count if isinstance(hold, str) else hold
+
+
+def held_inputs(hold: Hold, count: int) -> tuple[bool, ...]:
+    """Which of `count` inputs are held."""
+    return tuple(word == "zero" for word in hold_of_each(hold, count))
 
 
 def hold_text(hold: Hold, names: Sequence[str]) -> str:

@@ -21,8 +21,8 @@ from jaxtyping import Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
-from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
-from eoi_jax.data.input_holds import HOLDS
+from eoi_jax.data.holds import chosen_hold, clearly_smaller, undeclared_hold, with_hold
+from eoi_jax.data.input_holds import Hold
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.runaway import held_runaways
@@ -269,20 +269,29 @@ def _with_best_hold(
     # The same runs for all, or their errors could not be compared.
     question = replace(question, window=result.window)
     alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
-    errors = {rule: _mean_error(result)}
-    for hold in HOLDS:
-        if hold != rule:
-            other = _refined(result.plant, with_hold(records, hold), alone)
-            if not other.status.fits:  # the estimate with a wrong hold may be worse than the start
-                other = _refined(plant, with_hold(records, hold), alone)
-            errors[hold] = _mean_error(other) if other.status.fits else np.inf
-    best_fitting = best_hold(errors, rule)
-    if best_fitting != rule:
-        again = _refined(plant, with_hold(records, best_fitting), question)
-        result, best_fitting = (again, best_fitting) if again.status.fits else (result, rule)
-    complete = bool(np.all(np.isfinite(list(errors.values()))))
-    notes = (*result.notes, *evidence("the error", errors, best_fitting))
-    return replace(result, notes=notes), complete
+    count = max(sum(int(np.sum(np.isfinite(part))) for part in result.residual)
+                // len(plant.outputs), 1)  # fmt: skip
+
+    def error(hold: Hold) -> float:
+        if hold == rule:
+            return _mean_error(result)
+        other = _refined(result.plant, with_hold(records, hold), alone)
+        if not other.status.fits:  # the estimate with a wrong hold may be worse than the start
+            other = _refined(plant, with_hold(records, hold), alone)
+        return _mean_error(other) if other.status.fits else np.inf
+
+    def better(error: float, other: float) -> bool:
+        return clearly_smaller(error**2, other**2, count)
+
+    choice = chosen_hold(error, rule, records, better)
+    if choice.best != rule:
+        again = _refined(plant, with_hold(records, choice.best), question)
+        if again.status.fits:
+            result = again
+        else:
+            choice = replace(choice, best=rule)
+    complete = bool(np.all(np.isfinite(list(choice.values.values()))))
+    return replace(result, notes=(*result.notes, *choice.evidence("the error"))), complete
 
 
 def _again(
