@@ -17,7 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each, hold_text, shared
+from eoi_jax.data.input_holds import (
+    HOLDS,
+    Hold,
+    held_inputs,
+    hold_of_each,
+    hold_text,
+    shared,
+)
 from eoi_jax.data.record import Record
 
 
@@ -107,6 +114,24 @@ def with_hold(
     return tuple(changed)
 
 
+def made_alike(
+    records: Sequence[Record], read: Sequence[Record], used: Sequence[Record]
+) -> tuple[Record, ...]:
+    """Records with the hold and the skew that a fit has found for others of the same logger.
+
+    Args:
+        records: of which those are changed that do not declare their hold.
+        read: the records of the fit, as they were read.
+        used: the same ones, as the fit used them.
+    """
+    if not used:  # a fit without an answer
+        return tuple(records)
+    undeclared = [fitted for original, fitted in zip(read, used, strict=True)
+                  if not original.hold_declared]  # fmt: skip
+    example = (*undeclared, used[0])[0]
+    return with_hold(records, example.hold, example.skew)
+
+
 def least_of_parabola(values: Sequence[float]) -> float | None:
     """Place of the minimum of the parabola through three values at -1, 0 and 1; None without one.
 
@@ -124,19 +149,19 @@ def best_hold(values: Mapping[Hold, float], rule: Hold) -> Hold:
     return best if values[best] < (1.0 - SETTINGS.least_fall) * values[rule] else rule
 
 
-def clearly_smaller(power: float, other: float, count: float | int) -> bool:
+def clearly_smaller(power: float, reference: float, count: float | int) -> bool:
     """Whether a power is smaller by more than chance, and by enough to matter.
 
     Args:
         power: mean square of what a model leaves.
-        other: the same of another model.
+        reference: the same of another model.
         count: independent values in the mean. Their number times the logarithm of the ratio is
             twice the gain in log-likelihood.
     """
-    if not power < (1.0 - SETTINGS.least_fall) * other:
+    if not power < (1.0 - SETTINGS.least_fall) * reference:
         return False
     with np.errstate(divide="ignore"):
-        return bool(count * np.log(other / power) >= SETTINGS.evidence)
+        return bool(count * np.log(reference / power) >= SETTINGS.evidence)
 
 
 def evidence(quantity: str, values: Mapping[Hold, float], best: Hold) -> tuple[str, ...]:
@@ -153,9 +178,9 @@ def evidence(quantity: str, values: Mapping[Hold, float], best: Hold) -> tuple[s
     if not 0.0 < values[best] < float("inf"):
         return ()
     ratios = {hold: values[hold] / values[best] for hold in HOLDS if hold in values}
-    others = (f"{ratio:.3g} times as large with {hold}" for hold, ratio in ratios.items()
+    texts = (f"{ratio:.3g} times as large with {hold}" for hold, ratio in ratios.items()
               if hold != best)  # fmt: skip
-    return (f"hold {best}: {quantity} is {', '.join(others)}",)
+    return (f"hold {best}: {quantity} is {', '.join(texts)}",)
 
 
 @dataclass(frozen=True)
@@ -172,11 +197,11 @@ class HoldChoice:
     values: dict[Hold, float]
     names: tuple[str, ...]
 
-    def others(self, j: int) -> dict[str, float]:
+    def alternatives(self, j: int) -> dict[str, float]:
         """Values with another word for one input, by that word, as far as they were compared."""
         count = len(self.names)
-        own = hold_of_each(self.best, count)[j]
-        holds = {word: with_word(self.best, j, word, count) for word in HOLDS if word != own}
+        chosen = hold_of_each(self.best, count)[j]
+        holds = {word: with_word(self.best, j, word, count) for word in HOLDS if word != chosen}
         return {word: self.values[hold] for word, hold in holds.items() if hold in self.values}
 
     def evidence(self, quantity: str, inputs: Sequence[int] | None = None) -> tuple[str, ...]:
@@ -191,12 +216,12 @@ class HoldChoice:
             return ()
         sentences = []
         for j in range(len(self.names)) if inputs is None else inputs:
-            word, others = words[j], self.others(j)
-            ratios = {other: value / smallest for other, value in others.items()}
+            word, alternatives = words[j], self.alternatives(j)
+            ratios = {hold: value / smallest for hold, value in alternatives.items()}
             if not ratios:
                 continue
-            text = ", ".join(f"{ratio:.3g} times as large with {other}"
-                             for other, ratio in ratios.items())  # fmt: skip
+            text = ", ".join(f"{ratio:.3g} times as large with {hold}"
+                             for hold, ratio in ratios.items())  # fmt: skip
             if all(abs(np.log(ratio)) < SETTINGS.least_fall for ratio in ratios.values()):
                 text = f"the same within {100 * SETTINGS.least_fall:g} % with the others"
             sentences.append(f"hold {word} for {self.names[j]}: {quantity} is {text}")
@@ -222,8 +247,9 @@ def chosen_hold(
 ) -> HoldChoice:
     """The hold that fits best: of all inputs, then of one after another.
 
-    In each round every input is tried with every other hold; the changes that fit better follow
-    each other in the order of what they gain, so that the order of the inputs does not matter.
+    What looks like a staircase stays held unless that fits clearly worse. In each round every input
+    is tried with every other hold; the changes that fit better follow each other in the order of
+    what they gain, so that the order of the inputs does not matter.
 
     Args:
         value_of: of a hold: the smaller, the better; infinite where there is no estimate.
@@ -244,6 +270,10 @@ def chosen_hold(
         value(hold)
     best = best_hold(values, rule)
     inputs = moving_inputs(records)
+    for j in inputs if len(inputs) > 1 else ():
+        hold = with_word(best, j, hold_of_each(rule, len(names))[j], len(names))
+        if held_inputs(hold, len(names))[j] and not better(values[best], value(hold)):
+            best = hold
     while len(inputs) > 1:
         start, changed = best, set()
         changes = [(j, word) for j in inputs for word in HOLDS]

@@ -73,7 +73,7 @@ def hold_text(hold: Hold, names: Sequence[str]) -> str:
     """``"zero"``, or ``"zero for heating, linear for outdoor"``."""
     if isinstance(hold, str):
         return hold
-    parts = {word: [key for key, own in zip(names, hold, strict=True) if own == word]
+    parts = {word: [key for key, entry in zip(names, hold, strict=True) if entry == word]
              for word in hold}  # fmt: skip
     return ", ".join(f"{word} for {' and '.join(keys)}" for word, keys in parts.items())
 
@@ -82,7 +82,9 @@ def columns_by_hold(hold: Hold) -> list[tuple[str, Columns]]:
     """Each hold with the columns of its inputs."""
     if isinstance(hold, str):
         return [(hold, slice(None))]
-    return [(word, np.flatnonzero([own == word for own in hold])) for word in dict.fromkeys(hold)]
+    return [
+        (word, np.flatnonzero([entry == word for entry in hold])) for word in dict.fromkeys(hold)
+    ]
 
 
 def by_hold(
@@ -104,6 +106,20 @@ def by_hold(
     return joined
 
 
+def declared_or_suggested(
+    hold: HoldArgument, u: Signals, names: Sequence[str]
+) -> tuple[Hold, list[str]]:
+    """The hold that a caller declares; for ``"auto"`` that of the samples, with a note.
+
+    Args:
+        hold: as for `read_hold`.
+        u: samples of the inputs, without missing ones.
+        names: of the inputs.
+    """
+    declared = read_hold(hold, names)
+    return suggested_hold(u, names) if declared == "auto" else (declared, [])
+
+
 def suggested_hold(u: Signals, names: Sequence[str]) -> tuple[Hold, list[str]]:
     """The hold of each input that its samples suggest, and a note with the reason.
 
@@ -118,10 +134,10 @@ def suggested_hold(u: Signals, names: Sequence[str]) -> tuple[Hold, list[str]]:
         return "zero", []
     shares = np.mean(np.diff(u, axis=0) != 0, axis=0)
     moving = shares > 0
-    common = shared(["zero" if share <= STAIRCASE else "linear" for share in shares[moving]])
-    still = common if isinstance(common, str) else "zero"
-    words = ["zero" if 0 < share <= STAIRCASE else "linear" if share else still for share in shares]
-    hold = shared(words)
+    words = np.where(shares <= STAIRCASE, "zero", "linear")
+    common = shared(words[moving].tolist())
+    words[~moving] = common if isinstance(common, str) else "zero"
+    hold = shared(words.tolist())
     limit = f"{100 * STAIRCASE:.0f} %"
     if isinstance(hold, str):
         rule = "at most" if hold == "zero" else "more than"

@@ -45,10 +45,10 @@ from eoi_jax.data.input_holds import (
     Hold,
     HoldArgument,
     columns_by_hold,
+    declared_or_suggested,
     hold_of_each,
     hold_text,
     read_hold,
-    suggested_hold,
 )
 from eoi_jax.data.noise import quanta
 from eoi_jax.data.resampling import (
@@ -167,17 +167,14 @@ class Record(Result):
         u_names = channel_names("input_names", input_names, inputs, u.shape[1], "u")
         y_names = channel_names("output_names", output_names, outputs, y.shape[1], "y")
         check_labels(u_names, y_names, dict(units or {}))
-        between = read_hold(hold, u_names)
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
         good = finite_samples(u_names, y_names, u, y, notes)
-        hold_declared, hold_notes = between != "auto", []
-        if not hold_declared:
-            between, hold_notes = suggested_hold(u[good[0]], u_names)
+        input_hold, hold_notes = declared_or_suggested(hold, u[good[0]], u_names)
         grid = uniform_grid(stamps)
         noise = quantum = None
         if grid.index is None:
-            arrays = interpolate(grid, stamps, u, y, good, between, notes, u_names)
+            arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names)
             # Interpolation hides both the noise and the steps of the raw values.
             quantum = quanta(y, good[1])
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
@@ -186,7 +183,7 @@ class Record(Result):
         inputs, outputs, known, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
-        certain = known_inputs(u_names, inputs, known, between, notes)
+        certain = known_inputs(u_names, inputs, known, input_hold, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
@@ -197,8 +194,8 @@ class Record(Result):
             "input_names": u_names,
             "output_names": y_names,
             "units": dict(units or {}),
-            "hold": between,
-            "hold_declared": hold_declared,
+            "hold": input_hold,
+            "hold_declared": hold != "auto",
             "burn_in": float(burn_in),
             "notes": (*notes, *hold_notes, *grid.notes),
             "smoothed": (),

@@ -92,12 +92,12 @@ def with_best_hold(
         answer = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
         return _Trial(hold, answer.found, answer, skew)
 
-    first, *others = indices.possible
+    first, *alternatives = indices.possible
     best = searched(first)
     if not best.fit.status.ok:  # with any hold
         return best.answer
     fits = {first: best.fit}
-    for hold in others:
+    for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
     trials = [best]
     for hold in _worth_a_search(best, fits, records[0].input_names):
@@ -105,13 +105,13 @@ def with_best_hold(
         fits[hold] = trials[-1].fit
     best = _best(trials)
     notes = indices.evidence
-    if others:
+    if alternatives:
         powers = dict(zip(fits, _powers(list(fits.values())), strict=True))
         choice = HoldChoice(best.hold, powers, indices.choice.names)
         notes = choice.evidence("the index of the final model")
         if best.hold == indices.best:  # what the declared model alone refutes
-            apart = [j for j in range(len(choice.names)) if not choice.others(j)]
-            notes += indices.choice.evidence("the index of the declared model", apart)
+            refuted = [j for j in range(len(choice.names)) if not choice.alternatives(j)]
+            notes += indices.choice.evidence("the index of the declared model", refuted)
     for skew in _possible_skews(best, records, indices):
         shifted = searched(skew.hold, skew)
         if _best([best, shifted]) is shifted and _preferred(shifted, best):
@@ -132,20 +132,20 @@ def _worth_a_search(
         fits: of its final model with each hold.
         names: of the inputs.
     """
-    first, *others = fits
+    first, *alternatives = fits
     powers = {}
-    for hold in others:  # in pairs: of all at once few samples may be scored by each
+    for hold in alternatives:  # in pairs: of all at once few samples may be scored by each
         power, smallest = _powers([fits[hold], best.fit])
         powers[hold] = power / smallest
     words = hold_of_each(first, len(names))
     doubted = _stand_ins(best.answer)
     worth = []
-    for hold in others:
+    for hold in alternatives:
         changed = [name for name, old, new in
                    zip(names, words, hold_of_each(hold, len(names)), strict=True)
                    if old != new]  # fmt: skip
-        alone = len(names) > 1 and not isinstance(hold, str)
-        margin = 1.0 - _RULES.better if alone else 1.0 + _RULES.same
+        single_input = len(names) > 1 and not isinstance(hold, str)
+        margin = 1.0 - _RULES.better if single_input else 1.0 + _RULES.same
         if set(changed) & set(doubted) or powers[hold] <= margin:
             worth.append(hold)
     closest = sorted(worth, key=lambda hold: powers[hold])[: _RULES.searches]
@@ -200,8 +200,8 @@ def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> lis
     late = (delays > 0) & ~is_held
     if np.any(late):  # what was held acts half a sample later than what goes on
         words = hold_of_each(best.hold, len(names))
-        other = shared(["zero" if j else word for j, word in zip(late, words, strict=True)])
-        makings.append((other, delays - 0.5 * period * late))
+        held = shared(["zero" if j else word for j, word in zip(late, words, strict=True)])
+        makings.append((held, delays - 0.5 * period * late))
     return [
         Skew(hold, trial)
         for hold, trial in makings

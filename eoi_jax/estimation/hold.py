@@ -64,9 +64,9 @@ class HoldIndices:
             index = by_hold[hold]
             refuted = not index <= SETTINGS.refuted * smallest
             same = any(
-                abs(np.log(index / by_hold[other])) <= SETTINGS.same
-                for other in kept
-                if held_inputs(other, count) == held_inputs(hold, count)
+                abs(np.log(index / by_hold[accepted])) <= SETTINGS.same
+                for accepted in kept
+                if held_inputs(accepted, count) == held_inputs(hold, count)
             )
             if not refuted and not same:
                 kept.append(hold)
@@ -106,8 +106,8 @@ def hold_indices(
             prepared = prepare_records(plant, with_hold(records, hold), filtered)
         return index_of(plant, prepared, SETTINGS.passes)
 
-    def better(index: float, other: float) -> bool:
-        return _clearly_smaller(index, other, records, filtered)
+    def better(index: float, reference: float) -> bool:
+        return _clearly_smaller(index, reference, records, filtered)
 
     return HoldIndices(chosen_hold(index, rule, records, better), rule, filtered)
 
@@ -158,10 +158,10 @@ def best_skew(
         trials, words = [], hold_of_each(best.hold, len(best.delays))
         for word in HOLDS:
             if word != words[j]:
-                other, delays = with_word(best.hold, j, word, len(words)), best.delays.copy()
+                changed, delays = with_word(best.hold, j, word, len(words)), best.delays.copy()
                 delays[j] = 0.0
                 trials.append(
-                    channel_skew(plant, records, other, index_of, lowpass, delays, (j,))
+                    channel_skew(plant, records, changed, index_of, lowpass, delays, (j,))
                 )
         closest = min([best, *filter(None, trials)], key=lambda skew: skew.index)
         if _clearly_smaller(closest.index, best.index, records, lowpass):
@@ -170,14 +170,14 @@ def best_skew(
 
 
 def _clearly_smaller(
-    index: float, other: float, records: Sequence[Record], lowpass: LowPass
+    index: float, reference: float, records: Sequence[Record], lowpass: LowPass
 ) -> bool:
     """Whether an index is smaller by more than chance, and by enough to matter.
 
     In a band of ω_c there are ω_c T / π independent values in the time T.
     """
     duration = sum(len(record) * record.sample_period for record in records)
-    return clearly_smaller(index, other, lowpass.cutoff * duration / np.pi)
+    return clearly_smaller(index, reference, lowpass.cutoff * duration / np.pi)
 
 
 def channel_skew(
@@ -210,14 +210,14 @@ def channel_skew(
         return index_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
 
     period = min(record.sample_period for record in records)
-    nothing = np.zeros(records[0].inputs.shape[1])
-    delays = nothing if start is None else start
-    without = smallest = index(nothing)
+    unshifted = np.zeros(records[0].inputs.shape[1])
+    delays = unshifted if start is None else start
+    without = smallest = index(unshifted)
     if np.any(delays):
         smallest = index(delays)
     for step in SETTINGS.trial_skews:
         for j in moving_inputs(records) if inputs is None else inputs:
-            shift = period * step * (np.arange(len(nothing)) == j)
+            shift = period * step * (np.arange(len(unshifted)) == j)
             values = index(delays - shift), smallest, index(delays + shift)
             place = least_of_parabola(values)
             if place is None:

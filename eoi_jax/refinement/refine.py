@@ -21,8 +21,15 @@ from jaxtyping import Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
-from eoi_jax.data.holds import chosen_hold, clearly_smaller, undeclared_hold, with_hold
-from eoi_jax.data.input_holds import Hold
+from eoi_jax.data.holds import (
+    chosen_hold,
+    clearly_smaller,
+    made_alike,
+    skew_text,
+    undeclared_hold,
+    with_hold,
+)
+from eoi_jax.data.input_holds import Hold, hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.runaway import held_runaways
@@ -59,6 +66,7 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.skew import SkewedFit, fit_with_skew, mean_error, scored_samples
 from eoi_jax.refinement.spans import Span, spans_of, used_window
 from eoi_jax.refinement.windowed import settled, window_of, worse
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
@@ -111,8 +119,9 @@ def refine(
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
-    Where records do not declare the hold of their inputs, the one that fits best is used, and a
-    note gives the evidence.
+    Where records do not declare the hold of their inputs, the one of each input that fits best is
+    used, and inputs that a logger reads a part of a sample period before or after the outputs are
+    shifted; notes give the evidence. Held-out records are taken to be made alike.
 
     Args:
         plant: the model with the parameters to start from, or an identification.
@@ -190,16 +199,17 @@ def refine(
         result = settled(result, partial(_again, question, nominal))
     if not result.status.fits:
         return result
-    alone = replace(question, points=points[:0], many_starts=False, rounds=1)
-    alone = replace(alone, window=result.window if window is None else window)
+    single = replace(question, points=points[:0], many_starts=False, rounds=1)
+    single = replace(single, window=result.window if window is None else window)
     result = held_runaways(
         nominal,
         result,
-        lambda model: _with_best_hold(model, records, alone)[0],
+        lambda model: _with_best_hold(model, records, single)[0],
         lambda refined: refined.cost,
     )
     if not result.status.ok or not held_out:
         return result
+    held_out = made_alike(held_out, records, result.records)
     before, after = validated_alike((nominal, result.plant), held_out)
     return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
 
@@ -254,10 +264,11 @@ class _Question:
 def _with_best_hold(
     plant: Plant, records: tuple[Record, ...], question: _Question
 ) -> tuple[Refinement, bool]:
-    """The refinement with the hold of the inputs that fits best, where none is declared.
+    """The refinement with the hold and skew of the inputs that fit best, where none is declared.
 
     First with the hold that the samples suggest. From that estimate the others are tried; where one
-    fits clearly better, all begins again with it. Also, whether there is an estimate with each.
+    fits clearly better, all begins again with it. Then shifts of the inputs are. Also, whether
+    there is an estimate with each hold.
     """
     rule = undeclared_hold(records)
     if rule is None:
@@ -268,20 +279,19 @@ def _with_best_hold(
         return result, False
     # The same runs for all, or their errors could not be compared.
     question = replace(question, window=result.window)
-    alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
-    count = max(sum(int(np.sum(np.isfinite(part))) for part in result.residual)
-                // len(plant.outputs), 1)  # fmt: skip
+    single = replace(question, points=question.points[:0], many_starts=False, rounds=1)
+    first, count = result, scored_samples(result)
 
     def error(hold: Hold) -> float:
         if hold == rule:
-            return _mean_error(result)
-        other = _refined(result.plant, with_hold(records, hold), alone)
-        if not other.status.fits:  # the estimate with a wrong hold may be worse than the start
-            other = _refined(plant, with_hold(records, hold), alone)
-        return _mean_error(other) if other.status.fits else np.inf
+            return mean_error(first)
+        refined = _refined(first.plant, with_hold(records, hold), single)
+        if not refined.status.fits:  # the estimate with a wrong hold may be worse than the start
+            refined = _refined(plant, with_hold(records, hold), single)
+        return mean_error(refined) if refined.status.fits else np.inf
 
-    def better(error: float, other: float) -> bool:
-        return clearly_smaller(error**2, other**2, count)
+    def better(error: float, reference: float) -> bool:
+        return clearly_smaller(error**2, reference**2, count)
 
     choice = chosen_hold(error, rule, records, better)
     if choice.best != rule:
@@ -291,7 +301,27 @@ def _with_best_hold(
         else:
             choice = replace(choice, best=rule)
     complete = bool(np.all(np.isfinite(list(choice.values.values()))))
-    return replace(result, notes=(*result.notes, *choice.evidence("the error"))), complete
+    evidence = choice.evidence("the error")
+    skewed = fit_with_skew(result, records, choice.best, partial(_refined, question=single))
+    if skewed is not None:
+        ratio = mean_error(result) / skewed.error
+        hold = f"hold {hold_text(skewed.hold, records[0].input_names)}"
+        evidence = evidence if skewed.hold == choice.best else (hold,)
+        text = skew_text(records[0], skewed.delays)
+        evidence += (f"{text}: without this shift the error is {ratio:.3g} times as large",)
+        result = _from_the_start(plant, skewed, question)
+    return replace(result, notes=(*result.notes, *evidence)), complete
+
+
+def _from_the_start(plant: Plant, skewed: SkewedFit, question: _Question) -> Refinement:
+    """The fit of shifted inputs from where the first fit began; the one at hand if that is better.
+
+    Only then it is compared with that start as well.
+    """
+    again = _refined(plant, skewed.fit.records, question)
+    if again.status.fits and not clearly_smaller(skewed.error, mean_error(again), np.inf):
+        return again
+    return _again(question, plant, skewed.fit, skewed.fit.plant, question.window or np.inf)
 
 
 def _again(
@@ -331,11 +361,6 @@ def _start_kept(
     runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
     status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
     return replace(start, status=status, notes=(*start.notes, *result.notes))
-
-
-def _mean_error(result: Refinement) -> float:
-    """Geometric mean over the outputs."""
-    return float(np.exp(np.mean(np.log(np.maximum(result.rmse, 1e-300)))))
 
 
 def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:

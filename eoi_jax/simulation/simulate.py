@@ -23,9 +23,8 @@ from eoi_jax.data.input_holds import (
     Hold,
     HoldArgument,
     by_hold,
+    declared_or_suggested,
     hold_of_each,
-    read_hold,
-    suggested_hold,
 )
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
@@ -95,9 +94,7 @@ def simulate(
     _check_finite("inputs", u)
     check_choice("solver", solver, ("fixed", "adaptive"))
     start = State(_initial(plant, initial), _internal(plant, internal))
-    used = read_hold(hold, plant.inputs)
-    if used == "auto":
-        used, _ = suggested_hold(u, plant.inputs)
+    used, _ = declared_or_suggested(hold, u, plant.inputs)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
         slow = plant.actuator is not None

@@ -187,8 +187,8 @@ def judged_runs(
         with np.errstate(divide="ignore"):
             return float(np.exp(np.mean(np.log(runs[hold].rmse))))
 
-    def better(error: float, other: float) -> bool:
-        return clearly_smaller(error**2, other**2, runs[rule].scored)
+    def better(error: float, reference: float) -> bool:
+        return clearly_smaller(error**2, reference**2, runs[rule].scored)
 
     choice = chosen_hold(error, rule, records, better)
     best = runs[choice.best]
