@@ -288,7 +288,7 @@ def output_noise(
         shortest: samples of such a stretch.
     """
     held = record.inputs[:, [hold == "zero" for hold in record.holds]]
-    if not plant.has_algebraic or not held.shape[1]:
+    if not plant.has_algebraic or (record.holds and not held.shape[1]):
         return record.noise
     still = np.all(held[1:] == held[:-1], axis=1)
     stretches = [(i, j) for i, j in runs(record.valid, still) if j - i >= shortest]

@@ -90,13 +90,15 @@ def fit_with_skew(
         hold: of the other ones.
         fit: refines a plant, from its parameters, on records.
     """
-    count = scored_samples(result)
+    count, inputs = scored_samples(result), moving_inputs(records)
+    if not inputs:
+        return None
 
     def better(trial: SkewedFit, reference: SkewedFit) -> bool:
         return clearly_smaller(trial.error**2, reference.error**2, count)
 
     plain = SkewedFit(result, hold, np.zeros(records[0].inputs.shape[1]))
-    best = _shifted(plain, records, fit, moving_inputs(records))
+    best = _shifted(plain, records, fit, inputs)
     if best is plain:
         return None
     period = min(record.sample_period for record in records)

@@ -23,6 +23,7 @@ from eoi_jax.data.input_holds import (
     Hold,
     HoldArgument,
     by_hold,
+    columns_by_hold,
     declared_or_suggested,
     hold_of_each,
 )
@@ -346,7 +347,7 @@ def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " n
 def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: Hold) -> Pieces:
     """The input within each step: a polynomial in the fraction of the step, lowest power first."""
     places = {"zero": 1, "linear": 2, "smooth": 6}
-    order = max((places[word] for word in hold_of_each(hold, samples.shape[1])), default=1)
+    order = max(places[word] for word, _ in columns_by_hold(hold))
 
     def pieces(word: str, columns: Columns) -> np.ndarray:
         fractions = np.linspace(0.0, 1.0, places[word])

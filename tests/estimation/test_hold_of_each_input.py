@@ -109,6 +109,15 @@ def test_refine_finds_the_skew_too_and_holds_out_alike():
     assert result.status.code == "converged"  # not kept at the start by a held-out record as read
 
 
+def test_refine_shifts_no_input_that_never_changes():
+    time = PERIOD * np.arange(200)
+    y = 3.0 * (1.0 - np.exp(-0.5 * time)) + 1e-3 * np.random.default_rng(0).standard_normal(200)
+    plant = eoi.Plant(lambda t, x, u, p: p.a * (u - x.y[0]), {"a": 0.4}, 1)
+    result = eoi.refine(plant, eoi.Record(time, np.full(200, 3.0), y))
+    assert result.parameters["a"] == pytest.approx(0.5, rel=1e-3)
+    assert not np.any(result.records[0].skew)
+
+
 def test_refine_shifts_nothing_without_a_skew_and_where_a_hold_is_declared(record):
     assert not np.any(eoi.refine(ROOM, record).records[0].skew)
     declared = built(late=0.4, hold={"outdoor": "smooth", "heating": "zero"})
