@@ -132,7 +132,6 @@ def test_a_declared_hold_of_each_input_is_used_as_declared(record):
     assert not any(reason.startswith("hold ") for reason in result.reasons)
 
 
-@pytest.mark.slow
 def test_nothing_is_missing_where_inputs_differ(record):
     found = eoi.discover(ROOM, record, built(seed=3))
     assert (found.effects, found.status.code) == ((), "nothing_missing")
