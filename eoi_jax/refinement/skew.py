@@ -21,7 +21,7 @@ from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, signals, weighed
+from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, signals, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import spans_of
 
@@ -158,13 +158,12 @@ def _predicted_skew(
     spans = spans_of(result.records, result.window)
     shift = _SETTINGS.shift * min(record.sample_period for record in records)
 
-    def problem(delays: Delays):
+    def problem(delays: Delays) -> Problem:
         shifted = with_hold(records, start.hold, delays)
         return weighed(problem_of(plant, shifted, spans, result.substeps), result.rmse)
 
     unshifted = problem(start.delays)
-    theta = np.asarray(plant.theta)[list(unshifted.free)]
-    unknowns = Unknowns(theta, guessed_starts(unshifted, result.records, spans))
+    unknowns = _unknowns_of(result, unshifted)
     columns = signals(unknowns, unshifted)
     slopes = []
     for j in inputs:
@@ -180,6 +179,15 @@ def _predicted_skew(
     step = np.zeros(len(start.delays))
     step[list(inputs)] = _least_squares(rows[:, :-1], rows[:, -1], scored_samples(result))
     return step if np.any(step) else None
+
+
+def _unknowns_of(result: Refinement, problem: Problem) -> Unknowns:
+    """Free parameters and the starts of all runs, as they were refined."""
+    rows, columns = list(problem.kernel.rows), list(problem.kernel.columns)
+    starts = [
+        np.concatenate([start.y[rows, columns], start.z, start.past]) for start in result.starts
+    ]
+    return Unknowns(np.asarray(result.plant.theta)[list(problem.free)], np.stack(starts))
 
 
 def _without_unknowns(
