@@ -19,7 +19,9 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, check_choice, check_kind, real
 from eoi_jax._display import Result
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
+from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
@@ -78,7 +80,7 @@ def profile(
 
     Args:
         refinement: result of `refine`, with an answer.
-        records: that it was made from.
+        records: that it was made from; undeclared holds and skews are those that it has found.
         name: of a free parameter with a standard error.
         level: of the interval.
         substeps: steps of the simulation per sample; those of the refinement if None.
@@ -96,6 +98,8 @@ def profile(
     check_kind("refinement", refinement, Refinement, "what `refine` returned")
     plant = refinement.plant
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
+    used = refinement.records
+    fitted = made_alike(check_records(plant, records), used, used)
     free = [parameter for parameter in plant.names if parameter not in plant.fixed]
     check_choice("name", name, free)
     check(len(free) > 1, "name", "must have another free parameter beside it", name,
@@ -112,7 +116,7 @@ def profile(
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
         return refine(
-            moved, records, window=refinement.window or np.inf, substeps=count, max_steps=max_steps
+            moved, fitted, window=refinement.window or np.inf, substeps=count, max_steps=max_steps
         )
 
     centre = fit(fixed_plant, plant.parameters[name])

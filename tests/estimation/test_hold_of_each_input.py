@@ -4,6 +4,8 @@ A room is heated by a valve that a controller sets, through a radiator, and lose
 weather, which goes on between the samples: ``R C dT/dt = (F - T) + R h (H - T)``.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -26,27 +28,34 @@ def weather(seed):
     return lambda t: 5.0 * np.sum(np.sin(np.multiply.outer(t, w) + phase), axis=-1)
 
 
-def built(count=900, seed=0, noise=2e-3, late=0.0, order=(0, 1), **options):
-    """A record of the room; `late`: by which the valve acts later than logged [samples]."""
+@cache
+def measured(seed, late, count=900, noise=2e-3):
+    """Time, inputs and outputs of the room."""
     time, outdoor = PERIOD * np.arange(count), weather(seed)
     valve = np.random.default_rng(seed + 50).uniform(-3.0, 3.0, count)  # another one each sample
     y, room = np.zeros(count), 0.0
     for k in range(count - 1):
         y[k] = room
-        parts = ((0.0, valve[max(k - 1, 0)]), (late, valve[k])) if late else ((0.0, valve[k]),)
-        for (begin, level), end in zip(parts, [*(start for start, _ in parts[1:]), 1.0],
-                                       strict=True):  # fmt: skip
-            span = time[k] + PERIOD * begin, time[k] + PERIOD * end
-            room = solve_ivp(
-                lambda t, s, v=level: TRUTH["a"] * (outdoor(t) - s) + TRUTH["b"] * v
-                + TRUTH["c"] * v * s / 20.0,
-                span, [room], rtol=1e-9, atol=1e-11,
-            ).y[0, -1]  # fmt: skip
+        for begin, end, level in ((0.0, late, valve[max(k - 1, 0)]), (late, 1.0, valve[k])):
+            if end > begin:
+                span = time[k] + PERIOD * begin, time[k] + PERIOD * end
+                room = solve_ivp(
+                    lambda t, s, v=level: TRUTH["a"] * (outdoor(t) - s) + TRUTH["b"] * v
+                    + TRUTH["c"] * v * s / 20.0,
+                    span, [room], rtol=1e-9, atol=1e-11,
+                ).y[0, -1]  # fmt: skip
     y[-1] = room
     y += noise * np.std(y) * np.random.default_rng(seed + 100).standard_normal(count)
-    inputs = np.c_[outdoor(time), valve][:, list(order)]
+    return time, np.c_[outdoor(time), valve], y
+
+
+def built(seed=0, late=0.0, order=(0, 1), **options):
+    """A record of the room; `late`: by which the valve acts later than logged [samples]."""
+    time, inputs, y = measured(seed, late)
     names = [("outdoor", "heating")[j] for j in order]
-    return eoi.Record(time, inputs, y, input_names=names, output_names=["room"], **options)
+    return eoi.Record(
+        time, inputs[:, list(order)], y, input_names=names, output_names=["room"], **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +115,10 @@ def test_refine_finds_the_skew_too_and_holds_out_alike():
         assert abs(result.parameters[name] - value) < 4.0 * result.standard_errors[name]
     assert result.nominal is ROOM
     assert result.notes[-1].startswith("heating leads the outputs by 0.1 s in the log (0.4 sample")
+    profile = eoi.profile(result, late, "b")  # of the same records, as they were read
+    lower, upper = profile.interval
+    assert lower < TRUTH["b"] < upper
+    assert upper - lower < 6.0 * result.standard_errors["b"]
     assert result.status.code == "converged"  # not kept at the start by a held-out record as read
 
 
