@@ -59,6 +59,9 @@ def _value(annotation: Any, value: Any, name: str) -> Any:
         return _table(kinds, value, name)
     if kinds:
         annotation = Union[tuple(plain)]  # noqa: UP007 - of a list
+    words = [m for m in plain if get_origin(m) is Literal]
+    if words and len(plain) == 2:  # a word for all, or a table of words
+        annotation = next(m for m in plain if (m in words) != isinstance(value, dict))
     if get_origin(annotation) is tuple and _is_table(get_args(annotation)[0]):
         check(isinstance(value, list), name, "must be a list of tables", value)
         item = get_args(annotation)[0]

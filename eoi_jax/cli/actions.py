@@ -26,6 +26,7 @@ from eoi_jax.cli.summary import (
 from eoi_jax.cli.template import checked, draft
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.inspection import inspect as inspect_file
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
@@ -174,7 +175,8 @@ def refine(
         result, refined_run = _refine(job, start, progress)
         if start_run and refined_run and start_run.window != refined_run.window:
             plants = start.plant, result.plant
-            start_run, refined_run = validated_alike(plants, job.held_out)
+            held_out = made_alike(job.held_out, job.records, result.records)
+            start_run, refined_run = validated_alike(plants, held_out)
     summary = refinement_summary(job, start, start_run, result, refined_run)
     # A start that nothing speaks for: only where the fit from there came to an end it is an answer.
     alone = not start.status.ok and job.settings.refine.starts is None
@@ -534,7 +536,7 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
     """Free runs on the held-out records; None without an estimate or without such records."""
     if not (result.status.ok and job.held_out):
         return None
-    return validate(result.plant, job.held_out)
+    return validate(result.plant, made_alike(job.held_out, job.records, result.records))
 
 
 def _write_run(folder: Path, write: Callable[[Path], None]) -> None:

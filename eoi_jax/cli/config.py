@@ -282,6 +282,10 @@ class SimulateTable(msgspec.Struct, frozen=True):
     seed: int = 0
 
 
+InputHold = Literal["zero", "linear", "smooth"]
+HoldWord = Literal["auto", "zero", "linear", "smooth"]
+
+
 class DataTable(msgspec.Struct, frozen=True):
     """[data] and [validation]: measured files and how they are read.
 
@@ -292,7 +296,8 @@ class DataTable(msgspec.Struct, frozen=True):
         scale: factor by column, to convert units.
         units: unit by column, after scaling.
         slice: first and last (excluded) sample used.
-        hold: the input between samples: zero, linear, smooth, or auto.
+        hold: the input between samples: zero, linear, smooth, or auto; or by column, as
+            ``{ heating = "zero", outdoor = "linear" }``.
         burn_in: time at the start that is not scored [s].
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes].
     """
@@ -305,7 +310,7 @@ class DataTable(msgspec.Struct, frozen=True):
     scale: dict[str, float] = {}
     units: dict[str, str] = {}
     slice: tuple[int, int] | None = None
-    hold: Literal["auto", "zero", "linear", "smooth"] = "auto"
+    hold: HoldWord | dict[str, InputHold] = "auto"
     burn_in: NotNegative = 0.0
     max_gigabytes: Positive = MAX_GIGABYTES
 

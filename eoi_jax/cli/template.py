@@ -265,7 +265,8 @@ def _data_lines(
     else:
         held_out = "the last file", f"files = {_list(files[-1:])}"
     lines += [
-        '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth"',
+        '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',
+        '                               # or by column: { heating = "zero", outdoor = "linear" }',
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
         f"[validation]                    # {held_out[0]}, which the fit does not use",

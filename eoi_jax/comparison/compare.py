@@ -17,7 +17,7 @@ from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax._display import Result
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods import AbstractComparator, Estimate, standard
-from eoi_jax.data.holds import with_hold
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
@@ -131,8 +131,9 @@ def compare(
         "must hold at least one record",
         "none",
     )
-    checked, evidence = decided(plant, checked, declared_index)
-    scored = with_hold(validation_records, checked[0].hold) or checked
+    read = checked
+    checked, evidence = decided(plant, read, declared_index)
+    scored = made_alike(validation_records, read, checked) or checked
     check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:
         check_choice("truth", name, plant.names)

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
+from eoi_jax.data.input_holds import Columns, Hold, by_hold, hold_of_each, hold_text
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
     Grid,
@@ -30,7 +31,6 @@ from eoi_jax.data.resampling import (
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 SLOW = 1.5  # samples between two of an output, on average, from which on it has its own rate
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
-STAIRCASE = 0.2  # share of steps that may change a held input's value
 
 Names: TypeAlias = Sequence[str] | None
 Inputs: TypeAlias = Float[np.ndarray, "time nu"]
@@ -259,7 +259,7 @@ def rate_notes(
 
 
 def known_inputs(
-    names: tuple[str, ...], inputs: Inputs, known: Mask, hold: str, notes: list[str]
+    names: tuple[str, ...], inputs: Inputs, known: Mask, hold: Hold, notes: list[str]
 ) -> Mask:
     """Where all inputs are known: as measured, or because a short gap leaves no doubt.
 
@@ -276,14 +276,14 @@ def known_inputs(
     if not names:
         return np.ones_like(known)
     complete, interpolated = known.copy(), 0
+    is_held = np.asarray(hold_of_each(hold, len(names))) == "zero"
     for start, stop in runs(~known):
         if start == 0 or stop == len(known):
             continue
-        if hold == "zero":
-            equal = bool(np.all(inputs[start - 1] == inputs[stop]))
-            complete[start:stop] = equal and stop - start <= LONGEST_HELD
-        elif stop - start == 1:
-            complete[start], interpolated = True, interpolated + 1
+        same = bool(np.all((inputs[start - 1] == inputs[stop])[is_held]))
+        longest = LONGEST_HELD if np.all(is_held) else 1
+        complete[start:stop] = same and stop - start <= longest
+        interpolated += int(complete[start] and not np.all(is_held))
     if interpolated:
         notes.append(
             f"Inputs are interpolated at {interpolated} single missing samples, between two that "
@@ -295,22 +295,6 @@ def known_inputs(
         listed = f"{(~complete).sum()} samples in {len(missing)} gaps"
         notes.append(f"Inputs are unknown at {listed}: free runs start again after each.")
     return complete
-
-
-def choose_hold(u: Signals, hold: str) -> tuple[str, list[str]]:
-    """The hold of the inputs and, if it was chosen here, a note with the reason."""
-    if hold != "auto":
-        return hold, []
-    if not u.shape[1]:
-        return "zero", []
-    share = float(np.max(np.mean(np.diff(u, axis=0) != 0, axis=0)))
-    hold = "zero" if share <= STAIRCASE else "linear"
-    rule = "at most" if hold == "zero" else "more than"
-    reason = (
-        f"Hold taken as {hold}: {100 * share:.3g} % of the steps change an input's value, "
-        f"{rule} {100 * STAIRCASE:.0f} %."
-    )
-    return hold, [reason]
 
 
 def place(
@@ -343,8 +327,9 @@ def interpolate(
     u: Inputs,
     y: Outputs,
     good: tuple[Mask, OutputMask],
-    hold: str,
+    hold: Hold,
     notes: list[str],
+    names: tuple[str, ...],
 ) -> OnGrid:
     """Samples that lie between grid points are interpolated, segment by segment.
 
@@ -376,17 +361,21 @@ def interpolate(
              if not is_slow(rows)]  # fmt: skip
     valid = np.all([known, *dense], axis=0)
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
-    hold_text = "their means over each step (held)" if hold == "zero" else f"their hold ({hold})"
+    held = "their means over each step (held)"
+    by = held if hold == "zero" else f"their hold ({hold_text(hold, names)})"
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart: resampled from "
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
-        f"{hold_text}{masked}."
+        f"{by}{masked}."
     )
     u_finite = fill(position, u, position)
-    if hold == "zero":
-        inputs = held_means(position, u_finite, query.size)
-    else:
-        inputs = hold_inputs(position, u_finite, segments, query, hold)
+
+    def on_grid(word: str, columns: Columns) -> np.ndarray:
+        if word == "zero":
+            return held_means(position, u_finite[:, columns], query.size)
+        return hold_inputs(position, u_finite[:, columns], segments, query, word)
+
+    inputs = by_hold(hold, u_finite, on_grid)
     return inputs, outputs, known, measured
 
 

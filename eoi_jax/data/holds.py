@@ -5,16 +5,27 @@ the input went on. Against the samples the two differ by a delay of half a sampl
 takes for physics. So what fits decides: the index in an identification, the free run's error in a
 refinement or a validation. Channels that a logger reads one after another are apart by a part of a
 sample period as well (their skew), and what fits decides that too.
+
+Inputs of one record may be made in different ways. From the best hold that all of them share, or
+that their samples suggest, the hold of one input after another is changed as long as that fits
+clearly better: 2 nu fits a round in place of 3^nu.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.input_holds import (
+    HOLDS,
+    Hold,
+    held_inputs,
+    hold_of_each,
+    hold_text,
+    shared,
+)
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,8 @@ class HoldSettings:
             the skew of the channels, the second around what the first found [samples].
         least_skew: smaller ones are not told from none [samples].
         evidence: twice the gain in log-likelihood from which on a skew is found, or the hold that
-            goes with it is another one: 3.5 standard deviations.
+            goes with it is another one, or an input has another hold than the others: 3.5
+            standard deviations.
     """
 
     passes: int = 4
@@ -50,23 +62,47 @@ class HoldSettings:
 SETTINGS = HoldSettings()
 
 
-def undeclared_hold(records: Sequence[Record]) -> str | None:
+def undeclared_hold(records: Sequence[Record]) -> Hold | None:
     """The hold that the samples suggest; None where all records declare theirs, or have no inputs.
 
-    One logger is taken to have made all records.
+    One logger is taken to have made all records: each input is judged in the first one in which it
+    moves.
     """
-    undeclared = [record.hold for record in records if not record.hold_declared]
-    return undeclared[0] if undeclared and records[0].inputs.shape[1] else None
+    undeclared = [record for record in records if not record.hold_declared]
+    if not undeclared or not records[0].inputs.shape[1]:
+        return None
+    if isinstance(undeclared[0].hold, str) and len({record.hold for record in undeclared}) == 1:
+        return undeclared[0].hold
+    words = []
+    for j in range(records[0].inputs.shape[1]):
+        moving = (record for record in undeclared if _moves(record, j))
+        words.append(next(moving, undeclared[0]).holds[j])
+    return shared(words)
+
+
+def moving_inputs(records: Sequence[Record]) -> tuple[int, ...]:
+    """Inputs that change in some record with an undeclared hold: only their hold matters."""
+    undeclared = [record for record in records if not record.hold_declared]
+    return tuple(
+        j
+        for j in range(records[0].inputs.shape[1])
+        if any(_moves(record, j) for record in undeclared)
+    )
+
+
+def _moves(record: Record, j: int) -> bool:
+    known = record.inputs[record.input_valid, j]
+    return bool(np.any(known != known[0])) if known.size else False
 
 
 def with_hold(
-    records: Sequence[Record], hold: str, delays: Float[np.ndarray, " nu"] | None = None
+    records: Sequence[Record], hold: Hold, delays: Float[np.ndarray, " nu"] | None = None
 ) -> tuple[Record, ...]:
     """The records with this hold, but for those that declare theirs.
 
     Args:
         records: as they were read.
-        hold: zero, linear or smooth.
+        hold: zero, linear or smooth, of all inputs or of each.
         delays: by which the inputs act later than they were logged [s].
     """
     changed = []
@@ -76,6 +112,24 @@ def with_hold(
             record = record if delays is None else record.with_delayed_inputs(delays)
         changed.append(record)
     return tuple(changed)
+
+
+def made_alike(
+    records: Sequence[Record], read: Sequence[Record], used: Sequence[Record]
+) -> tuple[Record, ...]:
+    """Records with the hold and the skew that a fit has found for others of the same logger.
+
+    Args:
+        records: of which those are changed that do not declare their hold.
+        read: the records of the fit, as they were read.
+        used: the same ones, as the fit used them.
+    """
+    if not used:  # a fit without an answer
+        return tuple(records)
+    undeclared = [fitted for original, fitted in zip(read, used, strict=True)
+                  if not original.hold_declared]  # fmt: skip
+    example = (*undeclared, used[0])[0]
+    return with_hold(records, example.hold, example.skew)
 
 
 def least_of_parabola(values: Sequence[float]) -> float | None:
@@ -89,18 +143,33 @@ def least_of_parabola(values: Sequence[float]) -> float | None:
     return 0.5 * (before - after) / bend if np.isfinite(bend) and bend > 0.0 else None
 
 
-def best_hold(values: Mapping[str, float], rule: str) -> str:
+def best_hold(values: Mapping[Hold, float], rule: Hold) -> Hold:
     """The hold with the smallest value; that of the rule where it is hardly larger."""
     best = min(values, key=lambda hold: values[hold])
     return best if values[best] < (1.0 - SETTINGS.least_fall) * values[rule] else rule
 
 
-def evidence(quantity: str, values: Mapping[str, float], best: str) -> tuple[str, ...]:
+def clearly_smaller(power: float, reference: float, count: float | int) -> bool:
+    """Whether a power is smaller by more than chance, and by enough to matter.
+
+    Args:
+        power: mean square of what a model leaves.
+        reference: the same of another model.
+        count: independent values in the mean. Their number times the logarithm of the ratio is
+            twice the gain in log-likelihood.
+    """
+    if not power < (1.0 - SETTINGS.least_fall) * reference:
+        return False
+    with np.errstate(divide="ignore"):
+        return bool(count * np.log(reference / power) >= SETTINGS.evidence)
+
+
+def evidence(quantity: str, values: Mapping[Hold, float], best: Hold) -> tuple[str, ...]:
     """``"hold zero: the index is 39 times as large with linear, 40 times as large with smooth"``.
 
     Args:
         quantity: what was compared, as "the index".
-        values: by hold.
+        values: by hold, of all inputs.
         best: the hold that was chosen.
 
     Returns:
@@ -108,9 +177,117 @@ def evidence(quantity: str, values: Mapping[str, float], best: str) -> tuple[str
     """
     if not 0.0 < values[best] < float("inf"):
         return ()
-    others = [hold for hold in HOLDS if hold in values and hold != best]
-    ratios = (f"{values[hold] / values[best]:.3g} times as large with {hold}" for hold in others)
-    return (f"hold {best}: {quantity} is {', '.join(ratios)}",)
+    ratios = {hold: values[hold] / values[best] for hold in HOLDS if hold in values}
+    texts = (f"{ratio:.3g} times as large with {hold}" for hold, ratio in ratios.items()
+              if hold != best)  # fmt: skip
+    return (f"hold {best}: {quantity} is {', '.join(texts)}",)
+
+
+@dataclass(frozen=True)
+class HoldChoice:
+    """The hold of each input that fits best, and how well those fit that were compared.
+
+    Attributes:
+        best: the hold.
+        values: of what was compared, by hold: the smaller, the better.
+        names: of the inputs.
+    """
+
+    best: Hold
+    values: dict[Hold, float]
+    names: tuple[str, ...]
+
+    def alternatives(self, j: int) -> dict[str, float]:
+        """Values with another word for one input, by that word, as far as they were compared."""
+        count = len(self.names)
+        chosen = hold_of_each(self.best, count)[j]
+        holds = {word: with_word(self.best, j, word, count) for word in HOLDS if word != chosen}
+        return {word: self.values[hold] for word, hold in holds.items() if hold in self.values}
+
+    def evidence(self, quantity: str, inputs: Sequence[int] | None = None) -> tuple[str, ...]:
+        """A sentence for each input that was compared, or one for all of them.
+
+        Args:
+            quantity: what was compared, as "the index".
+            inputs: of which the sentences are; None: of all.
+        """
+        smallest, words = self.values[self.best], hold_of_each(self.best, len(self.names))
+        if not 0.0 < smallest < float("inf"):
+            return ()
+        sentences = []
+        for j in range(len(self.names)) if inputs is None else inputs:
+            word, alternatives = words[j], self.alternatives(j)
+            ratios = {hold: value / smallest for hold, value in alternatives.items()}
+            if not ratios:
+                continue
+            text = ", ".join(f"{ratio:.3g} times as large with {hold}"
+                             for hold, ratio in ratios.items())  # fmt: skip
+            if all(abs(np.log(ratio)) < SETTINGS.least_fall for ratio in ratios.values()):
+                text = f"the same within {100 * SETTINGS.least_fall:g} % with the others"
+            sentences.append(f"hold {word} for {self.names[j]}: {quantity} is {text}")
+        if inputs is not None or (len(self.names) > 1 and sentences):
+            return tuple(sentences)
+        if isinstance(self.best, str):
+            return evidence(quantity, self.values, self.best)
+        return (f"hold {hold_text(self.best, self.names)}",)
+
+
+def with_word(hold: Hold, j: int, word: str, count: int) -> Hold:
+    """A hold of `count` inputs with another word for input j."""
+    words = list(hold_of_each(hold, count))
+    words[j] = word
+    return shared(words)
+
+
+def chosen_hold(
+    value_of: Callable[[Hold], float],
+    rule: Hold,
+    records: Sequence[Record],
+    better: Callable[[float, float], bool],
+) -> HoldChoice:
+    """The hold that fits best: of all inputs, then of one after another.
+
+    What looks like a staircase stays held unless that fits clearly worse. In each round every input
+    is tried with every other hold; the changes that fit better follow each other in the order of
+    what they gain, so that the order of the inputs does not matter.
+
+    Args:
+        value_of: of a hold: the smaller, the better; infinite where there is no estimate.
+        rule: the hold that the samples suggest.
+        records: to fit.
+        better: whether the first value is smaller than the second by enough to change an input's
+            hold.
+    """
+    names = records[0].input_names
+    values: dict[Hold, float] = {}
+
+    def value(hold: Hold) -> float:
+        if hold not in values:
+            values[hold] = value_of(hold)
+        return values[hold]
+
+    for hold in (rule, *HOLDS):
+        value(hold)
+    best = best_hold(values, rule)
+    inputs = moving_inputs(records)
+    for j in inputs if len(inputs) > 1 else ():
+        hold = with_word(best, j, hold_of_each(rule, len(names))[j], len(names))
+        if held_inputs(hold, len(names))[j] and not better(values[best], value(hold)):
+            best = hold
+    while len(inputs) > 1:
+        start, changed = best, set()
+        changes = [(j, word) for j in inputs for word in HOLDS]
+        trials = {(j, word): value(with_word(start, j, word, len(names))) for j, word in changes}
+        for j, word in sorted(changes, key=lambda change: trials[change]):
+            if j in changed or not better(trials[j, word], values[start]):
+                continue
+            hold = with_word(best, j, word, len(names))
+            if better(value(hold), values[best]):
+                best = hold
+                changed.add(j)
+        if best == start:
+            break
+    return HoldChoice(best, values, names)
 
 
 def skew_text(record: Record, delays: Float[np.ndarray, " nu"]) -> str:

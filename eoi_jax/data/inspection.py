@@ -15,8 +15,9 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice
 from eoi_jax._display import Result, text
-from eoi_jax.data.cleaning import SHORTEST, STAIRCASE
+from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
+from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table

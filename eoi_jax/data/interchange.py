@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check
+from eoi_jax.data.input_holds import HoldArgument
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 
@@ -24,7 +25,7 @@ def record_from_pandas(
     *,
     sample_period: Real | None = None,
     name: str = "record",
-    hold: str = "auto",
+    hold: HoldArgument = "auto",
     burn_in: Real = 0.0,
 ) -> Record:
     """A record from columns of a data frame.
@@ -108,7 +109,7 @@ def record_from_xarray(
     time: str = "time",
     *,
     name: str = "record",
-    hold: str = "auto",
+    hold: HoldArgument = "auto",
     burn_in: Real = 0.0,
 ) -> Record:
     """A record from variables of an xarray dataset.
@@ -173,7 +174,8 @@ def record_to_xarray(record: Record) -> Any:
 
     Returns:
         An `xarray.Dataset`; the role of each variable is in its `attrs["role"]`, its unit in its
-        `attrs["units"]`; name, hold and sample period [s] are in the attributes of the dataset.
+        `attrs["units"]`; name, hold (a list where inputs differ) and sample period [s] are in the
+        attributes of the dataset.
 
     Source: xarray.Dataset, https://docs.xarray.dev/en/stable/generated/xarray.Dataset.html
     """
@@ -187,7 +189,8 @@ def record_to_xarray(record: Record) -> Any:
         for key, column in zip(names, values.T, strict=True):
             attributes = {"role": role, "units": record.units.get(key, "")}
             variables[key] = ("time", column, attributes)
-    attributes = {"name": record.name, "hold": record.hold, "sample_period": record.sample_period}
+    hold = record.hold if isinstance(record.hold, str) else list(record.hold)
+    attributes = {"name": record.name, "hold": hold, "sample_period": record.sample_period}
     time = ("time", record.time, {"units": "s"})
     return xr.Dataset(variables, coords={"time": time}, attrs=attributes)
 
@@ -197,7 +200,7 @@ def record_from_benchmark(
     *,
     input_names: Columns | None = None,
     output_names: Columns | None = None,
-    hold: str = "auto",
+    hold: HoldArgument = "auto",
 ) -> Record:
     """A record from an object of the package nonlinear_benchmarks, its `Input_output_data`.
 

@@ -9,9 +9,8 @@ from typing import Any, overload
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_positive
-from eoi_jax.data.cleaning import choose_hold
+from eoi_jax.data.input_holds import HOLDS, Hold, HoldArgument, suggested_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 
 _SHORTEST = 1000  # samples of a piece, and of a place that the hash and the hold depend on
 
@@ -52,10 +51,11 @@ class LongRecord(Sequence[Record]):
         input_names: Sequence[str] | None = None,
         output_names: Sequence[str] | None = None,
         units: Mapping[str, str] | None = None,
-        hold: str = "auto",
+        hold: HoldArgument = "auto",
     ):
         check_positive("sample_period", sample_period, "It is in seconds.")
-        check_choice("hold", hold, ("auto", *HOLDS))
+        if isinstance(hold, str):
+            check_choice("hold", hold, ("auto", *HOLDS))
         lengths = {name: signal.shape[0] for name, signal in (("u", inputs), ("y", outputs))}
         check(
             lengths["u"] == lengths["y"],
@@ -70,7 +70,7 @@ class LongRecord(Sequence[Record]):
         self.piece, self.overlap, self.name = piece, overlap, name
         self.input_names, self.output_names = input_names, output_names
         self.units = units
-        self.hold = self._choose_hold() if hold == "auto" else hold
+        self.hold: HoldArgument = self._suggested_hold() if hold == "auto" else hold
 
     @property
     def samples(self) -> int:
@@ -108,11 +108,12 @@ class LongRecord(Sequence[Record]):
         starts = np.linspace(0, self.samples - _SHORTEST, count).astype(int).tolist()
         return [(start, start + _SHORTEST) for start in starts]
 
-    def _choose_hold(self) -> str:
+    def _suggested_hold(self) -> Hold:
         """The hold of the inputs, by the rule of `Record`."""
         u = np.concatenate([_read(self.inputs, *place) for place in self._places()])
         u = u.reshape(len(u), -1)
-        return choose_hold(u[np.all(np.isfinite(u), axis=1)], "auto")[0]
+        names = [str(j) for j in range(u.shape[1])]
+        return suggested_hold(u[np.all(np.isfinite(u), axis=1)], names)[0]
 
     @property
     def _remainder(self) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
+from eoi_jax._checks import RecordWarning, check, check_positive
 from eoi_jax._display import Result, text
 from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
@@ -29,7 +29,6 @@ from eoi_jax.data.cleaning import (
     channel_names,
     check_labels,
     check_lengths,
-    choose_hold,
     drop_repeats,
     finite_samples,
     interpolate,
@@ -42,12 +41,21 @@ from eoi_jax.data.cleaning import (
     read_signals,
     read_stamps,
 )
+from eoi_jax.data.input_holds import (
+    Hold,
+    HoldArgument,
+    columns_by_hold,
+    declared_or_suggested,
+    hold_of_each,
+    hold_text,
+    read_hold,
+    shared,
+)
 from eoi_jax.data.noise import quanta
 from eoi_jax.data.resampling import (
-    HOLDS,
     Real,
+    acting_inputs,
     covered,
-    delayed_inputs,
     fill,
     low_pass,
     low_pass_noise,
@@ -55,7 +63,6 @@ from eoi_jax.data.resampling import (
     runs,
     staircase_to_smooth,
     sub_stepped,
-    sub_stepped_inputs,
     uniform_grid,
 )
 
@@ -91,11 +98,13 @@ class Record(Result):
         units: ``{name: unit}``, for tables and figures.
         hold: the input between two samples: ``"zero"`` (a converter held it), ``"linear"``,
             ``"smooth"`` (band-limited, a quintic spline through the samples) or ``"auto"``:
-            zero if at most 20 % of the steps change each input, else linear.
+            zero for an input that at most 20 % of the steps change, else linear. Where inputs
+            differ, one word for each: ``{"heating": "zero", "outdoor": "linear"}``, or in order.
         burn_in: time at the start that is not scored [s].
 
     Attributes:
         time: (N,) [s]. inputs: (N, nu). outputs: (N, ny). All read-only.
+        hold: one word where all inputs share it, else a word for each; `holds`: a word for each.
         valid: (N,), False where a sample was missing or not finite in any channel.
         input_valid: (N,), True where all inputs are known; everywhere without inputs.
         output_valid: (N, ny), True where each output was measured.
@@ -122,7 +131,7 @@ class Record(Result):
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     units: dict[str, str]
-    hold: str
+    hold: Hold
     burn_in: float
     notes: tuple[str, ...]
     smoothed: tuple[float, ...]
@@ -151,10 +160,9 @@ class Record(Result):
         input_names: Names = None,
         output_names: Names = None,
         units: Mapping[str, str] | None = None,
-        hold: str = "auto",
+        hold: HoldArgument = "auto",
         burn_in: Real = 0.0,
     ):
-        check_choice("hold", hold, ("auto", *HOLDS))
         check(bool(0 <= burn_in < np.inf), "burn_in", "must be a time ≥ 0 in seconds", burn_in)
         stamps = read_stamps(time)
         u, y = read_signals("inputs", inputs), read_signals("outputs", outputs)
@@ -165,12 +173,11 @@ class Record(Result):
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
         good = finite_samples(u_names, y_names, u, y, notes)
-        hold_declared = hold != "auto"
-        hold, hold_notes = choose_hold(u[good[0]], hold)
+        input_hold, hold_notes = declared_or_suggested(hold, u[good[0]], u_names)
         grid = uniform_grid(stamps)
         noise = quantum = None
         if grid.index is None:
-            arrays = interpolate(grid, stamps, u, y, good, hold, notes)
+            arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names)
             # Interpolation hides both the noise and the steps of the raw values.
             quantum = quanta(y, good[1])
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
@@ -179,7 +186,7 @@ class Record(Result):
         inputs, outputs, known, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
-        certain = known_inputs(u_names, inputs, known, hold, notes)
+        certain = known_inputs(u_names, inputs, known, input_hold, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
@@ -190,8 +197,8 @@ class Record(Result):
             "input_names": u_names,
             "output_names": y_names,
             "units": dict(units or {}),
-            "hold": hold,
-            "hold_declared": hold_declared,
+            "hold": input_hold,
+            "hold_declared": hold != "auto",
             "burn_in": float(burn_in),
             "notes": (*notes, *hold_notes, *grid.notes),
             "smoothed": (),
@@ -211,7 +218,7 @@ class Record(Result):
         input_names: Names = None,
         output_names: Names = None,
         units: Mapping[str, str] | None = None,
-        hold: str = "auto",
+        hold: HoldArgument = "auto",
         burn_in: Real = 0.0,
     ) -> "Record":
         """A record whose samples are `sample_period` [s] apart, the first one at time 0.
@@ -301,9 +308,16 @@ class Record(Result):
         new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
         return new
 
-    def with_hold(self, hold: str) -> "Record":
-        """The same samples with a declared hold of the inputs: zero, linear or smooth."""
-        check_choice("hold", hold, HOLDS)
+    def with_hold(self, hold: HoldArgument) -> "Record":
+        """The same samples with a declared hold of the inputs: zero, linear or smooth.
+
+        Args:
+            hold: of all inputs, or of each, as in `Record`.
+
+        Raises:
+            ValueError: an unknown hold or input, or an input without one.
+        """
+        hold = read_hold(hold, self.input_names, automatic=False)
         if hold == self.hold and self.hold_declared:
             return self
         new = self._changed(None)
@@ -348,20 +362,28 @@ class Record(Result):
             check_choice("names", name, self.input_names)
         chosen = np.asarray([bool(names) and name not in names for name in self.input_names], bool)
         labels = tuple(np.asarray(self.input_names)[chosen].tolist())
-        return self.with_inputs(self.inputs[:, chosen], labels, self.skew[chosen])
+        words = np.asarray(hold_of_each(self.hold, len(self.input_names)))[chosen].tolist()
+        hold = shared(words) if words else None
+        return self.with_inputs(self.inputs[:, chosen], labels, self.skew[chosen], hold)
 
-    def with_inputs(self, inputs: Inputs, names: tuple[str, ...], skew: Any = None) -> "Record":
+    def with_inputs(
+        self, inputs: Inputs, names: tuple[str, ...], skew: Any = None, hold: Hold | None = None
+    ) -> "Record":
         """The same instants and outputs with other inputs, known where the present ones are.
 
         Args:
             inputs: (N, nu).
             names: of each.
             skew: time by which each acts later than it was logged, (nu,) [s]; None: by none.
+            hold: None: that of the record, zero where its inputs have different ones.
         """
         new = self._changed(None)
-        masks = self.valid, self.input_valid, self.output_valid
+        known = self.input_valid if len(names) else np.ones(len(self), bool)
+        masks = self.valid, known, self.output_valid
         new._set(inputs, self.outputs, masks, self.time, self.sample_period)
-        new._assign({"input_names": names, "_skew": skew if np.any(skew) else None})
+        hold = hold or (self.hold if isinstance(self.hold, str) else "zero")
+        skew = skew if np.any(skew) else None
+        new._assign({"input_names": names, "_skew": skew, "hold": hold})
         return new
 
     def segments(self) -> list[tuple[int, int]]:
@@ -443,7 +465,7 @@ class Record(Result):
         sample_period = self.sample_period / int(substeps)
         new = self._changed(
             f"Sub-stepped by {substeps}: outputs by a quintic spline, inputs by "
-            f"their hold ({self.hold})."
+            f"their hold ({hold_text(self.hold, self.input_names)})."
         )
         time = self.time[0] + sample_period * np.arange(count)
         masks = covered(position, self.segments(), query), known, np.stack(valid, axis=1)
@@ -456,16 +478,8 @@ class Record(Result):
         self, substeps: int
     ) -> tuple[Float[np.ndarray, "points nu"], Float[np.ndarray, "steps nu"]]:
         """Inputs at the points of a finer grid, and in the middle of its steps."""
-        segments = self.input_segments()
-        if self._skew is None:
-            fine = sub_stepped_inputs(self.inputs, segments, 2 * substeps, self.hold)
-            return fine[::2], fine[1::2]
-        delays = self._skew / self.sample_period
-        if self.hold == "zero":
-            means = delayed_inputs(self.inputs, segments, delays, substeps, self.hold)
-            return means, means[:-1]
-        fine = delayed_inputs(self.inputs, segments, delays, 2 * substeps, self.hold)
-        return fine[::2], fine[1::2]
+        delays = None if self._skew is None else self._skew / self.sample_period
+        return acting_inputs(self.inputs, self.input_segments(), delays, substeps, self.hold)
 
     def smooth(self, cutoff: Real) -> "Record":
         """The record filtered by a zero-phase low-pass, the same for inputs and outputs.
@@ -499,8 +513,11 @@ class Record(Result):
         inputs, outputs = np.array(self.inputs), np.array(self.outputs)
         share = float(cutoff) / nyquist
         for start, stop in self.input_segments():
-            u = low_pass(inputs[start:stop], share)
-            inputs[start:stop] = staircase_to_smooth(u) if self.hold == "zero" else u
+            inputs[start:stop] = low_pass(inputs[start:stop], share)
+            for word, columns in columns_by_hold(self.hold):
+                if word == "zero":
+                    levels = inputs[start:stop, columns]
+                    inputs[start:stop, columns] = staircase_to_smooth(levels)
         for columns, mask in channel_groups(self.output_valid):
             for start, stop in runs(mask):
                 outputs[start:stop, columns] = low_pass(outputs[start:stop, columns], share)
@@ -533,6 +550,11 @@ class Record(Result):
         if self._input_valid is None:
             return self.valid if self.inputs.shape[1] else np.ones(len(self), dtype=bool)
         return self._input_valid
+
+    @property
+    def holds(self) -> tuple[str, ...]:
+        """The hold of each input, (nu,): zero, linear or smooth."""
+        return hold_of_each(self.hold, self.inputs.shape[1])
 
     @property
     def skew(self) -> Float[np.ndarray, " nu"]:

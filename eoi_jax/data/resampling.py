@@ -13,14 +13,13 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
+from eoi_jax.data.input_holds import HOLDS, Columns, Hold, by_hold, columns_by_hold
 from eoi_jax.data.recursion import substituted
 from eoi_jax.data.uniform_spline import within_steps
 
 # A number as a caller may write it.
 Real: TypeAlias = float | int | np.number
 Segments: TypeAlias = Sequence[tuple[int, int]]
-
-HOLDS = ("zero", "linear", "smooth")
 
 
 @dataclass(frozen=True)
@@ -251,13 +250,50 @@ def hold_inputs(
 
 
 def sub_stepped_inputs(
-    inputs: Float[np.ndarray, "time nu"], segments: Segments, count: int, hold: str
+    inputs: Float[np.ndarray, "time nu"], segments: Segments, count: int, hold: Hold
 ) -> Float[np.ndarray, "points nu"]:
     """`hold_inputs` on a uniform record, with `count` steps in place of each step."""
-    if hold == "smooth":
-        return sub_stepped(inputs, segments, count)
-    position, query = np.arange(len(inputs)), np.arange((len(inputs) - 1) * count + 1)
-    return hold_inputs(position.astype(float), inputs, segments, query / count, hold)
+
+    def values(word: str, columns: Columns) -> np.ndarray:
+        if word == "smooth":
+            return sub_stepped(inputs[:, columns], segments, count)
+        position, query = np.arange(len(inputs)), np.arange((len(inputs) - 1) * count + 1)
+        position = position.astype(float)
+        return hold_inputs(position, inputs[:, columns], segments, query / count, word)
+
+    return by_hold(hold, inputs, values)
+
+
+def acting_inputs(
+    inputs: Float[np.ndarray, "time nu"],
+    segments: Segments,
+    delays: Float[np.ndarray, " nu"] | None,
+    count: int,
+    hold: Hold,
+) -> tuple[Float[np.ndarray, "points nu"], Float[np.ndarray, "steps nu"]]:
+    """Inputs at the points of a grid of `count` steps a sample, and in the middle of its steps.
+
+    Args:
+        inputs: on a uniform grid.
+        segments: runs (start, stop) with known inputs.
+        delays: by which each input acts later than it was logged [samples]; None: by none.
+        count: fine steps in place of each step.
+        hold: of the inputs. A held one that is delayed has its means over the steps at both places.
+    """
+    if delays is None:
+        fine = sub_stepped_inputs(inputs, segments, 2 * count, hold)
+        return fine[::2], fine[1::2]
+    points = np.empty(((len(inputs) - 1) * count + 1, inputs.shape[1]))
+    middles = np.empty((len(points) - 1, inputs.shape[1]))
+    for word, columns in columns_by_hold(hold):
+        group = inputs[:, columns], segments, delays[columns]
+        if word == "zero":
+            points[:, columns] = delayed_inputs(*group, count, word)
+            middles[:, columns] = points[:-1, columns]
+        else:
+            fine = delayed_inputs(*group, 2 * count, word)
+            points[:, columns], middles[:, columns] = fine[::2], fine[1::2]
+    return points, middles
 
 
 def delayed_inputs(
@@ -303,14 +339,19 @@ def delayed_inputs(
 
 
 def inputs_within_steps(
-    inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: str
+    inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: Hold
 ) -> Float[np.ndarray, "steps places nu"]:
     """Inputs at the same fractions of every step; its end (1) is part of the step."""
-    check_choice("hold", hold, HOLDS)
-    if hold == "smooth":
-        return within_steps(inputs, fractions, degree=5)
-    rise = np.diff(inputs, axis=0) * (hold == "linear")
-    return inputs[:-1, None] + fractions[:, None] * rise[:, None]
+
+    def values(word: str, columns: Columns) -> np.ndarray:
+        check_choice("hold", word, HOLDS)
+        group = inputs[:, columns]
+        if word == "smooth":
+            return within_steps(group, fractions, degree=5)
+        rise = np.diff(group, axis=0) * (word == "linear")
+        return group[:-1, None] + fractions[:, None] * rise[:, None]
+
+    return by_hold(hold, inputs, values)
 
 
 def held_means(

@@ -27,7 +27,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.compiler.pointwise import Along
 from eoi_jax.compiler.programs import jit
@@ -72,7 +72,7 @@ class ModalRecord:
         y: outputs and their rates there, smoothed, shape (S, r, ny).
         u: inputs there, shape (S, nu).
         change: change of `time`, `y` and `u` from the start of each step to its end.
-        staircase: whether the inputs are constant over each step.
+        staircase: whether each input is constant over each step, shape (nu,).
         highest: y^(r) by differences, weighted and thinned (`thinned`), one array an output.
         weight: m at the instants of y^(r), one array (S - r - 1,) an output.
         kernel: kernel of the thinning, shape (factor, 4).
@@ -91,7 +91,7 @@ class ModalRecord:
     y: Float[np.ndarray, "S r ny"]
     u: Float[np.ndarray, "S nu"]
     change: tuple[np.ndarray, np.ndarray, np.ndarray]
-    staircase: bool
+    staircase: Bool[np.ndarray, " nu"]
     highest: tuple[np.ndarray, ...]
     weight: tuple[np.ndarray, ...]
     kernel: Float[np.ndarray, "factor taps"]
@@ -126,11 +126,10 @@ class ModalRecord:
         change = inputs - self.u
         before = np.concatenate([change[:, :1], change[:, :-1]], axis=1)
         start = self.u_start + 0.5 * (before + change)
-        if self.staircase:
-            is_smooth = np.arange(inputs.shape[2]) == smoothed
-            earlier = np.concatenate([inputs[:, :1], inputs[:, :-1]], axis=1)
-            start = np.where(is_smooth, 0.5 * (earlier + inputs), inputs)
-        return inputs, start
+        is_smooth = np.arange(inputs.shape[2]) == smoothed
+        earlier = np.concatenate([inputs[:, :1], inputs[:, :-1]], axis=1)
+        held = np.where(is_smooth, 0.5 * (earlier + inputs), inputs)
+        return inputs, np.where(self.staircase, held, start)
 
     def rows(self, thin: Float[np.ndarray, "*batch nodes"]) -> Rows:
         """Modes of signals that are weighted and thinned, in the unit of y^(r) times √s."""
@@ -171,12 +170,12 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
         for j, degree in enumerate(plant.degrees)
     )
     indices, omega = _modes(min(len(signal) for signal in highest), len(kernel) * h, band)
-    staircase = record.hold == "zero"
+    staircase = np.asarray([hold == "zero" for hold in record.holds], dtype=bool)
     rise = np.diff(raw.inputs, axis=0) if plant.has_algebraic else np.gradient(u, axis=0)
     change = (
         np.full_like(time, h),
         np.gradient(y, axis=0),
-        np.zeros_like(u) if staircase else rise,
+        np.where(staircase, 0.0, rise),
     )
     return ModalRecord(
         time,
@@ -554,8 +553,8 @@ def model_rows(
     for i, record in enumerate(stretches):
         u = record.u[None] if inputs is None else inputs[i]
         at_starts = record.at_starts(u, smoothed)
-        if record.staircase and any(plant.degrees):
-            u = _as_averaged(u, max(plant.degrees))
+        if np.any(record.staircase) and any(plant.degrees):
+            u = np.where(record.staircase, _as_averaged(u, max(plant.degrees)), u)
         f, phi = (_recursive_along if recursive else _static_along)(plant, record, (u, at_starts))
         for j in range(len(plant.outputs)):
             errors.append(record.rows(record.highest[j] - np.asarray(f[j])))

@@ -235,14 +235,14 @@ class _Search:
         if discovery.in_sample or not _leaves_open(discovery):
             return discovery
         self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-        plant, fitted = discovery.declared.nominal, discovery.declared.records[0]
-        holds = (fitted.hold,) if undeclared_hold(records) is None else HOLDS
+        plant, settled = discovery.declared.nominal, discovery.held_out[0]
+        holds = [settled.hold, *(() if undeclared_hold(records) is None else HOLDS)]
         start = min(float(record.time[0]) for record in records)
         tried = self.effects if self.named else (*self.effects, *wider())
         effects = tuple(effect.since(start) for effect in tried)
         variants = [
-            tuple(with_hold(part, hold, fitted.skew) for part in (records, held_out))
-            for hold in holds
+            tuple(with_hold(part, hold, settled.skew) for part in (records, held_out))
+            for hold in dict.fromkeys(holds)
         ]
         models = [] if discovery.lead is None else [discovery.lead.found.plant]
         rival = discovery.plant if discovery.added else None

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.data.holds import SETTINGS, evidence, with_hold
+from eoi_jax.data.holds import SETTINGS, HoldChoice, with_hold
+from eoi_jax.data.input_holds import Hold, held_inputs, hold_of_each, hold_text, shared
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew
@@ -31,9 +32,15 @@ class HoldRules:
         longest: such time that may be one of the logger [sample periods]: a skew of one, and half
             a one between what was held and what goes on.
         shortest: skew that is told from none [sample periods].
+        better: relative fall of the index of a final model from which on a search follows with
+            another hold of a single input of several: one that hardly drives the plant fits alike
+            with all.
+        searches: at most, with other holds than the first one.
     """
 
     same: float = 0.02
+    better: float = 5e-3
+    searches: int = 2
     stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag")
     longest: float = 1.5
     shortest: float = 0.02
@@ -47,13 +54,13 @@ class _Trial:
     """A search, or only a fit of another one's final model, under a hold and a skew.
 
     Attributes:
-        hold: zero, linear or smooth.
+        hold: zero, linear or smooth, of all inputs or of each.
         fit: of the final model.
         answer: of the search; None for a fit alone.
         skew: of the inputs; None: they are where they were logged.
     """
 
-    hold: str
+    hold: Hold
     fit: Identification
     answer: Discovery
     skew: Skew | None = None
@@ -80,34 +87,69 @@ def with_best_hold(
         indices: of the declared model.
     """
 
-    def searched(hold: str, skew: Skew | None = None) -> _Trial:
+    def searched(hold: Hold, skew: Skew | None = None) -> _Trial:
         delays = None if skew is None else skew.delays
         answer = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
         return _Trial(hold, answer.found, answer, skew)
 
-    first, *others = indices.possible
+    first, *alternatives = indices.possible
     best = searched(first)
     if not best.fit.status.ok:  # with any hold
         return best.answer
-    in_doubt = bool(_stand_ins(best.answer))
-    trials, fits = [best], {first: best.fit}
-    for hold in others:
+    fits = {first: best.fit}
+    for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
-        if in_doubt or _as_good(fits[hold], best.fit):
-            trials.append(searched(hold))
-            fits[hold] = trials[-1].fit
+    trials = [best]
+    for hold in _worth_a_search(best, fits, records[0].input_names):
+        trials.append(searched(hold))
+        fits[hold] = trials[-1].fit
     best = _best(trials)
     notes = indices.evidence
-    if others:
+    if alternatives:
         powers = dict(zip(fits, _powers(list(fits.values())), strict=True))
-        notes = evidence("the index of the final model", powers, best.hold)
+        choice = HoldChoice(best.hold, powers, indices.choice.names)
+        notes = choice.evidence("the index of the final model")
+        if best.hold == indices.best:  # what the declared model alone refutes
+            refuted = [j for j in range(len(choice.names)) if not choice.alternatives(j)]
+            notes += indices.choice.evidence("the index of the declared model", refuted)
     for skew in _possible_skews(best, records, indices):
         shifted = searched(skew.hold, skew)
         if _best([best, shifted]) is shifted and _preferred(shifted, best):
-            notes = notes if skew.hold == best.hold else (f"hold {skew.hold}",)
+            hold = hold_text(skew.hold, records[0].input_names)
+            notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
             break
     return replace(best.answer, notes=(*notes, *best.answer.notes))
+
+
+def _worth_a_search(
+    best: _Trial, fits: dict[Hold, Identification], names: Sequence[str]
+) -> list[Hold]:
+    """Holds with which the search may give another answer, in the order of the fits.
+
+    Args:
+        best: the search with the first of the holds.
+        fits: of its final model with each hold.
+        names: of the inputs.
+    """
+    first, *alternatives = fits
+    powers = {}
+    for hold in alternatives:  # in pairs: of all at once few samples may be scored by each
+        power, smallest = _powers([fits[hold], best.fit])
+        powers[hold] = power / smallest
+    words = hold_of_each(first, len(names))
+    doubted = _stand_ins(best.answer)
+    worth = []
+    for hold in alternatives:
+        changed = [name for name, old, new in
+                   zip(names, words, hold_of_each(hold, len(names)), strict=True)
+                   if old != new]  # fmt: skip
+        single_input = len(names) > 1 and not isinstance(hold, str)
+        margin = 1.0 - _RULES.better if single_input else 1.0 + _RULES.same
+        if set(changed) & set(doubted) or powers[hold] <= margin:
+            worth.append(hold)
+    closest = sorted(worth, key=lambda hold: powers[hold])[: _RULES.searches]
+    return [hold for hold in worth if hold in closest]
 
 
 def _stand_ins(answer: Discovery) -> dict[str, float]:
@@ -151,10 +193,15 @@ def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> lis
         return [] if skew is None else [skew]
     if max(periods.values()) > _RULES.longest * period:
         return []
-    delays = np.asarray([periods.get(name, 0.0) for name in records[0].input_names])
+    names = records[0].input_names
+    delays = np.asarray([periods.get(name, 0.0) for name in names])
     makings = [(best.hold, delays)]
-    if best.hold != "zero":  # what was held acts half a sample later than what goes on
-        makings.append(("zero", delays - 0.5 * period * (delays > 0)))
+    is_held = np.asarray(held_inputs(best.hold, len(names)))
+    late = (delays > 0) & ~is_held
+    if np.any(late):  # what was held acts half a sample later than what goes on
+        words = hold_of_each(best.hold, len(names))
+        held = shared(["zero" if j else word for j, word in zip(late, words, strict=True)])
+        makings.append((held, delays - 0.5 * period * late))
     return [
         Skew(hold, trial)
         for hold, trial in makings
@@ -166,11 +213,6 @@ def _refitted(answer: Discovery, records: Records, indices: HoldIndices) -> Iden
     """The final model, fitted again with another hold on the same filter."""
     prepared = prepare_records(answer.plant, records, indices.lowpass)
     return estimate(answer.plant, prepared, passes=SETTINGS.passes)
-
-
-def _as_good(fit: Identification, best: Identification) -> bool:
-    new, old = _powers([fit, best])
-    return new <= (1.0 + _RULES.same) * old
 
 
 def _powers(fits: Sequence[Identification]) -> list[float]:

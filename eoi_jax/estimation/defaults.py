@@ -287,9 +287,10 @@ def output_noise(
         fewest: samples in all stretches with a constant input.
         shortest: samples of such a stretch.
     """
-    if not plant.has_algebraic or record.hold != "zero":
+    held = record.inputs[:, [hold == "zero" for hold in record.holds]]
+    if not plant.has_algebraic or (record.holds and not held.shape[1]):
         return record.noise
-    still = np.all(record.inputs[1:] == record.inputs[:-1], axis=1)
+    still = np.all(held[1:] == held[:-1], axis=1)
     stretches = [(i, j) for i, j in runs(record.valid, still) if j - i >= shortest]
     if sum(stop - start for start, stop in stretches) < fewest:
         return record.noise

@@ -12,15 +12,18 @@ from jaxtyping import Float
 
 from eoi_jax.data.holds import (
     SETTINGS,
-    best_hold,
-    evidence,
+    HoldChoice,
+    chosen_hold,
+    clearly_smaller,
     least_of_parabola,
+    moving_inputs,
     skew_text,
     undeclared_hold,
     with_hold,
+    with_word,
 )
+from eoi_jax.data.input_holds import HOLDS, Hold, held_inputs, hold_of_each, hold_text
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.plant import Plant
@@ -30,36 +33,40 @@ IndexOf = Callable[[Plant, PreparedRecords, int], float]
 
 @dataclass(frozen=True)
 class HoldIndices:
-    """The index (14) of the declared model with each hold, on one filter.
+    """The index (14) of the declared model with each hold that was tried, on one filter.
+
+    The index is the geometric mean over the outputs; infinite where there is no estimate.
 
     Attributes:
-        by_hold: geometric mean over the outputs; infinite where there is no estimate.
+        choice: the hold with the smallest index, and the indices; that of the rule where its index
+            is hardly larger.
         rule: the hold that the samples of the inputs suggest.
         lowpass: the filter.
     """
 
-    by_hold: dict[str, float]
-    rule: str
+    choice: HoldChoice
+    rule: Hold
     lowpass: LowPass
 
     @property
-    def best(self) -> str:
+    def best(self) -> Hold:
         """The hold with the smallest index; that of the rule where it is hardly larger."""
-        return best_hold(self.by_hold, self.rule)
+        return self.choice.best
 
     @property
-    def possible(self) -> tuple[str, ...]:
+    def possible(self) -> tuple[Hold, ...]:
         """Holds that are not refuted, the best one first; linear and smooth are often the same."""
-        smallest = self.by_hold[self.best]
-        holds = sorted(self.by_hold, key=lambda hold: (hold != self.best, self.by_hold[hold]))
-        kept: list[str] = []
+        by_hold, count = self.choice.values, len(self.choice.names)
+        smallest = by_hold[self.best]
+        holds = sorted(by_hold, key=lambda hold: (hold != self.best, by_hold[hold]))
+        kept: list[Hold] = []
         for hold in holds:
-            index = self.by_hold[hold]
+            index = by_hold[hold]
             refuted = not index <= SETTINGS.refuted * smallest
-            same = hold != "zero" and any(
-                abs(np.log(index / self.by_hold[other])) <= SETTINGS.same
-                for other in kept
-                if other != "zero"
+            same = any(
+                abs(np.log(index / by_hold[accepted])) <= SETTINGS.same
+                for accepted in kept
+                if held_inputs(accepted, count) == held_inputs(hold, count)
             )
             if not refuted and not same:
                 kept.append(hold)
@@ -67,14 +74,14 @@ class HoldIndices:
 
     @property
     def evidence(self) -> tuple[str, ...]:
-        """The ratios as a sentence."""
-        return evidence("the index", self.by_hold, self.best)
+        """The ratios as sentences."""
+        return self.choice.evidence("the index")
 
 
 def hold_indices(
     plant: Plant, records: Sequence[Record], index_of: IndexOf, lowpass: LowPass | None = None
 ) -> HoldIndices | None:
-    """The index with each hold.
+    """The index with each hold, of all inputs and of each.
 
     Args:
         plant: with its nominal parameters.
@@ -89,13 +96,20 @@ def hold_indices(
     rule = undeclared_hold(records)
     if rule is None:
         return None
-    indices: dict[str, float] = {}
-    for hold in (rule, *(hold for hold in HOLDS if hold != rule)):
-        prepared = prepare_records(plant, with_hold(records, hold), lowpass)
-        lowpass = prepared.lowpass  # indices of different filters cannot be compared
-        indices[hold] = index_of(plant, prepared, SETTINGS.passes)
-    assert lowpass is not None
-    return HoldIndices(indices, rule, lowpass)
+    # Indices of different filters cannot be compared: that of the first fit is the filter of all.
+    first = prepare_records(plant, with_hold(records, rule), lowpass)
+    filtered = first.lowpass
+
+    def index(hold: Hold) -> float:
+        prepared = first
+        if hold != rule:
+            prepared = prepare_records(plant, with_hold(records, hold), filtered)
+        return index_of(plant, prepared, SETTINGS.passes)
+
+    def better(index: float, reference: float) -> bool:
+        return _clearly_smaller(index, reference, records, filtered)
+
+    return HoldIndices(chosen_hold(index, rule, records, better), rule, filtered)
 
 
 @dataclass(frozen=True)
@@ -103,13 +117,13 @@ class Skew:
     """How far the inputs are from the outputs in the log.
 
     Attributes:
-        hold: of the inputs, with which the delays were found.
+        hold: of the inputs, with which the delays were found; of all or of each.
         delays: by which each input acts later than it was logged, shape (nu,) [s].
         index: with them; infinite where they were not found by it.
         ratio: of the index without them to that with them; None as well.
     """
 
-    hold: str
+    hold: Hold
     delays: Float[np.ndarray, " nu"]
     index: float = np.inf
     ratio: float | None = None
@@ -123,12 +137,12 @@ class Skew:
 
 
 def best_skew(
-    plant: Plant, records: Sequence[Record], hold: str, index_of: IndexOf, lowpass: LowPass
+    plant: Plant, records: Sequence[Record], hold: Hold, index_of: IndexOf, lowpass: LowPass
 ) -> Skew | None:
     """The hold and the skew with the smallest index, where the inputs have any skew.
 
-    A held input that acts early and one that goes on and acts late are nearly the same, so all
-    holds are tried once the best one without a skew has shown some.
+    A held input that acts early and one that goes on and acts late are nearly the same, so the
+    other holds of an input are tried once the best one without a skew has shown some.
 
     Args:
         plant: with its nominal parameters.
@@ -137,33 +151,43 @@ def best_skew(
         index_of: as for `hold_indices`.
         lowpass: F of the fits.
     """
-    first = channel_skew(plant, records, hold, index_of, lowpass)
-    if first is None:
+    best = channel_skew(plant, records, hold, index_of, lowpass)
+    if best is None:
         return None
-    others = [channel_skew(plant, records, other, index_of, lowpass)
-              for other in HOLDS if other != hold]  # fmt: skip
-    found = [first, *(skew for skew in others if skew is not None)]
-    best = min(found, key=lambda skew: skew.index)
-    return best if _clearly_smaller(best.index, first.index, records, lowpass) else first
+    for j in np.flatnonzero(best.delays).tolist():
+        trials, words = [], hold_of_each(best.hold, len(best.delays))
+        for word in HOLDS:
+            if word != words[j]:
+                changed, delays = with_word(best.hold, j, word, len(words)), best.delays.copy()
+                delays[j] = 0.0
+                trials.append(
+                    channel_skew(plant, records, changed, index_of, lowpass, delays, (j,))
+                )
+        closest = min([best, *filter(None, trials)], key=lambda skew: skew.index)
+        if _clearly_smaller(closest.index, best.index, records, lowpass):
+            best = closest
+    return best
 
 
 def _clearly_smaller(
-    index: float, other: float, records: Sequence[Record], lowpass: LowPass
+    index: float, reference: float, records: Sequence[Record], lowpass: LowPass
 ) -> bool:
     """Whether an index is smaller by more than chance, and by enough to matter.
 
-    In a band of ω_c there are ω_c T / π independent values in the time T, and their number times
-    the logarithm of the ratio is twice the gain in log-likelihood.
+    In a band of ω_c there are ω_c T / π independent values in the time T.
     """
-    if not index < (1.0 - SETTINGS.least_fall) * other:
-        return False
     duration = sum(len(record) * record.sample_period for record in records)
-    gain = lowpass.cutoff * duration / np.pi * np.log(other / index)
-    return bool(gain >= SETTINGS.evidence)
+    return clearly_smaller(index, reference, lowpass.cutoff * duration / np.pi)
 
 
 def channel_skew(
-    plant: Plant, records: Sequence[Record], hold: str, index_of: IndexOf, lowpass: LowPass
+    plant: Plant,
+    records: Sequence[Record],
+    hold: Hold,
+    index_of: IndexOf,
+    lowpass: LowPass,
+    start: Float[np.ndarray, " nu"] | None = None,
+    inputs: Sequence[int] | None = None,
 ) -> Skew | None:
     """The skew of the inputs with the smallest index, one input after the other.
 
@@ -173,6 +197,8 @@ def channel_skew(
         hold: of the other ones.
         index_of: as for `hold_indices`.
         lowpass: F of the fits.
+        start: delays to begin with, shape (nu,) [s]; None: none.
+        inputs: whose delays are found; None: of all that move.
 
     Returns:
         None where no shift within a sample period lowers the index clearly: what acts later than
@@ -184,10 +210,14 @@ def channel_skew(
         return index_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
 
     period = min(record.sample_period for record in records)
-    delays = np.zeros(records[0].inputs.shape[1])
-    without = smallest = index(delays)
+    unshifted = np.zeros(records[0].inputs.shape[1])
+    delays = unshifted if start is None else start
+    without = smallest = index(unshifted)
+    if np.any(delays):
+        smallest = index(delays)
     for step in SETTINGS.trial_skews:
-        for shift in period * step * np.eye(len(delays)):
+        for j in moving_inputs(records) if inputs is None else inputs:
+            shift = period * step * (np.arange(len(unshifted)) == j)
             values = index(delays - shift), smallest, index(delays + shift)
             place = least_of_parabola(values)
             if place is None:
@@ -212,11 +242,12 @@ def decided(
     Arguments are those of `hold_indices`.
     """
     indices = hold_indices(plant, records, index_of, lowpass)
-    if indices is None or not np.isfinite(indices.by_hold[indices.best]):
+    if indices is None or not np.isfinite(indices.choice.values[indices.best]):
         return tuple(records), ()
     skew = best_skew(plant, records, indices.best, index_of, indices.lowpass)
     if skew is None:
         return with_hold(records, indices.best), indices.evidence
     shifted = with_hold(records, skew.hold, skew.delays)
-    notes = indices.evidence if skew.hold == indices.best else (f"hold {skew.hold}",)
+    changed = (f"hold {hold_text(skew.hold, records[0].input_names)}",)
+    notes = indices.evidence if skew.hold == indices.best else changed
     return shifted, (*notes, skew.evidence(records[0]))

@@ -21,9 +21,16 @@ from jaxtyping import Float
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._status import Status
-from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.data.holds import (
+    chosen_hold,
+    clearly_smaller,
+    made_alike,
+    skew_text,
+    undeclared_hold,
+    with_hold,
+)
+from eoi_jax.data.input_holds import Hold, hold_text
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.models.check_records import check_records
@@ -61,6 +68,7 @@ from eoi_jax.refinement.problem import (
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.skew import SkewedFit, fit_with_skew, mean_error, scored_samples
 from eoi_jax.refinement.spans import Span, spans_of, used_window
 from eoi_jax.refinement.start_check import with_start_check
 from eoi_jax.refinement.windowed import lost_growth, settled, worse
@@ -129,8 +137,9 @@ def refine(
 ) -> Refinement:
     """Refine a plant's parameters by the error of its free runs.
 
-    Where records do not declare the hold of their inputs, the one that fits best is used, and a
-    note gives the evidence.
+    Where records do not declare the hold of their inputs, the one of each input that fits best is
+    used, and inputs that a logger reads a part of a sample period before or after the outputs are
+    shifted; notes give the evidence. Held-out records are taken to be made alike.
 
     Args:
         plant: the model with the parameters to start from, or an identification.
@@ -220,11 +229,11 @@ def refine(
         result = settled(result, partial(_again, question, nominal))
     if not result.status.fits:
         return result
-    alone = replace(question, points=points[:0], many_starts=False, rounds=1)
-    alone = replace(alone, window=result.window if window is None else window)
+    single = replace(question, points=points[:0], many_starts=False, rounds=1)
+    single = replace(single, window=result.window if window is None else window)
 
     def refit(model: Plant) -> Refinement:
-        return _with_best_hold(model, records, alone)[0]
+        return _with_best_hold(model, records, single)[0]
 
     def cost(refined: Refinement) -> float:
         return refined.cost
@@ -232,6 +241,7 @@ def refine(
     result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
     if not result.status.ok or not held_out:
         return result
+    held_out = made_alike(held_out, records, result.records)
     before, after = validated_alike((nominal, result.plant), held_out)
     return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
 
@@ -291,10 +301,11 @@ class _Question:
 def _with_best_hold(
     plant: Plant, records: tuple[Record, ...], question: _Question
 ) -> tuple[Refinement, bool]:
-    """The refinement with the hold of the inputs that fits best, where none is declared.
+    """The refinement with the hold and skew of the inputs that fit best, where none is declared.
 
     First with the hold that the samples suggest. From that estimate the others are tried; where one
-    fits clearly better, all begins again with it. Also, whether there is an estimate with each.
+    fits clearly better, all begins again with it. Then shifts of the inputs are. Also, whether
+    there is an estimate with each hold.
     """
     rule = undeclared_hold(records)
     if rule is None:
@@ -305,21 +316,49 @@ def _with_best_hold(
         return result, False
     # The same runs for all, or their errors could not be compared.
     question = replace(question, window=result.window)
-    alone = replace(question, points=question.points[:0], many_starts=False, rounds=1)
-    errors = {rule: _mean_error(result)}
-    for hold in HOLDS:
-        if hold != rule:
-            other = _refined(result.plant, with_hold(records, hold), alone)
-            if not other.status.fits:  # the estimate with a wrong hold may be worse than the start
-                other = _refined(plant, with_hold(records, hold), alone)
-            errors[hold] = _mean_error(other) if other.status.fits else np.inf
-    best_fitting = best_hold(errors, rule)
-    if best_fitting != rule:
-        again = _refined(plant, with_hold(records, best_fitting), question)
-        result, best_fitting = (again, best_fitting) if again.status.fits else (result, rule)
-    complete = bool(np.all(np.isfinite(list(errors.values()))))
-    notes = (*result.notes, *evidence("the error", errors, best_fitting))
-    return replace(result, notes=notes), complete
+    single = replace(question, points=question.points[:0], many_starts=False, rounds=1)
+    first, count = result, scored_samples(result)
+
+    def error(hold: Hold) -> float:
+        if hold == rule:
+            return mean_error(first)
+        refined = _refined(first.plant, with_hold(records, hold), single)
+        if not refined.status.fits:  # the estimate with a wrong hold may be worse than the start
+            refined = _refined(plant, with_hold(records, hold), single)
+        return mean_error(refined) if refined.status.fits else np.inf
+
+    def better(error: float, reference: float) -> bool:
+        return clearly_smaller(error**2, reference**2, count)
+
+    choice = chosen_hold(error, rule, records, better)
+    if choice.best != rule:
+        again = _refined(plant, with_hold(records, choice.best), question)
+        if again.status.fits:
+            result = again
+        else:
+            choice = replace(choice, best=rule)
+    complete = bool(np.all(np.isfinite(list(choice.values.values()))))
+    evidence = choice.evidence("the error")
+    skewed = fit_with_skew(result, records, choice.best, partial(_refined, question=single))
+    if skewed is not None:
+        ratio = mean_error(result) / skewed.error
+        hold = f"hold {hold_text(skewed.hold, records[0].input_names)}"
+        evidence = evidence if skewed.hold == choice.best else (hold,)
+        text = skew_text(records[0], skewed.delays)
+        evidence += (f"{text}: without this shift the error is {ratio:.3g} times as large",)
+        result = _from_the_start(plant, skewed, question)
+    return replace(result, notes=(*result.notes, *evidence)), complete
+
+
+def _from_the_start(plant: Plant, skewed: SkewedFit, question: _Question) -> Refinement:
+    """The fit of shifted inputs from where the first fit began; the one at hand if that is better.
+
+    Only then it is compared with that start as well.
+    """
+    again = _refined(plant, skewed.fit.records, question)
+    if again.status.fits and not clearly_smaller(skewed.error, mean_error(again), np.inf):
+        return again
+    return _again(question, plant, skewed.fit, skewed.fit.plant, question.window or np.inf)
 
 
 def _again(
@@ -359,11 +398,6 @@ def _start_kept(
     runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
     status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
     return replace(start, status=status, notes=(*start.notes, *result.notes))
-
-
-def _mean_error(result: Refinement) -> float:
-    """Geometric mean over the outputs."""
-    return float(np.exp(np.mean(np.log(np.maximum(result.rmse, 1e-300)))))
 
 
 def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import Result
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.holdout import check_scored_records, held_out_records
 from eoi_jax.models.augmented import augmented
@@ -161,6 +162,7 @@ def remaining(
           "`discover` tries effects on such outputs.")  # fmt: skip
     validation_records = held_out_records(plant, records, validation)
     check_scored_records(plant, "validation", validation_records)
+    validation_records = made_alike(validation_records, records, records)
     chosen = (*standard(), *rare()) if effects is None else tuple(effects)
     start = min(float(effect.time[0]) for effect in records)
     chosen = tuple(effect.since(start) for effect in chosen)

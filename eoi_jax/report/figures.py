@@ -157,7 +157,7 @@ def record_figure(record: Record) -> Any:
         is_input = i >= len(outputs)
         mask = record.input_valid if is_input else record.output_valid[:, i]
         points = decimate(record.time, np.where(mask, channel, np.nan))
-        stepped = is_input and record.hold == "zero"
+        stepped = is_input and record.holds[i - len(outputs)] == "zero"
         axes.plot(
             *points,
             color=series(ACCENT) if is_input else text_colour(),

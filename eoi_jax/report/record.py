@@ -4,6 +4,7 @@ import numpy as np
 
 from eoi_jax._types import TimeAxis
 from eoi_jax.data.holds import skew_text
+from eoi_jax.data.input_holds import hold_text
 from eoi_jax.data.record import Record
 
 
@@ -30,7 +31,7 @@ def record_text(record: Record) -> str:
         label = f"  {row[0]:{widths[0]}}  {row[1]:{widths[1]}}"
         cells = "".join(f"  {cell:>{w}}" for cell, w in zip(row[2:], widths[2:], strict=True))
         lines.append((label + cells).rstrip())
-    hold = f"hold {record.hold}"
+    hold = f"hold {hold_text(record.hold, record.input_names)}"
     if np.any(record.skew):
         hold += f" ({skew_text(record, record.skew)})"
     facts = [hold, f"{100 * record.valid.mean():.4g} % valid"]

@@ -17,9 +17,18 @@ from eoi_jax._checks import check, check_choice, check_count, check_kind, check_
 from eoi_jax._types import Scalar, Theta
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.compiler.programs import jit
-from eoi_jax.data.cleaning import SHORTEST, choose_hold
+from eoi_jax.data.cleaning import SHORTEST
+from eoi_jax.data.input_holds import (
+    Columns,
+    Hold,
+    HoldArgument,
+    by_hold,
+    columns_by_hold,
+    declared_or_suggested,
+    hold_of_each,
+)
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS, delayed_inputs, inputs_within_steps
+from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
 from eoi_jax.models.plant import Plant, State, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
@@ -45,7 +54,7 @@ def simulate(
     inputs: ArrayLike,
     initial: Any = None,
     *,
-    hold: str = "auto",
+    hold: HoldArgument = "auto",
     internal: ArrayLike | None = None,
     solver: str = "fixed",
     substeps: int | None = None,
@@ -61,7 +70,8 @@ def simulate(
             (r,) or the output alone. By default the plant's known starts, and zeros. Outputs of
             relative degree 0 have none: what is given for them is not read.
         hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
-            spline), or ``"auto"``: zero if it is piecewise constant, else linear.
+            spline), or ``"auto"``: zero if it is piecewise constant, else linear. One word for all
+            inputs, or one for each: by name, or in order.
         internal: internal states at ``time[0]``, shape (nz,); by default the plant's own start.
         solver: ``"fixed"`` (Runge-Kutta 4, dry friction sticks) or ``"adaptive"`` (Dormand-Prince 8
             of diffrax to a relative tolerance of 1e-10, smooth plants only).
@@ -85,8 +95,7 @@ def simulate(
     _check_finite("inputs", u)
     check_choice("solver", solver, ("fixed", "adaptive"))
     start = State(_initial(plant, initial), _internal(plant, internal))
-    check_choice("hold", hold, ("auto", *HOLDS))
-    used, _ = choose_hold(u, hold)
+    used, _ = declared_or_suggested(hold, u, plant.inputs)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
         slow = plant.actuator is not None
@@ -121,7 +130,7 @@ def _fixed(
     plant: Plant,
     time: Float[np.ndarray, " time"],
     inputs: Float[np.ndarray, "time nu"],
-    hold: str,
+    hold: Hold,
     start: State,
     substeps: int | None,
 ) -> Float[np.ndarray, "time ny"]:
@@ -147,7 +156,7 @@ def _fixed(
 def drive(
     time: Float[np.ndarray, " time"],
     inputs: Float[np.ndarray, "time nu"],
-    hold: str,
+    hold: Hold,
     substeps: int = 1,
     skew: Float[np.ndarray, " nu"] | None = None,
 ) -> Drive:
@@ -156,7 +165,7 @@ def drive(
     Args:
         time: uniform grid [s].
         inputs: one row a sample.
-        hold: ``"zero"``, ``"linear"`` or ``"smooth"``.
+        hold: ``"zero"``, ``"linear"`` or ``"smooth"``, of all inputs or of each.
         substeps: steps per sample.
         skew: time by which each input acts later than it was logged [s]; None: by none.
 
@@ -185,16 +194,16 @@ def drive(
 
 
 def _shifted_stages(
-    inputs: Float[np.ndarray, "time nu"], delays: Float[np.ndarray, " nu"], hold: str, substeps: int
+    inputs: Float[np.ndarray, "time nu"],
+    delays: Float[np.ndarray, " nu"],
+    hold: Hold,
+    substeps: int,
 ) -> Float[np.ndarray, "steps 3 nu"]:
     """Inputs that act later [samples], at the start, the middle and the end of each step."""
-    check_choice("hold", hold, HOLDS)
-    whole = [(0, len(inputs))]
-    if hold == "zero":
-        means = delayed_inputs(inputs, whole, delays, substeps, hold)[:-1]
-        return np.repeat(means[:, None], 3, axis=1)
-    fine = delayed_inputs(inputs, whole, delays, 2 * substeps, hold)
-    return np.stack([fine[0:-2:2], fine[1:-1:2], fine[2::2]], axis=1)
+    points, middles = acting_inputs(inputs, [(0, len(inputs))], delays, substeps, hold)
+    is_held = np.asarray(hold_of_each(hold, inputs.shape[1])) == "zero"
+    ends = np.where(is_held, points[:-1], points[1:])
+    return np.stack([points[:-1], middles, ends], axis=1)
 
 
 def acted(plant: Plant, driven_by: Drive) -> Drive:
@@ -335,11 +344,19 @@ def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " n
 # -- the independent route ----------------------------------------------------------------
 
 
-def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: str) -> Pieces:
+def _input_pieces(samples: Float[np.ndarray, "time nu"], hold: Hold) -> Pieces:
     """The input within each step: a polynomial in the fraction of the step, lowest power first."""
-    places = np.linspace(0.0, 1.0, {"zero": 1, "linear": 2}.get(hold, 6))
-    values = inputs_within_steps(samples, places, hold)
-    return np.einsum("pf,kfu->kpu", np.linalg.inv(np.vander(places, increasing=True)), values)
+    places = {"zero": 1, "linear": 2, "smooth": 6}
+    order = max(places[word] for word, _ in columns_by_hold(hold))
+
+    def pieces(word: str, columns: Columns) -> np.ndarray:
+        fractions = np.linspace(0.0, 1.0, places[word])
+        values = inputs_within_steps(samples[:, columns], fractions, word)
+        powers = np.linalg.inv(np.vander(fractions, increasing=True))
+        polynomials = np.einsum("pf,kfu->kpu", powers, values)
+        return np.pad(polynomials, ((0, 0), (0, order - places[word]), (0, 0)))
+
+    return by_hold(hold, samples, pieces)
 
 
 @jit

@@ -17,10 +17,10 @@ from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
-from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.data.holds import chosen_hold, clearly_smaller, undeclared_hold, with_hold
+from eoi_jax.data.input_holds import Hold
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.data.windows import (
     Plan,
     driven_parts,
@@ -202,11 +202,19 @@ def judged_runs(
     rule = undeclared_hold(records)
     if rule is None:
         return judge(records)
-    runs = {hold: judge(with_hold(records, hold)) for hold in HOLDS}
-    with np.errstate(divide="ignore"):
-        errors = {hold: float(np.exp(np.mean(np.log(run.rmse)))) for hold, run in runs.items()}
-    best = best_hold(errors, rule)
-    return replace(runs[best], notes=(*runs[best].notes, *evidence("the error", errors, best)))
+    runs: dict[Hold, Validation] = {}
+
+    def error(hold: Hold) -> float:
+        runs[hold] = judge(with_hold(records, hold))
+        with np.errstate(divide="ignore"):
+            return float(np.exp(np.mean(np.log(runs[hold].rmse))))
+
+    def better(error: float, reference: float) -> bool:
+        return clearly_smaller(error**2, reference**2, runs[rule].scored)
+
+    choice = chosen_hold(error, rule, records, better)
+    best = runs[choice.best]
+    return replace(best, notes=(*best.notes, *choice.evidence("the error")))
 
 
 def _judged(

@@ -19,7 +19,9 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, check_choice, check_kind, real
 from eoi_jax._display import Result
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
+from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
@@ -80,7 +82,7 @@ def profile(
 
     Args:
         refinement: result of `refine`, with an answer.
-        records: that it was made from.
+        records: that it was made from; undeclared holds and skews are those that it has found.
         name: of a free parameter with a standard error.
         level: of the interval.
         substeps: steps of the simulation per sample; those of the refinement if None.
@@ -102,6 +104,9 @@ def profile(
     check(refinement.status.ok, "refinement", "must have an answer", str(refinement.status))
     rule = "must be the one of the refinement, and None if it had none"
     check((controller is not None) == refinement.in_loop, "controller", rule, controller)
+    fitted, used = records, refinement.records
+    if controller is None:  # beside one, records hold its reference as a further input
+        fitted = made_alike(check_records(plant, records), used, used)
     free = [parameter for parameter in plant.names if parameter not in plant.fixed]
     check_choice("name", name, free)
     check(len(free) > 1, "name", "must have another free parameter beside it", name,
@@ -118,7 +123,7 @@ def profile(
     def fit(start: Plant, value: float) -> Refinement:
         moved = start.with_parameters({name: value})
         return refine(
-            moved, records, window=refinement.window or np.inf, substeps=count,
+            moved, fitted, window=refinement.window or np.inf, substeps=count,
             max_steps=max_steps, controller=controller,
         )  # fmt: skip
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import eoi_jax as eoi
 from eoi_jax._status import Status
 from eoi_jax.cli import actions
 from eoi_jax.cli.commands import app
@@ -290,3 +291,52 @@ def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
         assert result["parameters"][name] == pytest.approx(value, rel=1e-8)
     assert {path.name for path in (tmp_path / "runs" / "pendulum").iterdir()} == FILES
     assert done.stderr == ""
+
+
+@pytest.mark.slow
+def test_files_of_one_logger_are_judged_as_they_were_made(tmp_path: Path):
+    """A flow goes on, and a valve acts 0.4 samples late in both files; no hold is said."""
+    h, late, count = 0.25, 0.1, 800
+    rate, gain = 0.5, 0.8
+    for seed, name in ((1, "run.csv"), (2, "test.csv")):
+        rng = np.random.default_rng(seed)
+        time, valve = h * np.arange(count), rng.uniform(-3.0, 3.0, count)
+        flow = np.sin(time + seed) + np.sin(0.61 * time)
+        response = [np.imag(rate * np.exp(1j * (w * time + p)) / (1j * w + rate))
+                    for w, p in ((1.0, seed), (0.61, 0.0))]  # fmt: skip
+        level = np.zeros(count)  # of the valve alone
+        for k in range(count - 1):
+            before, after = valve[max(k - 1, 0)], valve[k]
+            middle = level[k] + (1.0 - np.exp(-rate * late)) * (gain * before / rate - level[k])
+            level[k + 1] = middle + (1.0 - np.exp(-rate * (h - late))) * (
+                gain * after / rate - middle
+            )
+        y = sum(response) + level + 2e-3 * rng.standard_normal(count)
+        table = np.c_[time, flow, valve, y]
+        np.savetxt(tmp_path / name, table, delimiter=",", header="t,flow,valve,y", comments="")
+    path = tmp_path / "tank.toml"
+    path.write_text("""
+name = "tank"
+[model]
+inputs = ["flow", "valve"]
+outputs = ["y"]
+parameters = { rate = 0.4, gain = 1.0 }
+[model.derivatives]
+y = "rate*(flow - y) + gain*valve"
+[data]
+files = ["run.csv"]
+time = "t"
+inputs = ["flow", "valve"]
+outputs = ["y"]
+[validation]
+files = ["test.csv"]
+""")
+    done = run(path, "--json", "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert any("hold zero for valve" in note for note in answer["notes"])
+    assert any(note.startswith("valve leads the outputs by 0.1 s") for note in answer["notes"])
+    assert answer["parameters"]["gain"] == pytest.approx(gain, rel=2e-3)
+    held_out = eoi.load(tmp_path / "runs" / "tank" / "report.npz")
+    assert held_out["after"].rmse[0] < 1.1 * 2e-3
+    assert held_out["after"].records[0].skew[1] == pytest.approx(late, rel=0.02)

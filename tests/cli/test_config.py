@@ -363,6 +363,9 @@ def test_a_mistake_is_named_with_its_rule(
         (("scale = { u = 2.0 }", "scale = { u = 'two' }"), "`data.scale.u`", "a number"),
         (("slice = [0, 20]", "slice = [0]"), "`validation.slice`", "length 2"),
         (("slice = [0, 20]", "hold = 'none'"), "`validation.hold`", "zero, linear"),
+        (("slice = [0, 20]", "hold = { u = 'auto' }"), "`validation.hold.u`", "zero, linear"),
+        (("scale = { u = 2.0 }", "hold = { v = 'zero' }"), "`hold`", "got 'v'"),
+        (("scale = { u = 2.0 }", "hold = {}"), "`hold`", "nothing for u"),
     ],
 )
 def test_a_mistake_about_files_is_named_with_its_rule(
@@ -373,6 +376,15 @@ def test_a_mistake_about_files_is_named_with_its_rule(
         built(written(tmp_path, MEASURED, change))
     assert field in str(failure.value)
     assert rule in str(failure.value)
+
+
+def test_a_config_gives_each_input_its_hold(tmp_path: Path):
+    table_file(tmp_path / "one.csv")
+    change = "scale = { u = 2.0 }", 'scale = { u = 2.0 }\nhold = { u = "smooth" }'
+    settings, (record,) = built(written(tmp_path, MEASURED, change))
+    assert (record.hold, record.hold_declared) == ("smooth", True)
+    assert settings.validation is not None
+    assert settings.validation.hold == {"u": "smooth"}  # as [data] says
 
 
 def test_a_config_has_simulated_or_measured_records_but_not_both(tmp_path: Path):

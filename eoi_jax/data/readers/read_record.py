@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax.data.input_holds import HoldArgument
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
@@ -35,7 +36,7 @@ def read_record(
     sample_period: Real | None = None,
     scale: Mapping[str, Real] | Mapping[int, Real] | None = None,
     units: Mapping[str, str] | Mapping[int, str] | None = None,
-    hold: str = "auto",
+    hold: HoldArgument = "auto",
     burn_in: Real = 0.0,
     slice: tuple[int, int | None] | None = None,
     renames: Mapping[str, str] | Mapping[int, str] | None = None,
@@ -59,7 +60,7 @@ def read_record(
         sample_period: time between samples [s].
         scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
         units: ``{column: unit}`` after scaling, for tables and figures.
-        hold: of the inputs, as in `Record`.
+        hold: of the inputs, as in `Record`; where they differ, by column.
         burn_in: time at the start that is not scored [s], as in `Record`.
         slice: ``(start, stop)``, the range of samples that is read; stop may be None. Time stays as
             it is in the file, or counts from the file's first sample.
@@ -103,6 +104,9 @@ def read_record(
         _options_by_column("units", units, selected),
     )
     labels = {key: new_names.get(key, key) for key in selected}
+    if isinstance(hold, Mapping):
+        words = _options_by_column("hold", hold, selected)
+        hold = {labels[key]: word for key, word in words.items()}
     if clock is not None and clock not in factors:
         _check_seconds(clock, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]

@@ -1,0 +1,228 @@
+r"""The skew of the inputs by free runs: channels that a logger reads one after another.
+
+An input that acts later by τ than it was logged moves the errors e of the free runs by
+$e(\tau) \approx e + D\tau$, D by differences of runs with the input shifted both ways. In what the
+parameters and the starts of the runs can do with it taken out, least squares gives τ and the power
+that it takes away: a step of Gauss and Newton for the price of 2 nu + 1 simulations. Where that is
+clear, all is refined with the inputs shifted, and the error of that fit decides.
+
+A held input that acts early and one that goes on and acts late are nearly the same, so an input
+with a skew is also tried with its other holds, half a sample earlier or later.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.holds import SETTINGS, clearly_smaller, moving_inputs, with_hold, with_word
+from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.regression.orthonormal import orthonormal
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, signals, weighed
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.spans import spans_of
+
+Delays = Float[np.ndarray, " nu"]
+Fit = Callable[[Plant, tuple[Record, ...]], Refinement]
+
+
+@dataclass(frozen=True)
+class FreeRunSkewSettings:
+    """How a skew is found.
+
+    Attributes:
+        shift: of an input, to either side, for the slopes of the errors [sample periods].
+        steps: of Gauss and Newton, at most.
+        rank_tolerance: singular value of the columns of the unknowns, over the largest, below which
+            a direction is rounding.
+    """
+
+    shift: float = 0.25
+    steps: int = 3
+    rank_tolerance: float = 1e-8
+
+
+_SETTINGS = FreeRunSkewSettings()
+
+
+@dataclass(frozen=True)
+class SkewedFit:
+    """A refinement with shifted inputs.
+
+    Attributes:
+        fit: of the records with this hold and these delays.
+        hold: of the inputs.
+        delays: by which each input acts later than it was logged [s].
+    """
+
+    fit: Refinement
+    hold: Hold
+    delays: Delays
+
+    @property
+    def error(self) -> float:
+        """Geometric mean over the outputs."""
+        return mean_error(self.fit)
+
+
+def mean_error(result: Refinement) -> float:
+    """Geometric mean over the outputs of the errors of the runs."""
+    return float(np.exp(np.mean(np.log(np.maximum(result.rmse, 1e-300)))))
+
+
+def scored_samples(result: Refinement) -> int:
+    """Number of scored samples, their mean over the outputs."""
+    count = sum(int(np.sum(np.isfinite(part))) for part in result.residual)
+    return max(count // len(result.plant.outputs), 1)
+
+
+def fit_with_skew(
+    result: Refinement, records: tuple[Record, ...], hold: Hold, fit: Fit
+) -> SkewedFit | None:
+    """The refinement on shifted inputs, where they have a skew that lowers the error clearly.
+
+    Args:
+        result: the refinement with the hold that fits best without a skew.
+        records: as they were read; those that declare their hold are not shifted.
+        hold: of the other ones.
+        fit: refines a plant, from its parameters, on records.
+    """
+    count, inputs = scored_samples(result), moving_inputs(records)
+    if not inputs:
+        return None
+
+    def better(trial: SkewedFit, reference: SkewedFit) -> bool:
+        return clearly_smaller(trial.error**2, reference.error**2, count)
+
+    plain = SkewedFit(result, hold, np.zeros(records[0].inputs.shape[1]))
+    best = _shifted(plain, records, fit, inputs)
+    if best is plain:
+        return None
+    period = min(record.sample_period for record in records)
+    for j in np.flatnonzero(best.delays).tolist():
+        words = hold_of_each(best.hold, len(best.delays))
+        trials = []
+        for word in HOLDS:
+            if word == words[j]:
+                continue
+            delays = best.delays.copy()
+            delays[j] += 0.5 * period * (int(words[j] == "zero") - int(word == "zero"))
+            if abs(delays[j]) > period:
+                continue
+            changed = with_word(best.hold, j, word, len(words))
+            refined = fit(best.fit.plant, with_hold(records, changed, delays))
+            if refined.status.fits:
+                trial = SkewedFit(refined, changed, delays)
+                trials.append(_shifted(trial, records, fit, (j,)))
+        closest = min([best, *trials], key=lambda trial: trial.error)
+        if better(closest, best):
+            best = closest
+    seen = np.max(np.abs(best.delays)) >= SETTINGS.least_skew * period
+    return best if seen and better(best, plain) else None
+
+
+def _shifted(
+    start: SkewedFit, records: tuple[Record, ...], fit: Fit, inputs: Sequence[int]
+) -> SkewedFit:
+    """A fit whose inputs are shifted as long as the error falls clearly; itself if it does not."""
+    best = start
+    period = min(record.sample_period for record in records)
+    count = scored_samples(start.fit)
+    for _ in range(_SETTINGS.steps):
+        step = _predicted_skew(best, records, inputs)
+        if step is None or np.max(np.abs(best.delays + step)) > period:
+            break
+        delays = best.delays + step
+        refined = fit(best.fit.plant, with_hold(records, best.hold, delays))
+        trial = SkewedFit(refined, best.hold, delays) if refined.status.fits else best
+        if not clearly_smaller(trial.error**2, best.error**2, count):
+            break
+        best = trial
+    return best
+
+
+def _predicted_skew(
+    start: SkewedFit, records: tuple[Record, ...], inputs: Sequence[int]
+) -> Delays | None:
+    """Further delays by which the power of the errors falls most; None if it does not fall clearly.
+
+    Args:
+        start: the fit with the delays so far.
+        records: as they were read.
+        inputs: that may be shifted.
+    """
+    result, plant = start.fit, start.fit.plant
+    spans = spans_of(result.records, result.window)
+    shift = _SETTINGS.shift * min(record.sample_period for record in records)
+
+    def problem(delays: Delays) -> Problem:
+        shifted = with_hold(records, start.hold, delays)
+        return weighed(problem_of(plant, shifted, spans, result.substeps), result.rmse)
+
+    unshifted = problem(start.delays)
+    unknowns = _unknowns_of(result, unshifted)
+    columns = signals(unknowns, unshifted)
+    slopes = []
+    for j in inputs:
+        move = shift * (np.arange(len(start.delays)) == j)
+        later, earlier = (
+            signals(unknowns, problem(start.delays + sign * move))[..., -1] for sign in (1.0, -1.0)
+        )
+        slopes.append((later - earlier) / (2.0 * shift))
+    joined = np.concatenate([columns[..., :-1], np.stack(slopes, axis=-1), columns[..., -1:]], -1)
+    if not np.all(np.isfinite(joined)):
+        return None
+    rows = _without_unknowns(joined, unknowns.starts.shape[1], len(inputs) + 1)
+    step = np.zeros(len(start.delays))
+    step[list(inputs)] = _least_squares(rows[:, :-1], rows[:, -1], scored_samples(result))
+    return step if np.any(step) else None
+
+
+def _unknowns_of(result: Refinement, problem: Problem) -> Unknowns:
+    """Free parameters and the starts of all runs, as they were refined."""
+    rows, columns = list(problem.kernel.rows), list(problem.kernel.columns)
+    starts = [
+        np.concatenate([start.y[rows, columns], start.z, start.past]) for start in result.starts
+    ]
+    return Unknowns(np.asarray(result.plant.theta)[list(problem.free)], np.stack(starts))
+
+
+def _without_unknowns(
+    columns: Float[np.ndarray, "runs time ny size"], start_size: int, count: int
+) -> Float[np.ndarray, "rows count"]:
+    """The last `count` columns, less what the starts of each run and the parameters can do."""
+    tolerance, parts = _SETTINGS.rank_tolerance, []
+    for run in columns:
+        rows = run.reshape(-1, run.shape[-1])
+        basis = orthonormal(rows[:, :start_size], tolerance)
+        slopes = rows[:, start_size:]
+        parts.append(slopes - basis @ (basis.T @ slopes))
+    rows = np.concatenate(parts)
+    basis = orthonormal(rows[:, :-count], tolerance)
+    return rows[:, -count:] - basis @ (basis.T @ rows[:, -count:])
+
+
+def _least_squares(
+    slopes: Float[np.ndarray, "rows inputs"], error: Float[np.ndarray, " rows"], count: int
+) -> Float[np.ndarray, " inputs"]:
+    """Delays that lower the power of the error, clearly each: zeros where they do not."""
+    inputs = list(range(slopes.shape[1]))
+    delays = np.zeros(len(inputs))
+    while inputs:
+        chosen = slopes[:, inputs]
+        values = np.linalg.lstsq(chosen, -error, rcond=_SETTINGS.rank_tolerance)[0]
+        after = float(np.sum((error + chosen @ values) ** 2))
+        rises = []
+        for j in range(len(inputs)):  # what the error loses without one of them
+            fewer = np.delete(chosen, j, axis=1)
+            refitted = np.linalg.lstsq(fewer, -error, rcond=_SETTINGS.rank_tolerance)[0]
+            rises.append(float(np.sum((error + fewer @ refitted) ** 2)))
+        weakest = int(np.argmin(rises))
+        if clearly_smaller(after, rises[weakest], count):
+            delays[inputs] = values
+            return delays
+        inputs.pop(weakest)
+    return delays
