@@ -120,7 +120,7 @@ def explicit(observer: Any) -> eoi.observers.AbstractObserver:
 
 def simulated(kind: str, truth: dict[str, float], record: eoi.Record, initial: dict) -> np.ndarray:
     """Outputs (N, ny) of one of the paper's plants along the inputs of `record`."""
-    arguments = (truth, record.time, record.inputs[:, 0], record.hold)
+    arguments = (truth, record.time, record.inputs[:, 0], str(record.hold))
     if kind == "level_tank":
         return independent.level_tank(*arguments, start=float(initial["level"]))
     simulators: dict[str, Callable[..., np.ndarray]] = {

@@ -59,7 +59,7 @@ class Answer:
 
 def main() -> None:
     """Every set that is there, one after another."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--only", nargs="+", default=list(RIGS), metavar="NAME")
     parser.add_argument("--write", action="store_true", help="update the file in results/")
     options = parser.parse_args()

@@ -17,6 +17,8 @@ from scipy.signal import savgol_filter
 import eoi_jax as eoi
 
 Errors = tuple[float, float]  # of whole runs, in windows
+Records = tuple[eoi.Record, ...]
+Parts = tuple[Records, Records, Records]
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class Rig:
 
     Attributes:
         plant: the declared model at its nominal values.
-        estimation, held_out, untouched: records; without an untouched part the held-out one counts.
+        parts: records of the estimation, held-out ones, untouched ones; without an untouched part
+            the held-out one counts.
         declared, expert: errors of the hand fit of the declared and of the best model, on the part
             that counts, by output, in `unit`.
         added: what the hand fit added and calls certain; alternatives in one entry by "|".
@@ -33,9 +36,7 @@ class Rig:
     """
 
     plant: eoi.Plant
-    estimation: tuple[eoi.Record, ...]
-    held_out: tuple[eoi.Record, ...]
-    untouched: tuple[eoi.Record, ...]
+    parts: Parts
     declared: Mapping[str, Errors]
     expert: Mapping[str, Errors]
     added: tuple[str, ...]
@@ -43,15 +44,36 @@ class Rig:
     scale: float = 1.0
     remark: str = ""
 
+    @property
+    def estimation(self) -> tuple[eoi.Record, ...]:
+        """Records to fit."""
+        return self.parts[0]
+
+    @property
+    def held_out(self) -> tuple[eoi.Record, ...]:
+        """Records that judge."""
+        return self.parts[1]
+
+    @property
+    def untouched(self) -> tuple[eoi.Record, ...]:
+        """Records that choose nothing."""
+        return self.parts[2]
+
 
 def _stamps(count: int, period: float) -> np.ndarray:
     return period * np.arange(count)
 
 
 def _parts(
-    read: Callable[[str], eoi.Record], *parts: Sequence[str]
-) -> tuple[tuple[eoi.Record, ...], ...]:
-    return tuple(tuple(read(name) for name in part) for part in parts)
+    read: Callable[[str], eoi.Record],
+    estimation: Sequence[str],
+    held_out: Sequence[str],
+    untouched: Sequence[str],
+) -> Parts:
+    first, second, third = (
+        tuple(read(name) for name in part) for part in (estimation, held_out, untouched)
+    )
+    return first, second, third
 
 
 def throttle_valve(folder: Path) -> Rig:
@@ -77,7 +99,7 @@ def throttle_valve(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["run1"], ["run2"], ["run3"]),
+        plant, _parts(read, ["run1"], ["run2"], ["run3"]),
         {"position": (71.2, 69.6)}, {"position": (30.2, 29.8)}, ("coulomb_friction",), "mrad", 1e3,
     )  # fmt: skip
 
@@ -105,7 +127,7 @@ def shaking_table(folder: Path) -> Rig:
 
     return Rig(
         plant,
-        *_parts(
+        _parts(
             read, ["est_chirpFi03Ff5", "est_RandomA4F1", "est_SquareA4F3"],
             ["held_chirpFi1Ff3", "held_RandomA7F3", "held_SawtoothA2F1"],
             ["untouched_chirpFi05Ff1", "untouched_SineA1F1", "untouched_RandomA1F05"],
@@ -137,7 +159,7 @@ def levitator_coil(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["est_chirp", "est_escalon"], ["held_multiescalon"],
+        plant, _parts(read, ["est_chirp", "est_escalon"], ["held_multiescalon"],
         ["untouched_senoidal", "untouched_constante"]),
         {"current": (59.0, 59.5)}, {"current": (5.79, 5.59)},
         ("input_quadratic", "actuator_lag|input_delay"), "mA", 1e3,
@@ -172,12 +194,12 @@ def mr_damper(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["1.1", "4.1", "7.1"], ["3.1", "8.1"], ["5.1", "10.1"]),
+        plant, _parts(read, ["1.1", "4.1", "7.1"], ["3.1", "8.1"], ["5.1", "10.1"]),
         {"force": (26.6, 26.7)}, {"force": (10.1, 10.2)}, ("input_saturation",), "N",
     )  # fmt: skip
 
 
-def _hydraulic(folder: Path, output: str) -> tuple[tuple[eoi.Record, ...], ...]:
+def _hydraulic(folder: Path, output: str) -> Parts:
     data = np.load(folder / "hydraulic_arm/hydraulic_arm.npz")
 
     def read(name: str) -> eoi.Record:
@@ -199,7 +221,7 @@ def hydraulic_arm_position(folder: Path) -> Rig:
 
     plant = eoi.Plant(arm, {"k": 0.03}, relative_degree=1, inputs=("valve",), outputs=("position",))
     return Rig(
-        plant, *_hydraulic(folder, "position"),
+        plant, _hydraulic(folder, "position"),
         {"position": (0.5051, 0.1156)}, {"position": (0.08337, 0.02834)},
         ("input_saturation|input_quadratic", "input_delay|actuator_lag"), "1",
     )  # fmt: skip
@@ -217,7 +239,7 @@ def hydraulic_arm_pressure(folder: Path) -> Rig:
         inputs=("valve",), outputs=("pressure",),
     )  # fmt: skip
     return Rig(
-        plant, *_hydraulic(folder, "pressure"),
+        plant, _hydraulic(folder, "pressure"),
         {"pressure": (1.041, 1.092)}, {"pressure": (0.4659, 0.419)},
         ("input_saturation|input_quadratic", "input_rate"), "1",
     )  # fmt: skip
@@ -246,7 +268,7 @@ def hair_dryer(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["est"], ["held"], ["untouched"]),
+        plant, _parts(read, ["est"], ["held"], ["untouched"]),
         {"temperature": (0.4325, 0.4627)}, {"temperature": (0.1262, 0.1139)},
         ("input_delay", "actuator_lag|sensor_lag"), "V",
     )  # fmt: skip
@@ -275,7 +297,7 @@ def lamp_and_plate(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["est"], ["held"], ["untouched"]),
+        plant, _parts(read, ["est"], ["held"], ["untouched"]),
         {"temperature": (9.365, 2.794)}, {"temperature": (4.634, 2.219)}, ("second_node",), "K",
     )  # fmt: skip
 
@@ -301,7 +323,7 @@ def steam_exchanger(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["est"], ["held"], ["untouched"]),
+        plant, _parts(read, ["est"], ["held"], ["untouched"]),
         {"temperature": (0.6781, 0.6731)}, {"temperature": (0.3874, 0.3875)}, ("cells",), "K",
     )  # fmt: skip
 
@@ -330,7 +352,7 @@ def leaf_cell(folder: Path) -> Rig:
 
     return Rig(
         plant,
-        *_parts(read, ["est1", "est2", "est3", "est4"], ["held1", "held2"],
+        _parts(read, ["est1", "est2", "est3", "est4"], ["held1", "held2"],
                 ["untouched1", "untouched2"]),
         {"voltage": (22.51, 6.432)}, {"voltage": (20.14, 3.253)}, ("second_node",), "mV", 1e3,
     )  # fmt: skip
@@ -357,7 +379,7 @@ def buck_converter(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["id"], ["valid"], []),
+        plant, _parts(read, ["id"], ["valid"], []),
         {"output": (11.7, 2.93)}, {"output": (0.303, 0.303)},
         ("constant_offset", "product"), "V",
         remark="declared: by a pass; the windows of the best model are not given, its whole run is",
@@ -392,7 +414,7 @@ def tclab(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, (part(0, 700, "first"),), (part(700, 1002, "rest"),), (),
+        plant, ((part(0, 700, "first"),), (part(700, 1002, "rest"),), ()),
         {"first": (1.66, 1.66), "second": (0.605, 0.605)},
         {"first": (0.624, 0.624), "second": (0.515, 0.515)}, ("sensor_lag", "constant_offset"), "K",
         remark="hand fits: free runs from 0 s, scored over the held-out rows",
@@ -425,7 +447,7 @@ def servo_pendulum(folder: Path) -> Rig:
         )  # fmt: skip
 
     return Rig(
-        plant, *_parts(read, ["est"], ["held"], []),
+        plant, _parts(read, ["est"], ["held"], []),
         {"angle": (1.06, 1.06)}, {"angle": (1.06, 1.06)}, (), "°", 180.0 / np.pi,
     )  # fmt: skip
 

@@ -52,7 +52,7 @@ def _one_mass() -> Case:
     time_axis = STEP * np.arange(20001)
     u = eoi.excitation.square(time_axis, amplitude=1.0, frequency=1.0 / 6.0)
     library = eoi.simulate(truth, time_axis, u)
-    record = with_outputs(library, one_mass(truth.parameters, time_axis, u, library.hold))
+    record = with_outputs(library, one_mass(truth.parameters, time_axis, u, str(library.hold)))
     observer = eoi.observers.SecondOrder(c1=94.0, c2=94.0, c3=10.0)
     return Case(
         plant, truth.parameters, observer, eoi.LowPass(90.0), 5, None, record, library

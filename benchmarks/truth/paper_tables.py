@@ -412,7 +412,7 @@ def _one_mass(report: Report, quick: bool) -> None:
     time = np.arange(0.0, 12.0 if quick else 36.0, 1e-4)
     u = eoi.excitation.square(time, amplitude=1.0, frequency=1.0 / 6.0)
     clean = eoi.simulate(truth, time, u, name="one mass")
-    y = one_mass(truth.parameters, time, u, clean.hold)
+    y = one_mass(truth.parameters, time, u, str(clean.hold))
     sensor = (5e-6, 1e-5)  # [m], as for the three masses
     record = with_outputs(clean, with_sensor(y, *sensor, seed=6))
     other = with_outputs(clean, with_sensor(clean.outputs, *sensor, seed=7))

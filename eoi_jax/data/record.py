@@ -4,9 +4,8 @@ A record holds NumPy arrays on the host; kernels take their arrays from it.
 """
 
 import copy
-import hashlib
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_positive
+from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
 from eoi_jax._display import Result, text
 from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
@@ -41,6 +40,7 @@ from eoi_jax.data.cleaning import (
     read_signals,
     read_stamps,
 )
+from eoi_jax.data.digest import digest
 from eoi_jax.data.input_holds import (
     Hold,
     HoldArgument,
@@ -632,7 +632,7 @@ class Record(Result):
         said = any(stop - start > LONGEST_HELD for start, stop in known_alone)
         if self._output_valid is not None or (said and self.inputs.shape[1]):
             arrays += [self.input_valid, self.output_valid]
-        return _digest("", arrays)
+        return digest("", arrays)
 
     @property
     def content_hash(self) -> str:
@@ -646,7 +646,7 @@ class Record(Result):
         arrays += [] if self._skew is None else [self._skew]
         if self._is_slow or np.any(self.output_periods > self.sample_period):
             arrays.append(self.output_periods)
-        return _digest(settings, arrays)
+        return digest(settings, arrays)
 
     def __repr__(self) -> str:
         return text(self)
@@ -691,11 +691,3 @@ class Record(Result):
         """Set fields of a frozen record while it is constructed."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
-
-
-def _digest(header: str, arrays: Iterable[np.ndarray | None]) -> str:
-    digest = hashlib.sha256(header.encode())
-    for array in arrays:
-        digest.update(str(np.shape(array)).encode() if array is not None else b"none")
-        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:16]

@@ -17,21 +17,18 @@ r"""Find the effects that a model lacks from its residual, and add them.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._status import Status
-from eoi_jax.data.holds import undeclared_hold, with_hold
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
+from eoi_jax.discovery.additions import UNCERTAIN, added_effect, as_fit, uncertain_effects
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
 from eoi_jax.discovery.hold_choice import with_best_hold
+from eoi_jax.discovery.in_free_runs import leaves_open, with_free_runs
 from eoi_jax.discovery.parsimony import simpler
-from eoi_jax.discovery.ranking import ends, ranking
+from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import polished
 from eoi_jax.discovery.refit import (
     SEARCHED,
@@ -42,12 +39,11 @@ from eoi_jax.discovery.refit import (
     window_of,
 )
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
-from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
+from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.common_factors import without_common_factors
-from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
@@ -58,13 +54,12 @@ from eoi_jax.estimation.identify import (
 )
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
-from eoi_jax.models.augmented import Placed, added_effects
+from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import Drift, SinusoidalDisturbance, rare, wider
+from eoi_jax.models.effects import rare, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns
 
 _PASSES = 30  # of the declared model at most: the search starts from its converged fit
@@ -152,7 +147,14 @@ def discover(
     else:
         search = replace(search, lowpass=indices.lowpass)
         discovery = with_best_hold(search.on, fit_records, held_out, indices)
-    discovery = search.in_free_runs(discovery, fit_records, held_out)
+    if leaves_open(discovery):
+        progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+        first = min(float(record.time[0]) for record in fit_records)
+        tried = tried_effects if effects is not None else (*tried_effects, *wider())
+        timed = [effect.since(first) for effect in tried]
+        discovery = with_free_runs(
+            discovery, fit_records, held_out, timed, search.lowpass, search.alpha
+        )
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -221,44 +223,6 @@ class _Search:
             discovery = _judged_by_free_runs(task, discovery)
         discovery = _with_doubts(task, discovery, self.refine)
         return replace(discovery, notes=(*short_notes, *discovery.notes))
-
-    def in_free_runs(
-        self, discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
-    ) -> Discovery:
-        """The answer, with what free runs show where it has none and records are held out.
-
-        Args:
-            discovery: the answer so far.
-            records: to fit, as given.
-            held_out: that judge, as given.
-        """
-        if discovery.in_sample or not _leaves_open(discovery):
-            return discovery
-        self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-        plant, settled = discovery.declared.nominal, discovery.held_out[0]
-        holds = [settled.hold, *(() if undeclared_hold(records) is None else HOLDS)]
-        start = min(float(record.time[0]) for record in records)
-        tried = self.effects if self.named else (*self.effects, *wider())
-        effects = tuple(effect.since(start) for effect in tried)
-        variants = [
-            tuple(with_hold(part, hold, settled.skew) for part in (records, held_out))
-            for hold in dict.fromkeys(holds)
-        ]
-        models = [] if discovery.lead is None else [discovery.lead.found.plant]
-        rival = discovery.plant if discovery.added else None
-        models += [] if rival is None else [rival]
-        count = len(added_effects(plant))
-        further = [(model, added_effects(model)[count:]) for model in models]
-        starts = [discovery.declared.plant, plant]
-        answer = search_free_runs(starts, variants, effects, further, rival, self.alpha)
-        if answer is None:
-            return discovery
-        prepared = prepare_records(plant, answer.records, self.lowpass)
-        task = Task(
-            plant, prepared, answer.records, answer.judging, effects, discovery.declared,
-            self.alpha, self.most, self.window,
-        )  # fmt: skip
-        return _by_free_runs(task, discovery, answer)
 
 
 def _informative_records(
@@ -373,7 +337,7 @@ def _polished(
     if isinstance(better, str):
         return replace(discovery, notes=(*discovery.notes, better))
     # Notes about the estimate before the refinement no longer apply.
-    stale = (SEARCHED, _REFIT_STATUS, _UNCERTAIN)
+    stale = (SEARCHED, _REFIT_STATUS, UNCERTAIN)
     stale += tuple(on_bounds(task.plant, discovery.plant))
     notes = [note for note in discovery.notes if not note.startswith(stale)]
     notes += on_bounds(task.plant, better.refinement.plant)
@@ -384,7 +348,7 @@ def _polished(
         names = " and ".join(name.replace("_", " ") for name in names_of(better.placed))
         notes.append(f"found in the free run alone: {names}")
     result = better.refinement
-    fit = _as_fit(task, result)
+    fit = as_fit(task.prepared, result)
     refined_effects = [
         replace(
             addition,
@@ -393,8 +357,8 @@ def _polished(
         )
         for addition in discovery.added
     ]
-    added = [*refined_effects, *(_added(task.plant, fit, placed) for placed in better.placed)]
-    notes += _uncertain_effects(added)
+    added = [*refined_effects, *(added_effect(task.plant, fit, placed) for placed in better.placed)]
+    notes += uncertain_effects(added)
     unseen = discovery.status.code == "nothing_missing" and better.placed
     return replace(
         discovery, status=Status("explained", _ONLY_FREE_RUN) if unseen else discovery.status,
@@ -402,55 +366,6 @@ def _polished(
         added=tuple(added),
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
         notes=tuple(notes),
-    )  # fmt: skip
-
-
-def _leaves_open(discovery: Discovery) -> bool:
-    """Whether free runs are searched: without an answer, or with one that may stand in for another.
-
-    A disturbance in time may stand in for what the library lacks; and free runs may show more than
-    the injection does.
-    """
-    code = discovery.status.code
-    in_time = any(isinstance(one.effect, Drift | SinusoidalDisturbance) for one in discovery.added)
-    beyond = beyond_noise(discovery.windows_after, discovery.held_out)
-    return code == "unexplained" or (code == "explained" and (in_time or bool(beyond)))
-
-
-def _by_free_runs(task: Task, discovery: Discovery, answer: FreeRunAnswer) -> Discovery:
-    """The discovery with what lowers the error of free runs, where the injection has no answer."""
-    base, best = answer.base, answer.best
-    notes = [note for note in discovery.notes if not note.startswith("hold ")]
-    notes += [_REFINED_FIRST, f"hold {answer.records[0].hold}: as free runs on other data prefer"]
-    fit = _as_fit(task, best.refinement)
-    added = tuple(_added(task.plant, fit, placed) for placed in best.placed)
-    short_before, short_after = base.runs[1], best.runs[1]
-    assert short_before is not None
-    assert short_after is not None
-    ratio = float(np.exp(best.error - base.error))
-    status = discovery.status
-    if added:
-        status = Status("partial", _PARTIAL.format(" and ".join(names_of(best.placed)), ratio))
-    return replace(
-        discovery,
-        effects=names_of(best.placed),
-        added=added,
-        explained=1.0 - ratio**2 if added else 0.0,
-        before=base.runs[0], windows_before=short_before,
-        after=best.runs[0], windows_after=short_after,
-        found=fit, plant=fit.plant, status=status, lead=None, held_out=answer.judging,
-        notes=(*notes, *on_bounds(task.plant, fit.plant), *_uncertain_effects(added)),
-    )  # fmt: skip
-
-
-def _as_fit(task: Task, result: Refinement) -> Identification:
-    """A refinement as a fit: one pass gives the injection that is left."""
-    injection_fit = estimate(result.plant, task.prepared, passes=1)
-    return replace(
-        injection_fit, parameters=result.parameters, information=result.information,
-        plant=result.plant,
-        certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
-        status=result.status,
     )  # fmt: skip
 
 
@@ -508,7 +423,7 @@ def _answer(
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _FREE_RUN_WORSE)
     accepted = placed if fit is not task.declared else ()
-    added = tuple(_added(task.plant, fit, location) for location in accepted)
+    added = tuple(added_effect(task.plant, fit, location) for location in accepted)
     rivals = ambiguous(rounds[0], names_of(accepted)) if accepted else ()
     return Discovery(
         effects=names_of(accepted),
@@ -525,7 +440,7 @@ def _answer(
         found=fit,
         plant=fit.plant,
         status=status,
-        notes=(*notes, *_bound_and_grid_notes(fit, accepted, rounds), *_uncertain_effects(added)),
+        notes=(*notes, *_bound_and_grid_notes(fit, accepted, rounds), *uncertain_effects(added)),
         in_sample=not task.held_out,
         held_out=task.held_out or task.records,
         # An unexplained residual is examined with the tests that need no hypothesis.
@@ -544,27 +459,9 @@ def _lead(
         runs = free_runs(task, refit.plant)
         if refit.status.ok and holds(before, runs):
             share, _, _ = explained(rounds if placed is steps[-1][1] else step_rounds)
-            added = tuple(_added(task.plant, refit, location) for location in placed)
+            added = tuple(added_effect(task.plant, refit, location) for location in placed)
             return PartialExplanation(added, share, refit, *runs)
     return None
-
-
-def _uncertain_effects(added: Sequence[Added]) -> list[str]:
-    """Notes on effects of which every standard error exceeds half of its parameter."""
-
-    def vague(addition: Added) -> bool:
-        pairs = (
-            (abs(addition.parameters[name]), error)
-            for name, error in addition.standard_errors.items()
-        )
-        return all(error > 0.5 * value for value, error in pairs)
-
-    return [
-        f"{_UNCERTAIN} {addition.effect.name.replace('_', ' ')}: every parameter of it has a "
-        "standard error above half of its value"
-        for addition in added
-        if vague(addition)
-    ]
 
 
 def _share_of_simpler(
@@ -594,16 +491,7 @@ _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
-_REFINED_FIRST = (
-    "the injection gives no answer: the declared model was refined by the error of its free runs, "
-    "and effects were searched in these. Errors before are those of the refined declared model"
-)
-_PARTIAL = (
-    "with {} free runs on the held-out records have {:.3g} of the error; the injection shows that "
-    "something is left"
-)
 _REFIT_STATUS = "the refit of the augmented model ended as"
-_UNCERTAIN = "the records hardly tell the size of"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"
 _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
@@ -620,18 +508,6 @@ def _notes(task: Task) -> list[str]:
             "on other data. Give `validation`: records, or a share of these such as 0.3"
         )
     return notes
-
-
-def _added(plant: Plant, fit: Identification, placed: Placed) -> Added:
-    channels = placed.effect.channels(plant)
-    return Added(
-        placed.effect,
-        channels[placed.channel],
-        {name: fit.parameters[name] for name in placed.names},
-        {name: fit.standard_errors[name] for name in placed.names},
-        placed.effect.sentence,
-        *ends(plant, placed),
-    )
 
 
 def _bound_and_grid_notes(

@@ -9,7 +9,7 @@ static input effects act within f and g.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import check
+from eoi_jax._types import WHERE_SET
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
@@ -146,6 +147,7 @@ def augmented(
             units[name] = unit(plant, placement, parameter.unit)
     added = {name: float(values[name]) for placement in placements for name in placement.names}
     moving = states + nz > 0
+    following = any(placement.effect.follows_slope for placement in placements)
     slow = any(isinstance(placement.effect, AbstractActuator) for placement in placements)
     dynamics = _Dynamics(plant.dynamics, declared_names, placements, nz)
     return Plant(
@@ -154,7 +156,11 @@ def augmented(
         relative_degree=plant.degrees,
         inputs=plant.inputs,
         outputs=plant.outputs,
-        internal=_Internal(plant.internal, dynamics, nz) if moving else None,
+        internal=_Internal(
+            plant.internal, declared_names, placements, nz, dynamics if following else None
+        )
+        if moving
+        else None,
         internal_initial=_Start(plant.internal_initial, declared_names, states) if moving else None,
         bounds=limits,
         fixed=plant.fixed,
@@ -267,18 +273,15 @@ class _Internal:
     """g of the augmented plant."""
 
     base: Dynamics | None
-    dynamics: _Dynamics
+    names: tuple[str, ...]
+    placed: tuple[Placed, ...]
     nz: int
+    dynamics: _Dynamics | None = field(default=None, metadata=WHERE_SET)  # where effects follow it
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters of the declared plant."""
-        return self.dynamics.names
-
-    @property
-    def placed(self) -> tuple[Placed, ...]:
-        """The added effects."""
-        return self.dynamics.placed
+    def _slopes(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        """First derivatives of the outputs."""
+        assert self.dynamics is not None
+        return x.y[1] if x.y.shape[0] > 1 else self.dynamics(t, x, u, p)
 
     @property
     def states(self) -> tuple[str, ...] | None:
@@ -312,8 +315,7 @@ class _Internal:
             _, shape = split_parameters(placement, p)
             at = instant(placement, t, x, at_input, z)
             if placement.effect.follows_slope:
-                rows = x.y[1:2] if x.y.shape[0] > 1 else self.dynamics(t, x, u, p)[None]
-                at = at._replace(slope=placement.coordinate(rows)[0])
+                at = at._replace(slope=placement.coordinate(self._slopes(t, x, u, p)))
             if placement.effect.states:
                 rates.append(
                     jnp.reshape(placement.effect.rate(at, shape), (placement.effect.states,))

@@ -347,6 +347,8 @@ def _decode(
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     defaults = {field.name: field.default for field in fields
                 if field.default is not dataclasses.MISSING}  # fmt: skip
+    defaults |= {field.name: field.default_factory() for field in fields
+                 if field.default_factory is not dataclasses.MISSING}  # fmt: skip
     for name, element in {**defaults, **content}.items():
         object.__setattr__(new, name, element)
     return new

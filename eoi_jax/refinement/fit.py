@@ -9,14 +9,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax.refinement.free_run_sums import ill_conditioned
 from eoi_jax.refinement.levenberg_marquardt import solve
-from eoi_jax.refinement.problem import (
-    Outcome,
-    Problem,
-    Unknowns,
-    ill_conditioned,
-    weighed,
-)
+from eoi_jax.refinement.problem import Outcome, Problem, Unknowns, weighed
 
 
 @dataclass(frozen=True)

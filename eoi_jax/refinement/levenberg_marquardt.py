@@ -21,15 +21,14 @@ from eoi_jax._types import Scalar
 from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.step_scales import StepScales, coordinates, linear_step, scaled_step, shortened
+from eoi_jax.refinement.free_run_sums import errors, signals
 from eoi_jax.refinement.problem import (
     CONVERGED,
     HostRuns,
     Outcome,
     Problem,
     Unknowns,
-    errors,
     scored_values,
-    signals,
 )
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import Host, added_up

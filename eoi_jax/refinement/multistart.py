@@ -18,8 +18,9 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.estimation.preparation import starting_points
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.levenberg_marquardt import solve_many
-from eoi_jax.refinement.problem import Problem, Unknowns, signals
+from eoi_jax.refinement.problem import Problem, Unknowns
 
 
 @dataclass(frozen=True)

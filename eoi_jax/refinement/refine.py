@@ -54,6 +54,7 @@ from eoi_jax.refinement.fit import (
     unweighed,
     watching,
 )
+from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.in_loop import refined_in_loop
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
@@ -64,7 +65,6 @@ from eoi_jax.refinement.problem import (
     beginning,
     guessed_starts,
     problem_of,
-    signals,
     weighed,
 )
 from eoi_jax.refinement.result import Refinement

@@ -240,4 +240,6 @@ def _pairs(
 
 def _is_tried(effect: AbstractEffect) -> bool:
     forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
-    return forces_alone and (effect.states == 0 or hasattr(effect, "along"))
+    if isinstance(effect, AbstractTerm) and effect.states:
+        return type(effect).states_along is not AbstractTerm.states_along
+    return forces_alone and effect.states == 0

@@ -34,7 +34,8 @@ from eoi_jax.models.effects.effect import (
     Seen,
 )
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, signals, weighed
+from eoi_jax.refinement.free_run_sums import signals
+from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span
 from eoi_jax.simulation.integrator import Drive
@@ -245,9 +246,9 @@ class LinearisedRuns:
             level = placed.coordinate(y[..., 0, :])
             channel = u[..., 0] if u.shape[-1] else 0.0 * t
             z = None
-            if effect.states:  # of effects that say what these are along a run
+            if effect.states:
                 period = float(np.mean(np.asarray(t)[:, 0, 2] - np.asarray(t)[:, 0, 0]))
-                z = jnp.asarray(effect.along(np.asarray(level), period, shape))
+                z = jnp.asarray(effect.states_along(np.asarray(level), period, shape))
             at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=z)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)

@@ -21,7 +21,8 @@ from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, signals, weighed
+from eoi_jax.refinement.free_run_sums import signals
+from eoi_jax.refinement.problem import Problem, Unknowns, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import spans_of
 

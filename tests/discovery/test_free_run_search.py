@@ -56,7 +56,9 @@ def measured(seed, exchange=TRUE["exchange"]):
 
 
 def searched(records, judging, tried):
-    return search_free_runs([PLATE], [((records,), (judging,))], tried)
+    answer = search_free_runs([PLATE], [((records,), (judging,))], tried)
+    assert answer is not None
+    return answer
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
     y = np.cumsum(np.random.default_rng(0).standard_normal((1, 50)), axis=1)
     stages = np.stack([y[:, :-1], 0.5 * (y[:, :-1] + y[:, 1:]), y[:, 1:]], axis=-1)
     rate, h = 0.3, 0.5
-    along = effects.SecondNode().along(stages, h, np.array([rate]))
+    along = effects.SecondNode().states_along(stages, h, np.array([rate]))
     decay = np.exp(-rate * h)
     expected = lfilter([-(1.0 - decay) / (rate * h)], [1.0, -decay], np.diff(y[0]))
     np.testing.assert_allclose(along[0, 0, :, 2], expected, rtol=1e-12)
@@ -118,7 +120,7 @@ def test_records_too_short_for_windows_are_not_judged():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
     assert _Judge.of((short,)) is None
-    assert searched(record, short, [effects.ConstantOffset()]) is None
+    assert search_free_runs([PLATE], [((record,), (short,))], [effects.ConstantOffset()]) is None
 
 
 def test_a_fall_is_measured_by_its_scatter():
@@ -132,6 +134,8 @@ def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():
     answer = eoi.discover(PLATE, measured(1), validation=measured(2))
     assert "second_node" in answer.effects
     assert answer.status.code in ("partial", "explained")
+    assert answer.after is not None
+    assert answer.before is not None
     assert answer.after.rmse[0] < 0.5 * answer.before.rmse[0]
     assert "second store" in str(answer)
 

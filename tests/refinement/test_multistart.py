@@ -8,8 +8,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.refinement import multistart
+from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.multistart import _standard_steps, _varied, best
-from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, signals, weighed
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, weighed
 from eoi_jax.refinement.refine import _rougher
 from eoi_jax.refinement.spans import spans_of
 

@@ -15,8 +15,9 @@ from eoi_jax._checks import RecordWarning
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement import problem as output_error
 from eoi_jax.refinement.fit import _typical, fitted
+from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.multistart import _varied, points_of
-from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, signals
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.spans import spans_of, used_window
 

@@ -78,7 +78,8 @@ def test_sensitivities_of_outputs_are_their_derivatives():
     """Compiled and scanned alike: -∂ŷ/∂θ of each sample, the last one of a record too."""
     record = battery_record(noise=0.0, samples=180)
     plant: Any = battery(R0=0.02, C1=1000.0)
-    from eoi_jax.refinement.problem import Unknowns, problem_of, signals
+    from eoi_jax.refinement.free_run_sums import signals
+    from eoi_jax.refinement.problem import Unknowns, problem_of
     from eoi_jax.refinement.spans import spans_of
 
     spans = spans_of([record], None)

@@ -205,6 +205,19 @@ class AbstractTerm(AbstractEffect):
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         """The contribution to y^(r) [its unit], linear in `gain`."""
 
+    def states_along(
+        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+    ) -> Float[np.ndarray, "states runs S 3"] | None:
+        """Internal states along runs, for a score test of free runs; None where it has no formula.
+
+        Args:
+            y: the output at the start, the middle and the end of each sample.
+            period: of the samples [s].
+            shape: the shape parameters.
+        """
+        del y, period, shape
+        return None
+
 
 class AbstractInputEffect(AbstractEffect):
     """An effect that changes one input before it enters the model."""

@@ -75,10 +75,10 @@ class SecondNode(AbstractTerm):
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return gain[0] * at.z[0]
 
-    def along(
+    def states_along(
         self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
     ) -> Float[np.ndarray, "1 runs S 3"]:
-        """The state along y at the start, the middle and the end of each sample, from zero on."""
+        # Exact for y that is straight between its samples; from zero on.
         decay = np.exp(-shape[0] * period)
         mean = (1.0 - decay) / (shape[0] * period)
         change = (y[..., 2] - y[..., 0]).T

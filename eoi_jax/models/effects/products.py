@@ -10,7 +10,11 @@ from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
 
 @dataclass(frozen=True)
 class Product(AbstractTerm):
-    """a v w: product of two of y, ẏ and u, as in a gain that changes with the position."""
+    """a v w: product of two of y, ẏ and u, as in a gain that changes with the position.
+
+    Attributes:
+        first, second: "y", "v" or "u".
+    """
 
     first: str
     second: str

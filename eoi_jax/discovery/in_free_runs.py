@@ -1,0 +1,109 @@
+"""The discovery that follows from a search in free runs, where the injection leaves it open."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eoi_jax._status import Status
+from eoi_jax.data.holds import undeclared_hold, with_hold
+from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import HOLDS
+from eoi_jax.discovery.acceptance import names_of
+from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
+from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
+from eoi_jax.discovery.refit import on_bounds
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.estimation.preparation import prepare_records
+from eoi_jax.models.augmented import added_effects
+from eoi_jax.models.effects import Drift, SinusoidalDisturbance
+from eoi_jax.models.effects.effect import AbstractEffect
+
+
+def leaves_open(discovery: Discovery) -> bool:
+    """Whether free runs are searched: without an answer, or with one that may stand in for another.
+
+    A disturbance in time may stand in for what the library lacks; and free runs may show more than
+    the injection does. Only records that are held out can judge.
+    """
+    code = discovery.status.code
+    in_time = any(
+        isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
+    )
+    beyond = beyond_noise(discovery.windows_after, discovery.held_out)
+    doubtful = code == "explained" and (in_time or bool(beyond))
+    return not discovery.in_sample and (code == "unexplained" or doubtful)
+
+
+def with_free_runs(
+    discovery: Discovery,
+    records: tuple[Record, ...],
+    held_out: tuple[Record, ...],
+    effects: Sequence[AbstractEffect],
+    lowpass: LowPass | None,
+    alpha: float,
+) -> Discovery:
+    """The discovery, with what lowers the error of free runs on held-out records.
+
+    Args:
+        discovery: the answer so far.
+        records: to fit, as given.
+        held_out: that judge, as given.
+        effects: to try.
+        lowpass: F of the fits; None: chosen from the records.
+        alpha: level of significance of the score test.
+    """
+    plant, settled = discovery.declared.nominal, discovery.held_out[0]
+    holds = [settled.hold, *(() if undeclared_hold(records) is None else HOLDS)]
+    variants = [
+        (with_hold(records, hold, settled.skew), with_hold(held_out, hold, settled.skew))
+        for hold in dict.fromkeys(holds)
+    ]
+    rival = discovery.plant if discovery.added else None
+    lead = None if discovery.lead is None else discovery.lead.found.plant
+    count = len(added_effects(plant))
+    further = [(model, added_effects(model)[count:]) for model in (lead, rival) if model]
+    starts = [discovery.declared.plant, plant]
+    answer = search_free_runs(starts, variants, effects, further, rival, alpha)
+    return discovery if answer is None else _answered(discovery, answer, lowpass)
+
+
+def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
+    """The discovery with the model that the search came to."""
+    base, best, plant = answer.base, answer.best, discovery.declared.nominal
+    fit = as_fit(prepare_records(plant, answer.records, lowpass), best.refinement)
+    added = tuple(added_effect(plant, fit, placed) for placed in best.placed)
+    ratio = float(np.exp(best.error - base.error))
+    status = discovery.status
+    if added:
+        names = " and ".join(names_of(best.placed))
+        left = beyond_noise(best.runs[1], answer.judging)
+        code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
+        status = Status(code, text.format(names, ratio))
+    notes = [note for note in discovery.notes if not note.startswith("hold ")]
+    notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
+    return replace(
+        discovery, effects=names_of(best.placed), added=added,
+        explained=1.0 - ratio**2 if added else 0.0,
+        before=base.runs[0], windows_before=base.runs[1],
+        after=best.runs[0], windows_after=best.runs[1],
+        found=fit, plant=fit.plant, status=status, lead=None, held_out=answer.judging,
+        notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
+    )  # fmt: skip
+
+
+_HOLD = "hold {}: of those that are possible the one with the smallest errors on held-out records"
+_REFINED = (
+    "the declared model was refined by the error of its free runs, and effects were searched in "
+    "these; errors before are those of the refined declared model"
+)
+_PARTIAL = (
+    "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
+    "model; more than noise is left"
+)
+_COMPLETE = (
+    "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
+    "model, and miss by no more than noise"
+)
