@@ -8,7 +8,7 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
-_CONFIRMED = (
+CONFIRMED = (
     2.0 / 3.0
 )  # largest ratio of the errors after and before, in every free run, that confirms
 _NOISE = 3.0  # error of short free runs over the noise of a sensor, above which it is not noise
@@ -26,7 +26,7 @@ def holds(before: FreeRuns, after: FreeRuns) -> bool:
 
 def confirmed(before: FreeRuns, after: FreeRuns) -> bool:
     """Whether the error of all free runs, whole and in windows, falls by at least a third."""
-    return all(bool(np.all(new.rmse < _CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
+    return all(bool(np.all(new.rmse < CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
 
 
 def only_short(before: FreeRuns, after: FreeRuns) -> bool:

@@ -11,10 +11,10 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import HOLDS
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
-from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
-from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import added_effects
@@ -71,13 +71,23 @@ def with_free_runs(
 
 
 def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
-    """The discovery with the model that the search came to."""
+    """The discovery with the model that the search came to, or with the refined declared one.
+
+    An answer must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): the
+    shadow of an effect that the library lacks lowers them a little too. It is then the lead.
+    """
     base, best, plant = answer.base, answer.best, discovery.declared.nominal
-    fit = as_fit(prepare_records(plant, answer.records, lowpass), best.refinement)
+    prepared = prepare_records(plant, answer.records, lowpass)
+    fit = as_fit(prepared, best.refinement)
     added = tuple(added_effect(plant, fit, placed) for placed in best.placed)
     ratio = float(np.exp(best.error - base.error))
-    status = discovery.status
-    if added:
+    lead, status = None, discovery.status
+    if added and ratio > CONFIRMED:
+        if discovery.added:
+            return discovery
+        lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
+        best, added, fit = base, (), as_fit(prepared, base.refinement)
+    elif added:
         names = " and ".join(names_of(best.placed))
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
@@ -89,7 +99,7 @@ def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | No
         explained=1.0 - ratio**2 if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
         after=best.runs[0], windows_after=best.runs[1],
-        found=fit, plant=fit.plant, status=status, lead=None, held_out=answer.judging,
+        found=fit, plant=fit.plant, status=status, lead=lead, held_out=answer.judging,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
 
