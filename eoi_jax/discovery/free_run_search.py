@@ -87,12 +87,14 @@ class FreeRunAnswer:
         base: the declared model, refined.
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
+        start_error: mean logarithm of the errors of the declared model before it was refined.
     """
 
     base: Judged
     best: Judged
     records: tuple[Record, ...]
     judging: tuple[Record, ...]
+    start_error: float
 
 
 def search_free_runs(
@@ -146,7 +148,8 @@ def search_free_runs(
         other = Judged(best.refinement, (), search.judge.runs(rival))
         if not search.judge.prefers(best, other):
             return None
-    return FreeRunAnswer(search.base, best, search.records, search.judge.records)
+    start_error = _mean_error(search.judge.runs(starts[0]))
+    return FreeRunAnswer(search.base, best, search.records, search.judge.records, start_error)
 
 
 @dataclass(frozen=True)
@@ -279,7 +282,8 @@ class _Search:
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged."""
         window = best.refinement.window
-        return _fitted(plant, (*best.placed, *placed), self.records, window, self.judge)
+        trial = _fitted(plant, (*best.placed, *placed), self.records, window, self.judge)
+        return trial if trial is not None and _is_known(trial) else None
 
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without."""
@@ -322,6 +326,16 @@ def _plainest(trials: Sequence[Judged]) -> Judged:
     lowest = min(trial.error for trial in trials)
     as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
     return min(as_good, key=lambda trial: (len(trial.placed), trial.error))
+
+
+def _is_known(model: Judged) -> bool:
+    """Whether each effect has a parameter whose standard error is at most half of its value."""
+    values, errors = model.refinement.parameters, model.refinement.standard_errors
+
+    def known(placed: Placed) -> bool:
+        return any(errors[name] <= 0.5 * abs(values[name]) for name in placed.names)
+
+    return all(map(known, model.placed))
 
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:

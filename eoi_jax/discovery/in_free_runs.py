@@ -12,13 +12,14 @@ from eoi_jax.data.resampling import HOLDS
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.result import Discovery, PartialExplanation
+from eoi_jax.discovery.round import PRODUCT
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import added_effects
-from eoi_jax.models.effects import Drift, SinusoidalDisturbance
+from eoi_jax.models.effects import Drift, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 
 
@@ -71,27 +72,34 @@ def with_free_runs(
 
 
 def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
-    """The discovery with the model that the search came to, or with the refined declared one.
+    """The discovery with the model that the search came to, where that is an answer.
 
-    An answer must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): the
-    shadow of an effect that the library lacks lowers them a little too. It is then the lead.
+    It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): the shadow
+    of an effect that the library lacks lowers them a little too. Else it is the lead, and the
+    declared model is refined where that alone lowers them as much.
     """
     base, best, plant = answer.base, answer.best, discovery.declared.nominal
+    ratio = float(np.exp(best.error - base.error))
+    found = bool(best.placed) and ratio < CONFIRMED and not _imitates(discovery, best)
+    refined = base.error - answer.start_error < np.log(CONFIRMED)
+    if not found and (discovery.added or not (refined or best.placed)):
+        return discovery
     prepared = prepare_records(plant, answer.records, lowpass)
     fit = as_fit(prepared, best.refinement)
     added = tuple(added_effect(plant, fit, placed) for placed in best.placed)
-    ratio = float(np.exp(best.error - base.error))
-    lead, status = None, discovery.status
-    if added and ratio > CONFIRMED:
-        if discovery.added:
+    if not found:
+        lead = discovery.lead
+        if added and lead is None:
+            lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
+        discovery = replace(discovery, lead=lead)
+        if not refined:
             return discovery
-        lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
-        best, added, fit = base, (), as_fit(prepared, base.refinement)
-    elif added:
+        best, added, fit, status = base, (), as_fit(prepared, base.refinement), discovery.status
+    else:
         names = " and ".join(names_of(best.placed))
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
-        status = Status(code, text.format(names, ratio))
+        status, lead = Status(code, text.format(names, ratio)), None
     notes = [note for note in discovery.notes if not note.startswith("hold ")]
     notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
     return replace(
@@ -102,6 +110,13 @@ def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | No
         found=fit, plant=fit.plant, status=status, lead=lead, held_out=answer.judging,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
+
+
+def _imitates(discovery: Discovery, best: Judged) -> bool:
+    """Whether a product of signals refuted an effect in the injection, and none is in the model."""
+    refuted = {one.effect for one in discovery.ranking if one.remark.startswith(PRODUCT)}
+    names = set(names_of(best.placed))
+    return bool(names & refuted) and Product.name not in names
 
 
 _HOLD = "hold {}: of those that are possible the one with the smallest errors on held-out records"

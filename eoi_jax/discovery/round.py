@@ -44,6 +44,7 @@ _PERIODIC_CORRELATION, _HARMONICS = 0.95, 4
 _PRODUCT_SHARE, _NOTABLE = 0.5, 0.005
 _EXTENSIONS = 3  # extensions of a set that are evaluated
 _SIMILAR_LEVELS = 1.5  # largest ratio of friction levels that are read as a level and an offset
+PRODUCT = "a product of signals"  # begins the remarks on what one refutes
 TOLD_APART = 10.0  # difference of twice the log-likelihood above which sets are distinguished
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
@@ -333,14 +334,14 @@ class Round:
             if remainder - self._least_with_product > max(
                 _PRODUCT_SHARE * remainder, _NOTABLE * search.lacking
             ):
-                self.refused[placed] = "a product of signals takes most of the rest"
+                self.refused[placed] = f"{PRODUCT} takes most of the rest"
                 return False
             # A product that alone explains more than the set: the set imitates it.
             if (
                 power(fit.residual) - power(search.fit(product_atoms).residual)
                 > _NOTABLE * search.lacking
             ):
-                self.refused[placed] = "a product of signals takes more, alone"
+                self.refused[placed] = f"{PRODUCT} takes more, alone"
                 return False
         return True
 

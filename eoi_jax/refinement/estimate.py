@@ -137,8 +137,9 @@ def _starts(
     unknowns, theta = fit.outcome.unknowns, np.asarray(plant.theta)
     x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
     x = jax.tree.map(np.asarray, x)
-    levels = 0 if fit.problem.places is None else len(plant.inputs)
-    past = np.asarray(unknowns.starts)[:, np.shape(unknowns.starts)[1] - levels :]
+    past: Sequence[np.ndarray | None] = [None] * len(spans)
+    if fit.problem.places is not None:
+        past = list(np.asarray(unknowns.starts)[:, -len(plant.inputs) :])
     return tuple(
         Start(records[span.record].name, float(records[span.record].time[span.first]), *parts)
         for span, *parts in zip(spans, x.y, x.z, past, strict=True)

@@ -388,12 +388,12 @@ def driven(problem: Problem, theta: Host, starts: Host) -> DrivenInputs:
 
 def _driven(problem: Problem, theta: Host, levels: Host) -> DrivenInputs:
     plant, drives = problem.kernel.plant, problem.record_drives
-    leaders = np.asarray(problem.leaders)
     if problem.compiled:
         places = np.asarray(problem.places)
-        return driven_on_host(plant, np.asarray(theta), drives, np.asarray(levels), places, leaders)
+        host = np.asarray(theta), drives, np.asarray(levels), places, np.asarray(problem.leaders)
+        return driven_on_host(plant, *host)
     places = jnp.asarray(problem.places)
-    return driven_inputs(plant, jnp.asarray(theta), drives, levels, places, leaders)
+    return driven_inputs(plant, jnp.asarray(theta), drives, levels, places, problem.leaders)
 
 
 class Outcome(eqx.Module):

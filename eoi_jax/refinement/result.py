@@ -23,14 +23,14 @@ class Start:
         y: outputs and their derivatives, shape (r, ny).
         z: internal states, shape (nz,).
         past: of a plant with delays or lags, the levels of its inputs before the record less their
-            first values, shape (nu,); else empty.
+            first values, shape (nu,); else None.
     """
 
     record: str
     time: float
     y: Float[np.ndarray, "r ny"]
     z: Float[np.ndarray, " nz"]
-    past: Float[np.ndarray, " nu"] = field(default_factory=lambda: np.zeros(0))
+    past: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,9 @@ class LinearisedRuns:
         kernel = problem.kernel
         rows, columns = list(kernel.rows), list(kernel.columns)
         starts = [
-            np.concatenate([start.y[rows, columns], start.z, start.past])
+            np.concatenate(
+                [start.y[rows, columns], start.z, np.zeros(0) if start.past is None else start.past]
+            )
             for start in refinement.starts
         ]
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]

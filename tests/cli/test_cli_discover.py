@@ -94,6 +94,7 @@ def run_command(*arguments: object):
 OBSERVER = '[observer]\nkind = "second_order"\nc1 = 20.0\nc2 = 100.0\nc3 = 500.0\n\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tables", "said"),
     [
@@ -113,6 +114,7 @@ def test_tables_that_a_discovery_does_not_take_are_named(known, config, tmp_path
     assert any(note.startswith(said or "[") for note in notes) == (said is not None)
 
 
+@pytest.mark.slow
 def test_a_discovery_prints_its_report_and_writes_all_of_it(known, found, config, tmp_path):
     done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
@@ -159,11 +161,13 @@ def test_json_is_one_object_with_everything(known, found, config, tmp_path):
     assert result["config"]["simulate"]["effects"] == {"coulomb_friction": 0.3}
 
 
+@pytest.mark.slow
 def test_quiet_prints_only_the_folder(known, config, tmp_path):
     done = run_command("discover", config, "--output", tmp_path / "runs", "--quiet")
     assert done.stdout == f"{tmp_path / 'runs' / 'hidden'}\n"
 
 
+@pytest.mark.slow
 def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_path):
     config.write_text(HIDDEN, encoding="utf-8-sig")
     done = run_command("discover", config, "--output", tmp_path / "runs")
@@ -173,6 +177,7 @@ def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_pat
     assert configs.load(copy) == configs.load(config)
 
 
+@pytest.mark.slow
 def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, config, tmp_path):
     status = eoi.Status("unexplained", "No effect tried is justified.")
     known["answer"] = dataclasses.replace(
@@ -188,6 +193,7 @@ def test_unexplained_ends_with_1_says_so_and_writes_the_maps(known, found, confi
     assert {path.name for path in (tmp_path / "runs" / "hidden").iterdir()} == FILES
 
 
+@pytest.mark.slow
 def test_nothing_missing_is_an_answer(known, found, config, tmp_path):
     status = eoi.Status("nothing_missing", "The residual is noise.")
     known["answer"] = dataclasses.replace(found, effects=(), added=(), status=status)

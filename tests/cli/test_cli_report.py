@@ -39,6 +39,7 @@ def run(written: Path, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_is_made_anew_the_same_without_model_or_data(run):
     first = (run / "report.html").read_text()
     (run / "report.html").unlink()

@@ -99,6 +99,7 @@ def rig():
 """
 
 
+@pytest.mark.slow
 def test_a_python_file_is_run_where_it_is_trusted_only(tmp_path, monkeypatch):
     """It is found from any folder: the command names its config by where it was given."""
     (tmp_path / "configs").mkdir()

@@ -121,6 +121,7 @@ print(backend_runs())
     assert done.stdout.strip() == str(known)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the memory in use from /proc")
 def test_what_operations_were_lowered_to_is_let_go_and_they_run_as_before():
     """With JAX 0.10 each takes 1.4 MB, 0.4 without it; with 0.12 no more from the start."""

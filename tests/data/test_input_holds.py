@@ -67,6 +67,7 @@ def test_what_drives_a_free_run_follows_each_hold_and_skew(skew):
         np.testing.assert_array_equal(together.inputs[..., j], single.inputs[..., 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["fixed", "adaptive"])
 def test_a_simulation_of_a_linear_plant_is_the_sum_of_those_of_each_input(solver):
     gains = (2.0, -1.0, 0.5)

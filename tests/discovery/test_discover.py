@@ -1,7 +1,6 @@
 """Discovery from end to end on short records, and how it answers when something is wrong."""
 
 from functools import cache
-from importlib import import_module
 
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -10,6 +9,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery.additions import uncertain_effects
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.regression import Base, Fit
 from eoi_jax.discovery.result import Added
@@ -181,6 +181,7 @@ def test_levels_of_ratio_two_are_read_as_asymmetric_friction():
     assert answer.advice
 
 
+@pytest.mark.slow
 def test_unequal_stops_at_both_ends_are_found_together():
     """One alone leaves as much as a cubic spring and a ripple: they enter in one round."""
     rig = hiding({effects.EndStop(+1): (300.0, 0.3), effects.EndStop(-1): (200.0, -0.2)})
@@ -251,6 +252,7 @@ def pumped(seed: int, hidden: float) -> eoi.Record:
                       input_names=("pump",), output_names=("level",))  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [0.002, -0.002])
 def test_several_effects_that_imitate_one_product_are_not_given_their_names(hidden):
     """A level follows its pump: u y is nearly a parabola of u, an offset and a leak."""
@@ -282,6 +284,7 @@ def proportional(t, x, u, p):
     return p.gain * u[0] - p.loss * x.y[0]
 
 
+@pytest.mark.slow
 def test_an_actuator_that_is_purely_quadratic_is_at_the_end_of_what_was_searched():
     time = 0.5 * np.arange(6000)
     known = {"relative_degree": 1, "inputs": ("voltage",), "outputs": ("heat",)}
@@ -347,6 +350,7 @@ def test_no_friction_is_tried_on_a_level():
     assert not tried & {"coulomb_friction", "viscous_friction", "quadratic_drag"}
 
 
+@pytest.mark.slow
 def test_unexplained_residual_comes_with_its_diagnosis(tmp_path):
     answer = found("outside")
     assert answer.diagnosis is not None
@@ -397,6 +401,7 @@ def test_without_held_out_record_the_error_is_in_sample_and_says_so():
     assert not found("coulomb").notes
 
 
+@pytest.mark.slow
 def test_effect_that_makes_the_free_run_worse_is_refused():
     """The other record is of a plant without it."""
     answer = eoi.discover(MASS, records("coulomb")[0], records("nothing")[1], FEW)
@@ -420,6 +425,7 @@ def test_effect_that_the_held_out_records_contradict_is_refused():
     assert not answer.notes
 
 
+@pytest.mark.slow
 def test_a_held_out_record_at_rest_is_told_and_what_it_refuses_stays_in_view():
     """Of no motion the sign of its noise is all that friction would be checked on."""
     time = PERIOD * np.arange(4000)
@@ -618,6 +624,7 @@ def test_a_record_too_short_to_tell_anything_is_left_out_with_a_note():
 # -- bounds ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_a_bound_takes_away_is_not_explained():
     """The stiffness may not reach its true value: effects are judged beside that on the bound."""
     plant = MASS.declared_anew({"k": 18.0}, bounds={"k": (10.0, 19.8)})
@@ -702,7 +709,7 @@ def test_an_effect_of_unknown_size_is_said(errors, told):
         effects.Overflow(), "level", dict(zip(names, (1.0, -2.0), strict=True)),
         dict(zip(names, errors, strict=True)), "an overflow",
     )  # fmt: skip
-    notes = import_module("eoi_jax.discovery.discover")._uncertain_effects([one])
+    notes = uncertain_effects([one])
     assert len(notes) == told
     assert all("overflow" in note and "half" in note for note in notes)
 

@@ -44,7 +44,17 @@ def measured(seed: int, push: float) -> eoi.Record:
 
 @pytest.fixture(scope="module")
 def found():
-    return eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.0))
+    """The held-out record has such a force too: its free runs hardly get better."""
+    return eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.15))
+
+
+def test_what_free_runs_on_a_quiet_record_confirm_is_an_answer():
+    answer = eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.0))
+    assert answer.effects == ("coulomb_friction",)
+    assert answer.status.code in ("partial", "explained")
+    (value,) = answer.added[0].parameters.values()
+    assert value == pytest.approx(FRICTION, rel=0.2)
+    assert answer.after.rmse[0] < 0.5 * answer.before.rmse[0]
 
 
 def test_what_takes_too_little_is_no_answer_but_a_lead_with_its_free_runs(found):
@@ -55,7 +65,7 @@ def test_what_takes_too_little_is_no_answer_but_a_lead_with_its_free_runs(found)
     assert 0.2 < found.lead.explained < 0.9
     (value,) = found.lead.added[0].parameters.values()
     assert value == pytest.approx(FRICTION, rel=0.2)
-    assert found.lead.after.rmse[0] < 0.5 * found.before.rmse[0]
+    assert found.lead.after.rmse[0] < found.before.rmse[0]
     again = eoi.validate(found.lead.found.plant, found.held_out)
     assert again.rmse[0] == pytest.approx(found.lead.after.rmse[0], rel=1e-6)
 

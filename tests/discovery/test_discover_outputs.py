@@ -100,6 +100,7 @@ def test_an_effect_on_an_output_or_its_input_is_found(name):
         np.testing.assert_allclose(found.plant.parameters[key], value, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_model_that_lacks_nothing_gets_nothing():
     records = [cell_record(seed) for seed in (1, 2, 3)]
     found = discover(battery(**START), records[:2], records[2])

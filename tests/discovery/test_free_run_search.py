@@ -92,6 +92,7 @@ def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
     np.testing.assert_allclose(along[0, 0, 1:, 0], expected[:-1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_input_that_yields_is_found_where_the_gain_has_made_up_for_it():
     def maxwell(t, x, u, p):
         return p.stiffness * u - p.rate * x.y[0]
@@ -130,6 +131,7 @@ def test_a_fall_is_measured_by_its_scatter():
     assert _standardised(np.ones(1)) == 0.0
 
 
+@pytest.mark.slow
 def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():
     answer = eoi.discover(PLATE, measured(1), validation=measured(2))
     assert "second_node" in answer.effects

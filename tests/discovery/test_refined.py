@@ -154,9 +154,12 @@ def test_a_refinement_without_an_answer_is_said(held):
     assert answer.startswith("not refined: no_data")
 
 
-def test_an_unexplained_residual_is_left_as_it_is():
+def test_an_unexplained_residual_gets_no_effect_though_the_model_is_refined():
     hidden = {"cubic_stiffness": 400.0}
     fit, held = record(hidden, 1)[0], record(hidden, 2)
     found = eoi.discover(PLANT, fit, validation=held[0], effects=["constant_offset"], refine=True)
     assert found.status.code == "unexplained"
-    assert not any("refined" in note for note in found.notes)
+    assert found.effects == ()
+    assert found.after is not None
+    assert found.before is not None
+    assert found.after.rmse[0] <= found.before.rmse[0]

@@ -117,6 +117,7 @@ def test_every_form_has_the_estimate_of_the_affine_one(name, bounded, references
             assert np.sqrt(covariance[i, i]) == pytest.approx(error, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["forces, known gain", "products", "reciprocals"])
 def test_every_form_has_the_effects_of_the_affine_one(name, rubbing):
     equation, values, fixed, form = FORMS[name]
@@ -157,6 +158,7 @@ def test_a_mass_six_times_off_is_found_without_a_bound(factor, references, clean
         assert coefficients[key] == pytest.approx(value, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_not_there_ends_on_its_bound_of_zero(clean):
     """Beside a mass that divides, whose scale never reaches zero."""
     values = {"m": 0.5, "K": 3.5, "d": 0.55, "k": 37.5, "F": 0.3}

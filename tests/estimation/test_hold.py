@@ -160,6 +160,7 @@ def test_inputs_and_outputs_that_are_logged_apart_do_not_bias_the_estimate(sampl
     assert any(f"u {told}" in reason for reason in found.reasons) == bool(told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [0.5, -0.5])
 def test_a_skew_of_the_channels_is_no_effect(samples):
     found = eoi.discover(MASS, apart(samples), apart(samples, seed=1))

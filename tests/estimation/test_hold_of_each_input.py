@@ -95,6 +95,7 @@ def test_the_order_of_the_inputs_does_not_matter(record):
         assert results[0].parameters[name] == pytest.approx(results[1].parameters[name], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_skew_of_one_input_beside_the_hold_of_another():
     result = eoi.identify(ROOM, built(late=0.4))
     (used,) = result.records
@@ -104,6 +105,7 @@ def test_a_skew_of_one_input_beside_the_hold_of_another():
         assert result.parameters[name] == pytest.approx(value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_refine_finds_the_skew_too_and_holds_out_alike():
     late, other = built(late=0.4), built(late=0.4, seed=3)
     result = eoi.refine(ROOM, late, validation=other)

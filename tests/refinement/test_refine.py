@@ -213,6 +213,7 @@ def test_dry_friction_is_refined_to_the_truth():
     np.testing.assert_allclose(result.plant.theta, true.theta, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
     """A drift that the model lacks: at its best fit, rests begin and end as θ moves."""
 

@@ -83,6 +83,7 @@ def test_effects_are_not_tried_in_the_loop(refined):
         eoi.remaining(refined)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c", [0.5, 1.2])
 def test_where_the_loop_is_lost_at_the_start_windows_come_first(c):
     # So little drive that the recorded gains do not hold the plant.
@@ -98,6 +99,7 @@ def test_where_the_loop_is_lost_at_the_start_windows_come_first(c):
         assert abs(better.parameters[name] - value) < 4.0 * better.standard_errors[name]
 
 
+@pytest.mark.slow
 def test_several_starts_have_the_controller_too():
     starts = [{"a": 15.0, "b": 0.3, "c": 6.0}, {"a": 30.0, "b": 2.0, "c": 5.0}]
     better = eoi.refine(double(**WRONG), measured(count=500), starts=starts,

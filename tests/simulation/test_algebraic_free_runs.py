@@ -44,6 +44,7 @@ def test_a_sample_has_the_input_that_holds_from_there_on():
     np.testing.assert_allclose(last - want[-1], -0.03 * (7.0 - amperes[-2]), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_all_ways_to_run_agree(substeps):
     record = shaken(noise=0.0, outputs=("x", "acc"))
@@ -180,6 +181,7 @@ def test_an_acceleration_is_zero_while_the_mass_sticks():
     np.testing.assert_allclose(acceleration[at_end], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_friction_is_found_from_position_and_acceleration():
     time = np.arange(0.0, 20.0, 0.01)
     force = 4.0 * np.sin(1.3 * time) + 2.0 * np.sin(3.1 * time)

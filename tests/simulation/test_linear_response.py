@@ -53,6 +53,7 @@ def response(plant, driven, y, z, substeps):
     return response_of(plant, time, inputs, y[None, :-1], z[None, :-1], step, substeps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("substeps", [1, 3, 4])
 @pytest.mark.parametrize(
     ("plant", "output"),
