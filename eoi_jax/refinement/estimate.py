@@ -141,8 +141,8 @@ def _starts(
     if fit.problem.places is not None:
         past = list(np.asarray(unknowns.starts)[:, -len(plant.inputs) :])
     return tuple(
-        Start(records[span.record].name, float(records[span.record].time[span.first]), *parts)
-        for span, *parts in zip(spans, x.y, x.z, past, strict=True)
+        Start(records[span.record].name, float(records[span.record].time[span.first]), y, z, levels)
+        for span, y, z, levels in zip(spans, x.y, x.z, past, strict=True)
     )
 
 

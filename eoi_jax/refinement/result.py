@@ -1,5 +1,6 @@
 """What `refine` answers with: the refined estimate, and the point it started from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,6 +32,16 @@ class Start:
     y: Float[np.ndarray, "r ny"]
     z: Float[np.ndarray, " nz"]
     past: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
+
+    def unknowns(self, rows: Sequence[int], columns: Sequence[int]) -> Float[np.ndarray, " own"]:
+        """What a run estimates of its start, in the order of `RunLane.start`.
+
+        Args:
+            rows: of `y` that are states, with `columns`.
+            columns: of each.
+        """
+        past = np.zeros(0) if self.past is None else self.past
+        return np.concatenate([self.y[list(rows), list(columns)], self.z, past])
 
 
 @dataclass(frozen=True)

@@ -114,13 +114,7 @@ class LinearisedRuns:
         plant = refinement.plant
         problem = weighed(problem_of(plant, records, spans, substeps), refinement.rmse)
         kernel = problem.kernel
-        rows, columns = list(kernel.rows), list(kernel.columns)
-        starts = [
-            np.concatenate(
-                [start.y[rows, columns], start.z, np.zeros(0) if start.past is None else start.past]
-            )
-            for start in refinement.starts
-        ]
+        starts = [start.unknowns(kernel.rows, kernel.columns) for start in refinement.starts]
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         sensitivities = _flat(signals(unknowns, problem))

@@ -185,9 +185,7 @@ def _predicted_skew(
 def _unknowns_of(result: Refinement, problem: Problem) -> Unknowns:
     """Free parameters and the starts of all runs, as they were refined."""
     rows, columns = list(problem.kernel.rows), list(problem.kernel.columns)
-    starts = [
-        np.concatenate([start.y[rows, columns], start.z, start.past]) for start in result.starts
-    ]
+    starts = [start.unknowns(rows, columns) for start in result.starts]
     return Unknowns(np.asarray(result.plant.theta)[list(problem.free)], np.stack(starts))
 
 

@@ -54,6 +54,8 @@ def test_what_free_runs_on_a_quiet_record_confirm_is_an_answer():
     assert answer.status.code in ("partial", "explained")
     (value,) = answer.added[0].parameters.values()
     assert value == pytest.approx(FRICTION, rel=0.2)
+    assert answer.after is not None
+    assert answer.before is not None
     assert answer.after.rmse[0] < 0.5 * answer.before.rmse[0]
 
 
