@@ -26,8 +26,7 @@ from eoi_jax.models.effects.effect import AbstractEffect
 def leaves_open(discovery: Discovery) -> bool:
     """Whether free runs are searched: without an answer, or with one that may stand in for another.
 
-    A disturbance in time may stand in for what the library lacks; and free runs may show more than
-    the injection does. Only records that are held out can judge, and the score test of free runs
+    A disturbance in time may stand in for what the library lacks. Only records that are held out can judge, and the score test of free runs
     knows no outputs that are functions of the states.
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
@@ -36,9 +35,7 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = any(
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
-    beyond = beyond_noise(discovery.windows_after, discovery.held_out)
-    doubtful = code == "explained" and (in_time or bool(beyond))
-    return code == "unexplained" or doubtful
+    return code == "unexplained" or (code == "explained" and in_time)
 
 
 def with_free_runs(
