@@ -26,9 +26,8 @@ from eoi_jax.models.effects.effect import AbstractEffect
 def leaves_open(discovery: Discovery) -> bool:
     """Whether free runs are searched: without an answer, or with one that may stand in for another.
 
-    A disturbance in time may stand in for what the library lacks. Only records that are held out can
-    judge, and the score test of free runs
-    knows no outputs that are functions of the states.
+    A disturbance in time may stand in for what the library lacks. Only records that are held out
+    can judge, and the score test of free runs knows no outputs that are functions of the states.
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
         return False
