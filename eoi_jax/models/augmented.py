@@ -27,6 +27,7 @@ from eoi_jax.models.effects.effect import (
     AbstractTerm,
     At,
 )
+from eoi_jax.models.effects.inputs import ActuatorLag, InputDelay
 from eoi_jax.models.parameters import parameter_type
 from eoi_jax.models.plant import Actuator, Dynamics, Plant, State, keeps_steps
 from eoi_jax.models.units import derivative_unit, quotient_unit
@@ -187,7 +188,7 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
     """The delays and lags of a plant's inputs, in the order in which they act.
 
     Raises:
-        ValueError: an actuator that is a user's function.
+        ValueError: an actuator that is a user's function, or an effect of another kind.
     """
     placed: list[Placed] = []
     actuator = plant.actuator
@@ -200,6 +201,9 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
         actuator = actuator.base
     rule = "must be made of the effects input_delay and actuator_lag"
     check(actuator is None, "actuator", rule, "a function of its own")
+    for placement in placed:
+        good = isinstance(placement.effect, InputDelay | ActuatorLag)
+        check(good, "actuator", rule, placement.effect.name)
     return tuple(placed)
 
 

@@ -408,6 +408,10 @@ def simple(dynamics, **more):
     return eoi.Plant(dynamics, {"a": 1.0}, 1, ("u",), ("y",), **more)
 
 
+def linear(t, x, u, p):
+    return p.a * u
+
+
 def lookup(t, x, u, p):
     return p.a * jnp.asarray([1.0, 2.0, 3.0])[jnp.int32(jnp.abs(x.y[0, 0]))]
 
@@ -424,6 +428,9 @@ def solved(t, x, u, p):
         (lambda: simple(solved), "a.c", "operation lu. It belongs to `jax.numpy.linalg`.*Cramer"),
         (lambda: simple(lambda t, x, u, p: p.a * x.y[0], actuator=lambda t, u, p: u), "a.c",
          "`actuator` must be made of the effects"),
+        (lambda: augmented(simple(linear), [place(simple(linear), effects.InputRate(), 0)],
+                           {"input_rate_lead": 0.1, "input_rate_lag": 0.05}), "a.c",
+         "`actuator` must be made of the effects.*got input_rate"),
         (lambda: with_effects(eoi.plants.pendulum(), [effects.ActuatorLag()]).with_parameters(
             {"actuator_lag": 0.0}), "a.c", r"`parameters\[actuator_lag\]` must be positive"),
         (lambda: simple(lambda t, x, u, p: x.y[0] + 0 * p.a), "a.json",
