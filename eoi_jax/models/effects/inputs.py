@@ -152,9 +152,9 @@ class InputRate(AbstractActuator):
 
     def grid(self, seen: Seen) -> Grid:
         lags = np.unique(np.maximum(np.array([0.1, 0.5, 2.0]) / seen.band, seen.sample_period))
-        leads = np.array([-4.0, -1.0, -0.5, 0.5, 1.0, 4.0])
-        pairs = np.stack(np.meshgrid(leads, lags, indexing="ij"), axis=-1).reshape(-1, 2)
-        return pairs * np.array([1.0, 1.0]) * np.stack([pairs[:, 1], np.ones(len(pairs))], axis=1)
+        leads = np.array([-4.0, -1.0, -0.5, 0.5, 1.0, 4.0])  # over the lag
+        shares, lags = np.meshgrid(leads, lags, indexing="ij")
+        return np.stack([shares * lags, lags], axis=-1).reshape(-1, 2)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         lag = jnp.maximum(shape[1], _SHORTEST * (time[1] - time[0]))

@@ -18,7 +18,7 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 
-ALL = (*effects.standard(), *effects.rare(), effects.Drift(start=2.5))
+ALL = (*effects.standard(), *effects.rare(), *effects.wider(), effects.Drift(start=2.5))
 TERMS = [one for one in ALL if isinstance(one, AbstractTerm)]
 INPUTS = [one for one in ALL if isinstance(one, AbstractInputEffect)]
 INTERNAL = [one for one in ALL if isinstance(one, AbstractInternalEffect)]
@@ -61,6 +61,11 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
         np.hypot(*g) * np.cos(s[0] * t - np.arctan2(g[0], g[1]))
     ),
     effects.Hysteresis(): lambda t, y, v, u, z, g, s: -g[0] * z[0],
+    effects.SecondNode(): lambda t, y, v, u, z, g, s: g[0] * z[0],
+    effects.Product("u", "y"): lambda t, y, v, u, z, g, s: g[0] * u * y,
+    effects.Product("u", "v"): lambda t, y, v, u, z, g, s: g[0] * u * v,
+    effects.Product("y", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v,
+    effects.InputYield(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1] + s[1] * u,
     effects.Leak(): lambda t, y, v, u, z, g, s: -g[0] * y,
     effects.Overflow(): lambda t, y, v, u, z, g, s: -g[0] * (y - s[0]) if y > s[0] else 0.0,
     effects.InternalOverflow(caught=True): lambda t, y, v, u, z, g, s: (
@@ -108,7 +113,11 @@ def test_effect_is_its_closed_form(effect):
 def test_every_effect_has_a_closed_form_here():
     along = {one for one in ALL if isinstance(one, AbstractActuator)}
     assert set(ALL) - along == set(CLOSED)
-    assert {one.name for one in along} == {"input_delay", "actuator_lag"}  # in test_effects.py
+    assert {one.name for one in along} == {
+        "input_delay",
+        "actuator_lag",
+        "input_rate",
+    }  # test_effects.py
 
 
 @pytest.mark.parametrize("effect", INTERNAL, ids=label)

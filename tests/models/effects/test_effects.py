@@ -427,6 +427,20 @@ def test_lag_along_a_record_is_the_analytic_answer_to_a_step():
     np.testing.assert_allclose(answer, mean, rtol=1e-12)
 
 
+def test_response_to_the_rate_of_a_ramp_is_its_slope_times_the_lead():
+    """u + L/T (u - z) of u = c t behind a lag that has settled: c t + c L; by NumPy and by JAX."""
+    h, slope, lead, lag = 0.01, 3.0, -0.2, 0.05
+    middles = h * (np.arange(200) + 0.5)
+    shapes = np.array([[lead, lag]])
+    effect = effects.InputRate()
+    sampled = effect.sampled(middles, slope * middles, shapes)[0]
+    settled = middles > 20.0 * lag
+    expected = slope * middles + slope * lead
+    np.testing.assert_allclose(sampled[settled], expected[settled], rtol=1e-6)
+    along = effect.along(jnp.asarray(middles), jnp.asarray(slope * middles), shapes[0])
+    np.testing.assert_allclose(along, sampled, rtol=1e-12)
+
+
 @pytest.mark.parametrize("share", [0.4, 0.8, 1.0])
 def test_hysteresis_stays_within_its_yield_force(share: float):
     time = np.arange(0.0, 20.0, 2e-3)
