@@ -45,15 +45,21 @@ def names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str
 def notes_without_place(
     effects: Sequence[AbstractEffect], fitting: set[str], discovery: Discovery
 ) -> list[str]:
-    """A note for each requested effect that was not tried."""
+    """A note for each requested effect that was not tried, or tried in free runs alone."""
     looked = {evidence.effect for evidence in discovery.ranking} or fitting
+    in_free_runs = {effect.name for effect in effects if effect.only_in_free_runs} & fitting
     notes = []
     for name in dict.fromkeys(effect.name for effect in effects):
-        if name not in looked:
+        if name in in_free_runs and name not in discovery.effects:
+            notes.append(_IN_FREE_RUNS.format(name))
+        elif name not in looked and name not in in_free_runs:
             reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
             notes.append(reason.format(name, discovery.declared.nominal.name))
     return notes
 
 
+_IN_FREE_RUNS = (
+    "{} is tried in free runs on held-out records alone, where the injection gives no answer"
+)
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"

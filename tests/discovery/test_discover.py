@@ -401,6 +401,13 @@ def test_without_held_out_record_the_error_is_in_sample_and_says_so():
     assert not found("coulomb").notes
 
 
+def test_an_effect_of_free_runs_alone_is_said_to_be_one():
+    answer = eoi.discover(MASS, records("coulomb")[0], records("coulomb")[1],
+                          ["coulomb_friction", "input_yield"])  # fmt: skip
+    assert answer.effects == ("coulomb_friction",)
+    assert any(note.startswith("input_yield is tried in free runs") for note in answer.notes)
+
+
 @pytest.mark.slow
 def test_effect_that_makes_the_free_run_worse_is_refused():
     """The other record is of a plant without it."""
