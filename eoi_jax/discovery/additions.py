@@ -1,6 +1,6 @@
 """Effects in a fitted model: what a discovery says of each, and of their certainty."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from eoi_jax.discovery.ranking import ends
@@ -13,6 +13,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
 UNCERTAIN = "the records hardly tell the size of"
+_LARGEST_ERROR = 0.5  # standard error over the value, below which a parameter is known
 
 
 def added_effect(plant: Plant, fit: Identification, placed: Placed) -> Added:
@@ -28,21 +29,26 @@ def added_effect(plant: Plant, fit: Identification, placed: Placed) -> Added:
     )
 
 
+def size_is_known(
+    names: Iterable[str], parameters: Mapping[str, float], standard_errors: Mapping[str, float]
+) -> bool:
+    """Whether one of these parameters of an effect has an error of at most half of its value.
+
+    Args:
+        names: of the effect's parameters.
+        parameters: values by name.
+        standard_errors: by name.
+    """
+    return any(standard_errors[name] <= _LARGEST_ERROR * abs(parameters[name]) for name in names)
+
+
 def uncertain_effects(added: Sequence[Added]) -> list[str]:
     """Notes on effects of which every standard error exceeds half of its parameter."""
-
-    def vague(addition: Added) -> bool:
-        pairs = (
-            (abs(addition.parameters[name]), error)
-            for name, error in addition.standard_errors.items()
-        )
-        return all(error > 0.5 * value for value, error in pairs)
-
     return [
         f"{UNCERTAIN} {addition.effect.name.replace('_', ' ')}: every parameter of it has a "
         "standard error above half of its value"
         for addition in added
-        if vague(addition)
+        if not size_is_known(addition.parameters, addition.parameters, addition.standard_errors)
     ]
 
 

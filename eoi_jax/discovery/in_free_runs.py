@@ -7,15 +7,16 @@ import numpy as np
 
 from eoi_jax._status import Status
 from eoi_jax.data.holds import undeclared_hold, with_hold
+from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
-from eoi_jax.data.resampling import HOLDS
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
-from eoi_jax.discovery.result import Discovery, PartialExplanation
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.round import PRODUCT
+from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import added_effects
@@ -74,42 +75,58 @@ def with_free_runs(
 def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
     """The discovery with the model that the search came to, where that is an answer.
 
-    It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): the shadow
-    of an effect that the library lacks lowers them a little too. Else it is the lead, and the
+    It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
+    effect that the library lacks can lower them a little, too. Else it is the lead, and the
     declared model is refined where that alone lowers them as much.
     """
-    base, best, plant = answer.base, answer.best, discovery.declared.nominal
+    base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
-    found = bool(best.placed) and ratio < CONFIRMED and not _imitates(discovery, best)
-    refined = base.error - answer.start_error < np.log(CONFIRMED)
-    if not found and (discovery.added or not (refined or best.placed)):
-        return discovery
-    prepared = prepare_records(plant, answer.records, lowpass)
-    fit = as_fit(prepared, best.refinement)
-    added = tuple(added_effect(plant, fit, placed) for placed in best.placed)
-    if not found:
-        lead = discovery.lead
-        if added and lead is None:
-            lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
-        discovery = replace(discovery, lead=lead)
-        if not refined:
-            return discovery
-        best, added, fit, status = base, (), as_fit(prepared, base.refinement), discovery.status
-    else:
+    if best.placed and ratio < CONFIRMED and not _imitates(discovery, best):
         names = " and ".join(names_of(best.placed))
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
-        status, lead = Status(code, text.format(names, ratio)), None
+        found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
+        return _with_model(found, answer, best, lowpass)
+    if discovery.added:
+        return discovery
+    if best.placed and discovery.lead is None:
+        fit = _fit_of(discovery, answer, best, lowpass)
+        lead = PartialExplanation(_added(discovery, fit, best), 1.0 - ratio**2, fit, *best.runs)
+        discovery = replace(discovery, lead=lead)
+    if base.error - answer.start_error < np.log(CONFIRMED):
+        return _with_model(discovery, answer, base, lowpass)
+    return discovery
+
+
+def _with_model(
+    discovery: Discovery, answer: FreeRunAnswer, model: Judged, lowpass: LowPass | None
+) -> Discovery:
+    """The discovery with this model as its answer, on the records that predict best."""
+    base, plant = answer.base, discovery.declared.nominal
+    fit = _fit_of(discovery, answer, model, lowpass)
+    added = _added(discovery, fit, model)
     notes = [note for note in discovery.notes if not note.startswith("hold ")]
     notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
     return replace(
-        discovery, effects=names_of(best.placed), added=added,
-        explained=1.0 - ratio**2 if added else 0.0,
+        discovery, effects=names_of(model.placed), added=added,
+        explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
-        after=best.runs[0], windows_after=best.runs[1],
-        found=fit, plant=fit.plant, status=status, lead=lead, held_out=answer.judging,
+        after=model.runs[0], windows_after=model.runs[1],
+        found=fit, plant=fit.plant, held_out=answer.judging,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
+
+
+def _fit_of(
+    discovery: Discovery, answer: FreeRunAnswer, model: Judged, lowpass: LowPass | None
+) -> Identification:
+    prepared = prepare_records(discovery.declared.nominal, answer.records, lowpass)
+    return as_fit(prepared, model.refinement)
+
+
+def _added(discovery: Discovery, fit: Identification, model: Judged) -> tuple[Added, ...]:
+    plant = discovery.declared.nominal
+    return tuple(added_effect(plant, fit, placed) for placed in model.placed)
 
 
 def _imitates(discovery: Discovery, best: Judged) -> bool:

@@ -113,15 +113,17 @@ class Discovery(Result):
         ranking: every candidate with its evidence, best first.
         ambiguous_with: names that the records support equally well, instead of one of `effects`.
         advice: which experiment would distinguish them.
-        explained: share of the residual's power above the noise that `effects` explain, 0 … 1.
+        explained: share of the residual's power above the noise that `effects` explain, 0 … 1;
+            of effects that free runs have shown, the share of the power of their errors.
         before, after: free-run errors of the declared and of the augmented model, on records that
             were not used for the fit (`in_sample` tells whether there were none).
         windows_before, windows_after: the same on re-initialised windows; None where the records
             are too short.
         declared, found: the fits of the declared and of the augmented model.
         plant: the augmented model with its estimate.
-        status: ``"explained"``, ``"nothing_missing"``, ``"unexplained"``, or that of the declared
-            fit if it failed.
+        status: ``"explained"``; ``"partial"``: effects that free runs on held-out records confirm,
+            with more than noise left; ``"nothing_missing"``; ``"unexplained"``; or that of the
+            declared fit if it failed.
         notes: limitations of the answer.
         in_sample: whether the free-run errors are on the records of the fit.
         held_out: the records of the free runs.
