@@ -64,6 +64,18 @@ def _stamps(count: int, period: float) -> np.ndarray:
     return period * np.arange(count)
 
 
+def _record(
+    plant: eoi.Plant, time: np.ndarray, inputs: np.ndarray, outputs: np.ndarray, name: str
+) -> eoi.Record:
+    """With the channels of the plant and their units; nothing else is said of it."""
+    channels = (*plant.inputs, *plant.outputs)
+    units = {key: unit for key, unit in plant.units.items() if key in channels}
+    return eoi.Record(
+        time, inputs, outputs, name, input_names=plant.inputs, output_names=plant.outputs,
+        units=units,
+    )  # fmt: skip
+
+
 def _parts(
     read: Callable[[str], eoi.Record],
     estimation: Sequence[str],
@@ -92,11 +104,8 @@ def throttle_valve(folder: Path) -> Rig:
     )  # fmt: skip
 
     def read(name: str) -> eoi.Record:
-        return eoi.Record(
-            data[f"{name}_time"], data[f"{name}_voltage"], data[f"{name}_position"], name,
-            input_names=("voltage",), output_names=("position",),
-            units={"voltage": "V", "position": "rad"},
-        )  # fmt: skip
+        keys = ("time", "voltage", "position")
+        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
 
     return Rig(
         plant, _parts(read, ["run1"], ["run2"], ["run3"]),
@@ -119,11 +128,8 @@ def shaking_table(folder: Path) -> Rig:
     )  # fmt: skip
 
     def read(name: str) -> eoi.Record:
-        return eoi.Record(
-            data[f"{name}_time"], data[f"{name}_voltage"], data[f"{name}_position"], name,
-            input_names=("voltage",), output_names=("position",),
-            units={"voltage": "V", "position": "mm"},
-        )  # fmt: skip
+        keys = ("time", "voltage", "position")
+        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
 
     return Rig(
         plant,
@@ -152,11 +158,8 @@ def levitator_coil(folder: Path) -> Rig:
     )  # fmt: skip
 
     def read(name: str) -> eoi.Record:
-        return eoi.Record(
-            data[f"{name}_time"], data[f"{name}_voltage"], data[f"{name}_current"], name,
-            input_names=("voltage",), output_names=("current",),
-            units={"voltage": "V", "current": "A"},
-        )  # fmt: skip
+        keys = ("time", "voltage", "current")
+        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
 
     return Rig(
         plant, _parts(read, ["est_chirp", "est_escalon"], ["held_multiescalon"],
@@ -187,11 +190,7 @@ def mr_damper(folder: Path) -> Rig:
         velocity = savgol_filter(place, 7, 3, deriv=1, delta=float(np.mean(np.diff(stamps))))
         moves = np.flatnonzero(np.abs(place - np.median(place[:100])) > 0.1)[0]
         part = slice(max(int(moves) - 20, 0), None)
-        return eoi.Record(
-            stamps[part], velocity[part], data[f"{key}_force"][part], name,
-            input_names=("velocity",), output_names=("force",),
-            units={"velocity": "mm/s", "force": "N"},
-        )  # fmt: skip
+        return _record(plant, stamps[part], velocity[part], data[f"{key}_force"][part], name)
 
     return Rig(
         plant, _parts(read, ["1.1", "4.1", "7.1"], ["3.1", "8.1"], ["5.1", "10.1"]),
@@ -199,15 +198,12 @@ def mr_damper(folder: Path) -> Rig:
     )  # fmt: skip
 
 
-def _hydraulic(folder: Path, output: str) -> Parts:
+def _hydraulic(folder: Path, output: str, plant: eoi.Plant) -> Parts:
     data = np.load(folder / "hydraulic_arm/hydraulic_arm.npz")
 
     def read(name: str) -> eoi.Record:
         valve = data[f"{name}_valve"]
-        return eoi.Record(
-            _stamps(len(valve), 1.0), valve, data[f"{name}_{output}"], name,
-            input_names=("valve",), output_names=(output,),
-        )  # fmt: skip
+        return _record(plant, _stamps(len(valve), 1.0), valve, data[f"{name}_{output}"], name)
 
     return _parts(read, ["est"], ["held"], ["untouched"])
 
@@ -221,7 +217,7 @@ def hydraulic_arm_position(folder: Path) -> Rig:
 
     plant = eoi.Plant(arm, {"k": 0.03}, relative_degree=1, inputs=("valve",), outputs=("position",))
     return Rig(
-        plant, _hydraulic(folder, "position"),
+        plant, _hydraulic(folder, "position", plant),
         {"position": (0.5051, 0.1156)}, {"position": (0.08337, 0.02834)},
         ("input_saturation|input_quadratic", "input_delay|actuator_lag"), "1",
     )  # fmt: skip
@@ -239,7 +235,7 @@ def hydraulic_arm_pressure(folder: Path) -> Rig:
         inputs=("valve",), outputs=("pressure",),
     )  # fmt: skip
     return Rig(
-        plant, _hydraulic(folder, "pressure"),
+        plant, _hydraulic(folder, "pressure", plant),
         {"pressure": (1.041, 1.092)}, {"pressure": (0.4659, 0.419)},
         ("input_saturation|input_quadratic", "input_rate"), "1",
     )  # fmt: skip
@@ -261,11 +257,7 @@ def hair_dryer(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         power = data[f"{name}_power"]
-        return eoi.Record(
-            _stamps(len(power), 0.08), power, data[f"{name}_temperature"], name,
-            input_names=("power",), output_names=("temperature",),
-            units={"power": "W", "temperature": "V"},
-        )  # fmt: skip
+        return _record(plant, _stamps(len(power), 0.08), power, data[f"{name}_temperature"], name)
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -290,11 +282,8 @@ def lamp_and_plate(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         voltage = data[f"{name}_voltage"]
-        return eoi.Record(
-            _stamps(len(voltage), 2.0), voltage, data[f"{name}_temperature"], name,
-            input_names=("voltage",), output_names=("temperature",),
-            units={"voltage": "V", "temperature": "K"},
-        )  # fmt: skip
+        stamps = _stamps(len(voltage), 2.0)
+        return _record(plant, stamps, voltage, data[f"{name}_temperature"], name)
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -317,10 +306,7 @@ def steam_exchanger(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         flow = data[f"{name}_flow"]
-        return eoi.Record(
-            _stamps(len(flow), 1.0), flow, data[f"{name}_temperature"], name,
-            input_names=("flow",), output_names=("temperature",), units={"temperature": "K"},
-        )  # fmt: skip
+        return _record(plant, _stamps(len(flow), 1.0), flow, data[f"{name}_temperature"], name)
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -344,11 +330,8 @@ def leaf_cell(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         current = data[f"{name}_current"]
-        return eoi.Record(
-            _stamps(len(current), 5.0), current, data[f"{name}_voltage_less_r0"], name,
-            input_names=("current",), output_names=("voltage",),
-            units={"current": "A", "voltage": "V"},
-        )  # fmt: skip
+        stamps = _stamps(len(current), 5.0)
+        return _record(plant, stamps, current, data[f"{name}_voltage_less_r0"], name)
 
     return Rig(
         plant,
@@ -373,10 +356,7 @@ def buck_converter(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         data = np.loadtxt(folder / f"buck_converter/buck_{name}.csv", delimiter=",", skiprows=1)
-        return eoi.Record(
-            1e3 * data[:, 0], data[:, 1], data[:, 2], name, input_names=("control",),
-            output_names=("output",), units={"control": "V", "output": "V"},
-        )  # fmt: skip
+        return _record(plant, 1e3 * data[:, 0], data[:, 1], data[:, 2], name)
 
     return Rig(
         plant, _parts(read, ["id"], ["valid"], []),
@@ -407,11 +387,8 @@ def tclab(folder: Path) -> Rig:
     )  # fmt: skip
 
     def part(first: int, stop: int, name: str) -> eoi.Record:
-        return eoi.Record(
-            data[first:stop, 1], data[first:stop, 2], data[first:stop, 3:5], name,
-            input_names=("heater",), output_names=("first", "second"),
-            units={"heater": "%", "first": "K", "second": "K"},
-        )  # fmt: skip
+        rows = data[first:stop]
+        return _record(plant, rows[:, 1], rows[:, 2], rows[:, 3:5], name)
 
     return Rig(
         plant, ((part(0, 700, "first"),), (part(700, 1002, "rest"),), ()),
@@ -440,11 +417,8 @@ def servo_pendulum(folder: Path) -> Rig:
     )  # fmt: skip
 
     def read(name: str) -> eoi.Record:
-        return eoi.Record(
-            data[f"{name}_timestamp"], data[f"{name}_goal_position"], data[f"{name}_position"],
-            name, input_names=("goal",), output_names=("angle",),
-            units={"goal": "rad", "angle": "rad"},
-        )  # fmt: skip
+        keys = ("timestamp", "goal_position", "position")
+        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], []),
