@@ -18,7 +18,8 @@ class Status:
             ``"start_kept"`` (a refinement makes held-out free runs worse than its start),
             ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of `eoi identify`
             ``"undetermined"`` (all errors exceed the values); of a discovery ``"explained"``,
-            ``"nothing_missing"``, ``"unexplained"``; of a method in a comparison
+            ``"partial"`` (effects are added, more than noise is left), ``"nothing_missing"``,
+            ``"unexplained"``; of a method in a comparison
             ``"not_applicable"``, ``"failed"``.
         message: what happened, the likely cause, what to try.
     """
