@@ -269,6 +269,11 @@ def _select(graph: Graph, condition: Node, a: Node, b: Node) -> Node | None:
     del graph
     if condition.op == "constant":
         return a if condition.value else b
+    # What is replaced by what it equals, as the search of a place in a table does (−0, NaN).
+    same = condition.op == "eq" and set(condition.args) == {a, b}
+    unordered = condition.op == "ne" and condition.args == (b, b)
+    if same or (unordered and a.op == "constant" and np.isnan(a.value)):
+        return b
     return a if a is b else None
 
 

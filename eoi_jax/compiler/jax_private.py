@@ -140,6 +140,14 @@ def scan_parts(params: dict[str, Any]) -> ScanParts:
     return ScanParts(body, params["length"], params["reverse"], constants, carries)
 
 
+def solving_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[ClosedJaxpr, list[Any]]:
+    """What solves in an equation of `lax.custom_linear_solve`, and its own ones of the operands."""
+    counts, function = params["const_lengths"], params["jaxprs"].solve
+    first = counts.matvec + counts.vecmat
+    own = [*operands[first : first + counts.solve], *operands[sum(counts) :]]
+    return closed_jaxpr(function), own
+
+
 def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
     """The branches of an equation of `lax.cond` or `lax.switch`."""
     return [closed_jaxpr(branch) for branch in params["branches"]]

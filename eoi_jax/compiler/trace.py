@@ -12,10 +12,19 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.lax import GatherScatterMode
 
 from eoi_jax.compiler import indexing
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
-from eoi_jax.compiler.jax_private import ClosedJaxpr, Literal, branches_of, called, scan_parts
+from eoi_jax.compiler.jax_private import (
+    ClosedJaxpr,
+    Literal,
+    branches_of,
+    called,
+    scan_parts,
+    solving_part,
+)
+from eoi_jax.compiler.linear_algebra import cholesky, lu, triangular_solve
 
 MOST_UNROLLED = 64  # turns of a loop
 
@@ -78,6 +87,8 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
     shape = equation.outvars[0].aval.shape
     if name in _MOVES:
         moved = _MOVES[name](params, *args)
+    elif name in ("gather", "dynamic_slice") and not all(_known(arg) for arg in args[1:]):
+        moved = _looked_up(graph, equation, *args)
     elif name in _INDEXED:
         moved = _indexed(equation, args)
     elif name in _ARRAYS:
@@ -167,7 +178,16 @@ def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
     return [constant_nodes(graph, fits.index(True))]
 
 
+def _linear_solve(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
+    """A x = b by the function that solves it; those for other derivatives are not needed."""
+    return _run(graph, *solving_part(params, args))
+
+
 _ARRAY_RULES: dict[str, Callable] = {
+    "custom_linear_solve": _linear_solve,
+    "lu": lu,
+    "cholesky": cholesky,
+    "triangular_solve": triangular_solve,
     "platform_index": _platform,
     "scan": _scan,
     "cond": _cond,
@@ -243,9 +263,77 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
     return components[places]
 
 
+def _looked_up(graph: Graph, equation: Any, array: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    """Components at a place along one axis that depends on the data: chosen among all places."""
+    name, params = equation.primitive.name, equation.params
+    running = np.arange(array.size, dtype=np.int32).reshape(array.shape)
+    unknown = [i for i, start in enumerate(starts) if not _known(start)]
+    numbers = params.get("dimension_numbers")
+    axes = unknown if numbers is None else numbers.start_index_map
+    if len(axes) > 1 or getattr(numbers, "operand_batching_dims", ()):
+        raise Untranslatable(f"{name} at places that depend on the data along several axes")
+    (axis,) = axes
+    count = array.shape[axis] - params["slice_sizes"][axis] + 1
+    if count > MOST_UNROLLED:
+        raise Untranslatable(f"{name} at places that depend on the data (over {MOST_UNROLLED})")
+    known = [
+        np.zeros(start.shape, np.int32) if i in unknown else _constants(name, start, atom)
+        for i, (start, atom) in enumerate(zip(starts, equation.invars[1:], strict=True))
+    ]
+    ways = []
+    for place in range(count):
+        known[unknown[0]] = np.full(starts[unknown[0]].shape, place, np.int32)
+        ways.append(getattr(indexing, name)(params, running, *known))
+    # The batch of starts lies along the axes of the result that are no offsets.
+    offsets = range(ways[0].ndim) if numbers is None else numbers.offset_dims
+    along = [i for i in range(ways[0].ndim) if i not in offsets]
+    fills = params.get("mode") == GatherScatterMode.FILL_OR_DROP
+    last, flat = graph.constant(count - 1), array.ravel()
+    indices = starts[unknown[0]].reshape([ways[0].shape[i] for i in along])
+    result = np.empty(ways[0].shape, object)
+    for at in np.ndindex(result.shape):
+        index: Node = indices.item(*(at[i] for i in along))
+        choice = _choose(graph, index, *(flat.item(way[at]) for way in ways))
+        low, high = _range(index)
+        if fills and not 0 <= low <= high < count:
+            beyond = [graph.make("lt", index, graph.constant(0)), graph.make("lt", last, index)]
+            nothing = graph.constant(np.nan)
+            choice = graph.make("select", graph.make("or", *beyond), nothing, choice)
+        result[at] = choice
+    return result
+
+
+def _range(node: Node) -> tuple[float, float]:
+    """Bounds of an index, where it is clipped."""
+    if node.op == "constant":
+        return float(node.value), float(node.value)
+    if node.op not in ("min", "max", "add", "sub", "select"):
+        return -np.inf, np.inf
+    if node.op == "select" and node.args[0].op == "lt":  # as a negative index counts from the end
+        (left, _), (_, right) = (_range(arg) for arg in node.args[0].args)
+        if left >= right:
+            return _range(node.args[2])
+    (low, high), (other_low, other_high) = (_range(arg) for arg in node.args[-2:])
+    match node.op:
+        case "min":
+            return min(low, other_low), min(high, other_high)
+        case "max":
+            return max(low, other_low), max(high, other_high)
+        case "add":
+            return low + other_low, high + other_high
+        case "sub":
+            return low - other_high, high - other_low
+        case _:
+            return min(low, other_low), max(high, other_high)
+
+
+def _known(array: np.ndarray) -> bool:
+    return all(node.op == "constant" for node in array.ravel())
+
+
 def _constants(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
     """Constants as the numbers that they are."""
-    if not all(node.op == "constant" for node in array.ravel()):
+    if not _known(array):
         raise Untranslatable(f"{name} at places that depend on the data")
     values = [node.value for node in array.ravel()]
     return np.asarray(values, atom.aval.dtype).reshape(array.shape)
@@ -351,12 +439,8 @@ def _plain(graph: Graph, equation: Any, *args: Node) -> Node:
         # The library's arithmetic is on numbers; of flags, only the logical operations are.
         raise Untranslatable(f"{name} of flags")
     kind = equation.outvars[0].aval.dtype.kind
-    if kind in "iu" and name in ("div", "rem"):
-        if not all(arg.op == "constant" for arg in args):
-            raise Untranslatable(f"{name} of integers")
-        a, b = (int(arg.value) for arg in args)
-        quotient = int(a / b) if b else -1
-        return graph.constant(quotient if name == "div" else a - b * quotient)
+    if kind in "iu" and name == "div":
+        return graph.make("trunc", graph.make("div", *args))
     if kind in "iu" and OPERATIONS[name].is_bool:
         raise Untranslatable(f"{name} of integers")
     return graph.make(name, *args)
@@ -444,6 +528,8 @@ def _finite(graph: Graph, equation: Any, node: Node) -> Node:
 _COMPONENTS: dict[str, Callable] = {
     **dict.fromkeys(set(OPERATIONS) - {"select", "trunc", "round_even"}, _plain),
     "add_any": lambda graph, _, a, b: graph.make("add", a, b),
+    "lt_to": lambda graph, _, a, b: graph.make("lt", a, b),  # in total order: of NaN as well
+    "le_to": lambda graph, _, a, b: graph.make("le", a, b),
     "gt": _swapped("lt"),
     "ge": _swapped("le"),
     "integer_pow": _power,

@@ -84,6 +84,28 @@ FUNCTIONS = {
     "written-out loop": lambda x, y: newton(x) + y,
     "written-out scan": lambda x, y: rows_summed(x) + rows_summed(y),
     "own derivative": lambda x, y: cubed(x) + jax.jvp(cubed, (x,), (y,))[1],
+    "linear systems": lambda x, y: jnp.linalg.solve(x[:, :3], y) + jnp.linalg.inv(y[:, 1:]) @ x,
+    "a system whose rows change places": lambda x, y: jnp.linalg.solve(
+        jnp.fliplr(jnp.eye(3)) * x[0, 0], y
+    ),
+    "transposed system": lambda x, y: jax.scipy.linalg.solve_triangular(
+        x[:, :3], y, trans=1, lower=True
+    ),
+    "systems from the right": lambda x, y: jax.lax.linalg.triangular_solve(x[:, :3], y.T),
+    "positive definite": lambda x, y: jax.scipy.linalg.cho_solve(
+        jax.scipy.linalg.cho_factor(x @ x.T + jnp.eye(3)), y
+    ),
+    "Cholesky": lambda x, y: jax.jacfwd(lambda a: jnp.linalg.cholesky(a @ a.T + jnp.eye(3)))(x),
+    "derivative of a solution": lambda x, y: jax.jacfwd(
+        lambda a: jnp.linalg.solve(a[:, :3], y[:, 0])
+    )(x),
+    "determinants": lambda x, y: (
+        jnp.linalg.det(x[:, :3]) + jnp.linalg.det(jnp.outer(x[0], y[0]) + jnp.eye(4))
+    ),
+    "exponential": lambda x, y: jax.scipy.linalg.expm(x[:2, :2]),
+    "looked up": lambda x, y: x[jnp.int32(4 * x[0, 0])] + y[:, jnp.int32(4 * x[:, 1])][0, 0],
+    "looked up beyond": lambda x, y: jnp.take(x[0], jnp.int32(9 * x[1])) + y[0],
+    "a curve": lambda x, y: jnp.interp(3.0 * x, jnp.array([0.5, 1.0, 2.5]), y[:, 0]),
     "jacobian": lambda x, y: jax.jacfwd(lambda a: jnp.sin(a[0]) * a[1] + y[0])(x),
 }
 
@@ -123,7 +145,10 @@ def test_equal_terms_are_one_node():
     [
         (lambda x: jax.lax.while_loop(lambda v: v[0, 0] < 1.0, lambda v: 2.0 * v, x), "while"),
         (lambda x: jnp.sort(x), "sort"),
-        (lambda x: x[0][jnp.int32(x[0, 0])], "at places that depend on the data"),
+        (lambda x: x[jnp.int32(x[0, 0]), jnp.int32(x[0, 1])], "along several axes"),
+        (lambda x: jnp.arange(65.0)[jnp.int32(x[0, 0])], "over 64"),
+        (lambda x: jnp.linalg.inv(jnp.eye(9) * x[0, 0]), "a matrix of 9 x 9"),
+        (lambda x: jnp.linalg.eigvalsh(x[:, :3]), "eigh"),
         (lambda x: jax.lax.fori_loop(0, 1000, lambda _, v: 0.5 * v, x), "scan of 1000 turns"),
         (lambda x: x[0].at[jnp.array([1, 1])].add(1.0), "twice at one place"),
         (lambda x: (x + 1j).real, "complex"),

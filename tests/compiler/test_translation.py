@@ -106,7 +106,7 @@ def test_a_sweep_says_which_engine_ran(case, nothing_kept, monkeypatch):
 def test_a_model_beyond_arithmetic_runs_on_the_scan_and_says_so():
     def solved(t, x, u, p):
         matrix = jnp.array([[2.0, 0.5], [0.5, 1.0]]) + p.a * jnp.eye(2)
-        return jnp.linalg.solve(matrix, jnp.array([u[0], -x.y[0, 0]]))[:1]
+        return jnp.linalg.pinv(matrix)[:1] @ jnp.array([u[0], -x.y[0, 0]])
 
     plant = eoi.Plant(solved, {"a": 0.3})
     time = 0.02 * np.arange(400)

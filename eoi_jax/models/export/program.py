@@ -91,11 +91,8 @@ class Program:
         )
 
 
-# Operations of `jax.numpy.linalg`, by their names in JAX.
+# Operations of `jax.numpy.linalg` that are not written out, by their names in JAX.
 _OF_MATRICES = (
-    "lu",
-    "triangular_solve",
-    "cholesky",
     "qr",
     "householder_product",
     "eigh",
@@ -103,8 +100,8 @@ _OF_MATRICES = (
     "svd",
 )
 _MATRICES = (
-    "It belongs to `jax.numpy.linalg` (`solve`, `inv`, `det`, …): write the solution out, of two "
-    "equations by Cramer's rule; `discover`, `refine` and `simulate` work as it is."
+    "It belongs to `jax.numpy.linalg`, of which `solve`, `inv`, `det` and `cholesky` can be "
+    "written out; `discover`, `refine` and `simulate` work as it is."
 )
 _ARITHMETIC = "Write it with + - * / **, comparisons, `where`, and functions such as sin or sqrt."
 

@@ -1,0 +1,154 @@
+r"""Factorisations and triangular systems of small matrices, component by component.
+
+What `jnp.linalg.solve`, `jnp.linalg.inv` and `jnp.linalg.cholesky` of a mass matrix become: the
+elimination is written out, and rows are exchanged by selection, since the pivot depends on the
+data.
+
+Source:
+    G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, Johns Hopkins University
+    Press 2013, algorithms 3.1.1 (forward substitution), 3.4.1 (LU with partial pivoting), 4.2.1
+    (Cholesky).
+"""
+
+import functools
+
+import numpy as np
+
+from eoi_jax.compiler.graph import Graph, Node, Untranslatable
+
+MOST_ROWS = 8  # the program grows with the third power
+
+
+def lu(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
+    """P A = L U with partial pivoting, as `lax.linalg.lu`.
+
+    Args:
+        graph: owner of all nodes.
+        params: of the operation; none is read.
+        matrix: A, shape (..., n, n).
+
+    Returns:
+        L (without its ones) and U in one matrix, shape (..., n, n); row that each row was exchanged
+        with, (..., n); rows of A in their new order, (..., n).
+
+    Raises:
+        Untranslatable: more than `MOST_ROWS` rows, or a matrix that is not square.
+    """
+    del params
+    size = _size(matrix)
+    factors = matrix.copy()
+    pivots, order = (np.empty(matrix.shape[:-1], object) for _ in range(2))
+    for at in np.ndindex(matrix.shape[:-2]):
+        a = factors[at]
+        rows = [graph.constant(i) for i in range(size)]
+        for k in range(size):
+            pivot = _largest(graph, a[k:, k])
+            pivots[at][k] = _chosen(graph, pivot, [graph.constant(i) for i in range(k, size)])
+            taken = [_chosen(graph, pivot, list(a[k:, j])) for j in range(size)]
+            row = _chosen(graph, pivot, rows[k:])
+            for i, flag in enumerate(pivot, k + 1):
+                for j in range(size):
+                    a[i, j] = graph.make("select", flag, a[k, j], a[i, j])
+                rows[i] = graph.make("select", flag, rows[k], rows[i])
+            a[k], rows[k] = taken, row
+            for i in range(k + 1, size):
+                a[i, k] = graph.make("div", a[i, k], a[k, k])
+                for j in range(k + 1, size):
+                    a[i, j] = _less(graph, a[i, j], a[i, k], a[k, j])
+        order[at][:] = rows
+    return [factors, pivots, order]
+
+
+def triangular_solve(graph: Graph, params: dict, matrix: np.ndarray, right: np.ndarray) -> list:
+    """X of A X = B, or of X A = B, with a triangular A, as `lax.linalg.triangular_solve`.
+
+    Args:
+        graph: owner of all nodes.
+        params: of the operation.
+        matrix: A, shape (..., n, n); the other triangle is not read.
+        right: B, shape (..., n, m), or (..., m, n).
+
+    Returns:
+        X in a list, of the shape of B.
+
+    Raises:
+        Untranslatable: more than `MOST_ROWS` rows.
+    """
+    size = _size(matrix)
+    lower = params["lower"] != params["transpose_a"]
+    matrix = np.swapaxes(matrix, -1, -2) if params["transpose_a"] else matrix
+    if not params["left_side"]:
+        matrix, right, lower = (*(np.swapaxes(x, -1, -2) for x in (matrix, right)), not lower)
+    solution = right.copy()
+    turns = range(size) if lower else range(size - 1, -1, -1)
+    for at in np.ndindex(solution.shape[:-2]):
+        a, x = matrix[at], solution[at]
+        for column in range(x.shape[1]):
+            for i in turns:
+                for j in range(i) if lower else range(i + 1, size):
+                    x[i, column] = _less(graph, x[i, column], a[i, j], x[j, column])
+                if not params["unit_diagonal"]:
+                    x[i, column] = graph.make("div", x[i, column], a[i, i])
+    return [solution if params["left_side"] else np.swapaxes(solution, -1, -2)]
+
+
+def cholesky(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
+    """L of A = L Lᵀ, from the lower triangle of A, as `lax.linalg.cholesky`.
+
+    Args:
+        graph: owner of all nodes.
+        params: of the operation; none is read.
+        matrix: A, shape (..., n, n).
+
+    Returns:
+        L in a list; not a number where A is not positive definite.
+
+    Raises:
+        Untranslatable: more than `MOST_ROWS` rows, or a matrix that is not square.
+    """
+    del params
+    size = _size(matrix)
+    factor = np.full(matrix.shape, graph.constant(0.0), object)
+    for at in np.ndindex(matrix.shape[:-2]):
+        a, lower = matrix[at], factor[at]
+        for j in range(size):
+            for i in range(j, size):
+                rest = a[i, j]
+                for k in range(j):
+                    rest = _less(graph, rest, lower[i, k], lower[j, k])
+                if i == j:
+                    lower[i, j] = graph.make("sqrt", rest)
+                else:
+                    lower[i, j] = graph.make("div", rest, lower[j, j])
+    return [factor]
+
+
+def _size(matrix: np.ndarray) -> int:
+    rows, columns = matrix.shape[-2:]
+    if rows != columns or rows > MOST_ROWS:
+        raise Untranslatable(f"linear algebra with a matrix of {rows} x {columns}")
+    return rows
+
+
+def _less(graph: Graph, value: Node, a: Node, b: Node) -> Node:
+    """value - a b."""
+    return graph.make("sub", value, graph.make("mul", a, b))
+
+
+def _largest(graph: Graph, column: np.ndarray) -> list[Node]:
+    """For each component after the first, whether it is the first one of the largest size."""
+    sizes = [graph.make("abs", node) for node in column]
+    flags = []
+    for i in range(1, len(sizes)):
+        before = [graph.make("lt", size, sizes[i]) for size in sizes[:i]]
+        after = [graph.make("le", size, sizes[i]) for size in sizes[i + 1 :]]
+        flags.append(functools.reduce(functools.partial(graph.make, "and"), [*before, *after]))
+    return flags
+
+
+def _chosen(graph: Graph, flags: list[Node], ways: list[Node]) -> Node:
+    """The way whose flag is up; the first one where none is."""
+    choice = ways[0]
+    for flag, way in zip(flags, ways[1:], strict=True):
+        choice = graph.make("select", flag, way, choice)
+    return choice
