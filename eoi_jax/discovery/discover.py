@@ -41,7 +41,7 @@ from eoi_jax.discovery.refit import (
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
-from eoi_jax.discovery.round import Round, Task, read_friction
+from eoi_jax.discovery.round import NO_FREE_RUN, Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.defaults import short_record_notes, too_short
@@ -403,7 +403,7 @@ def _answer(
         refusal = not_simulated(model)
         if refusal:
             notes.append(_UNCHECKED.format(" and ".join(names_of(placed)), share, refusal))
-            rounds[0].refused.update(dict.fromkeys(placed, "its free run cannot be simulated"))
+            rounds[0].refused.update(dict.fromkeys(placed, NO_FREE_RUN))
             status = Status("unexplained", _NOT_SIMULATED)
             continue
         refit = refitted(task, model, notes)

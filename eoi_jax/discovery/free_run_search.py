@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import size_is_known
+from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import ConstantOffset, Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
@@ -89,7 +90,8 @@ class FreeRunAnswer:
         base: the declared model, refined.
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
-        start_error: mean logarithm of the errors of the declared model before it was refined.
+        start_error: mean logarithm of the errors of the declared model before it was refined, on
+            the first variant.
     """
 
     base: Judged
@@ -112,7 +114,7 @@ def search_free_runs(
     Args:
         starts: the declared model at the values to refine it from, nominal ones last.
         variants: records to fit, and records that the fit does not see, once for each way in which
-            they may have been made (the hold of their inputs).
+            they may have been made (the hold of their inputs); as they were taken so far first.
         effects: to try.
         further: models that have effects already; they are tried in the first round.
         rival: another answer, which must predict worse.
@@ -148,7 +150,7 @@ def search_free_runs(
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
-    start_error = _mean_error(search.judge.runs(starts[0]))
+    start_error = _mean_error(searches[0].judge.runs(starts[0]))
     return FreeRunAnswer(search.base, best, search.records, search.judge.records, start_error)
 
 
@@ -282,8 +284,11 @@ class _Search:
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
 
-        None where there is no fit, or where the records do not tell the size of an effect in it.
+        None where it has no free run or no fit, or where the records do not tell the size of an
+        effect in it.
         """
+        if not_simulated(plant):
+            return None
         window = best.refinement.window
         trial = _fitted(plant, (*best.placed, *placed), self.records, window, self.judge)
         if trial is None:

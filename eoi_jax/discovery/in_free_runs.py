@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from eoi_jax._status import Status
-from eoi_jax.data.holds import undeclared_hold, with_hold
+from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
@@ -15,7 +15,7 @@ from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
-from eoi_jax.discovery.round import PRODUCT
+from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
@@ -29,8 +29,11 @@ def leaves_open(discovery: Discovery) -> bool:
 
     A disturbance in time may stand in for what the library lacks. Only records that are held out
     can judge, and the score test of free runs knows no outputs that are functions of the states.
+    Effects that explain all but have no free run would be stood in for by others.
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
+        return False
+    if any(one.remark == NO_FREE_RUN for one in discovery.ranking):
         return False
     code = discovery.status.code
     in_time = any(
@@ -58,10 +61,13 @@ def with_free_runs(
         alpha: level of significance of the score test.
     """
     plant, settled = discovery.declared.nominal, discovery.held_out[0]
-    holds = [settled.hold, *(() if undeclared_hold(records) is None else HOLDS)]
+    # A skew belongs to the hold that it was found with: zero, to others, is half a sample of delay.
+    made = [(settled.hold, settled.skew)]
+    if undeclared_hold(records) is not None:
+        skewed = np.any(settled.skew)
+        made += [(hold, None) for hold in HOLDS if skewed or hold != settled.hold]
     variants = [
-        (with_hold(records, hold, settled.skew), with_hold(held_out, hold, settled.skew))
-        for hold in dict.fromkeys(holds)
+        (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in made
     ]
     rival = discovery.plant if discovery.added else None
     lead = None if discovery.lead is None else discovery.lead.found.plant
@@ -89,13 +95,17 @@ def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | No
         return _with_model(found, answer, best, lowpass)
     if discovery.added:
         return discovery
-    if best.placed and discovery.lead is None:
+    lead = None
+    if best.placed:
         fit = _fit_of(discovery, answer, best, lowpass)
         lead = PartialExplanation(_added(discovery, fit, best), 1.0 - ratio**2, fit, *best.runs)
-        discovery = replace(discovery, lead=lead)
     if base.error - answer.start_error < np.log(CONFIRMED):
-        return _with_model(discovery, answer, base, lowpass)
-    return discovery
+        # What the injection said of the model as it was is said of no other one.
+        left = beyond_noise(base.runs[1], answer.judging)
+        said = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
+        found = replace(discovery, status=Status(*said), lead=lead if left else None)
+        return _with_model(found, answer, base, lowpass)
+    return replace(discovery, lead=discovery.lead or lead)
 
 
 def _with_model(
@@ -105,7 +115,10 @@ def _with_model(
     base, plant = answer.base, discovery.declared.nominal
     fit = _fit_of(discovery, answer, model, lowpass)
     added = _added(discovery, fit, model)
-    notes = [note for note in discovery.notes if not note.startswith("hold ")]
+    settled, stale = discovery.held_out[0], ["hold "]
+    if np.any(settled.skew) and not np.any(answer.records[0].skew):
+        stale.append(skew_text(settled, settled.skew))
+    notes = [note for note in discovery.notes if not note.startswith(tuple(stale))]
     notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,
@@ -140,6 +153,13 @@ _HOLD = "hold {}: of those that are possible the one with the smallest errors on
 _REFINED = (
     "the declared model was refined by the error of its free runs, and effects were searched in "
     "these; errors before are those of the refined declared model"
+)
+_NOT_EXPLAINED = (
+    "refined, the declared model misses the held-out records by more than noise in free runs, and "
+    "no effect of the library lowers these errors by a third"
+)
+_NOTHING_MISSING = (
+    "refined, the declared model misses the held-out records by no more than noise in free runs"
 )
 _PARTIAL = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "

@@ -45,6 +45,7 @@ _PRODUCT_SHARE, _NOTABLE = 0.5, 0.005
 _EXTENSIONS = 3  # extensions of a set that are evaluated
 _SIMILAR_LEVELS = 1.5  # largest ratio of friction levels that are read as a level and an offset
 PRODUCT = "a product of signals"  # begins the remarks on what one refutes
+NO_FREE_RUN = "its free run cannot be simulated"  # a remark
 TOLD_APART = 10.0  # difference of twice the log-likelihood above which sets are distinguished
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
