@@ -101,7 +101,9 @@ _OUTSIDE_MECHANICAL = (
     "van_der_pol", "input_times_position", "input_times_velocity", "second_resonance",
     "position_friction",
 )  # fmt: skip
-# Effects that the library does not have.
+# What the library tries in free runs alone, where nothing else explains: it may be named.
+_PRODUCTS = {"outside:input_times_position", "outside:input_times_velocity"}
+# Effects that the library does not have, or does not try at first.
 OUTSIDE: dict[str, tuple[tuple[str, ...], ...]] = {
     "mass": tuple((f"outside:{name}",) for name in (*_OUTSIDE, *_OUTSIDE_MECHANICAL)),
     "pendulum": tuple((f"outside:{name}",) for name in (*_OUTSIDE, *_OUTSIDE_MECHANICAL)),
@@ -403,7 +405,9 @@ class _Draft:
         return size * self.unit_noise(lane, level)
 
     def _equivalent(self, inputs: Sequence[np.ndarray]) -> tuple[str, ...]:
-        """Dry friction with an offset is asymmetric friction, exactly."""
+        """Dry friction with an offset is asymmetric friction; some effects outside are products."""
+        if set(self.truth) & _PRODUCTS:
+            return ("product",)
         if self.truth == ("asymmetric_friction",):
             return ("coulomb_friction", "constant_offset")
         if set(self.truth) == {"coulomb_friction", "constant_offset"}:

@@ -76,11 +76,15 @@ class Row:
     rival: Answer | None
 
     def right(self, answer: Answer) -> bool:
-        """Exactly the truth or its equivalent; nothing, said to be "unexplained", if outside."""
+        """Exactly the truth or its equivalent; nothing, said to be "unexplained", if outside.
+
+        An equivalent of what is outside must also predict as well as an effect of the library.
+        """
         if answer.status.startswith("error"):
             return False
         if self.kind == "outside":
-            return not answer.named and answer.status == "unexplained"
+            silent = not answer.named and answer.status == "unexplained"
+            return silent or (self._equivalent(answer.named) and self.within(answer))
         return same(answer.named, self.truth) or self._equivalent(answer.named)
 
     def in_top(self, answer: Answer) -> bool:
