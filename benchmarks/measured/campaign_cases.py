@@ -64,9 +64,7 @@ def _stamps(count: int, period: float) -> np.ndarray:
     return period * np.arange(count)
 
 
-def _record(
-    plant: eoi.Plant, time: np.ndarray, inputs: np.ndarray, outputs: np.ndarray, name: str
-) -> eoi.Record:
+def _record(plant: eoi.Plant, name: str, time: Any, inputs: Any, outputs: Any) -> eoi.Record:
     """With the channels of the plant and their units; nothing else is said of it."""
     channels = (*plant.inputs, *plant.outputs)
     units = {key: unit for key, unit in plant.units.items() if key in channels}
@@ -105,7 +103,7 @@ def throttle_valve(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         keys = ("time", "voltage", "position")
-        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
+        return _record(plant, name, *(data[f"{name}_{key}"] for key in keys))
 
     return Rig(
         plant, _parts(read, ["run1"], ["run2"], ["run3"]),
@@ -129,7 +127,7 @@ def shaking_table(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         keys = ("time", "voltage", "position")
-        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
+        return _record(plant, name, *(data[f"{name}_{key}"] for key in keys))
 
     return Rig(
         plant,
@@ -159,7 +157,7 @@ def levitator_coil(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         keys = ("time", "voltage", "current")
-        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
+        return _record(plant, name, *(data[f"{name}_{key}"] for key in keys))
 
     return Rig(
         plant, _parts(read, ["est_chirp", "est_escalon"], ["held_multiescalon"],
@@ -190,7 +188,7 @@ def mr_damper(folder: Path) -> Rig:
         velocity = savgol_filter(place, 7, 3, deriv=1, delta=float(np.mean(np.diff(stamps))))
         moves = np.flatnonzero(np.abs(place - np.median(place[:100])) > 0.1)[0]
         part = slice(max(int(moves) - 20, 0), None)
-        return _record(plant, stamps[part], velocity[part], data[f"{key}_force"][part], name)
+        return _record(plant, name, stamps[part], velocity[part], data[f"{key}_force"][part])
 
     return Rig(
         plant, _parts(read, ["1.1", "4.1", "7.1"], ["3.1", "8.1"], ["5.1", "10.1"]),
@@ -203,7 +201,7 @@ def _hydraulic(folder: Path, output: str, plant: eoi.Plant) -> Parts:
 
     def read(name: str) -> eoi.Record:
         valve = data[f"{name}_valve"]
-        return _record(plant, _stamps(len(valve), 1.0), valve, data[f"{name}_{output}"], name)
+        return _record(plant, name, _stamps(len(valve), 1.0), valve, data[f"{name}_{output}"])
 
     return _parts(read, ["est"], ["held"], ["untouched"])
 
@@ -257,7 +255,7 @@ def hair_dryer(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         power = data[f"{name}_power"]
-        return _record(plant, _stamps(len(power), 0.08), power, data[f"{name}_temperature"], name)
+        return _record(plant, name, _stamps(len(power), 0.08), power, data[f"{name}_temperature"])
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -283,7 +281,7 @@ def lamp_and_plate(folder: Path) -> Rig:
     def read(name: str) -> eoi.Record:
         voltage = data[f"{name}_voltage"]
         stamps = _stamps(len(voltage), 2.0)
-        return _record(plant, stamps, voltage, data[f"{name}_temperature"], name)
+        return _record(plant, name, stamps, voltage, data[f"{name}_temperature"])
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -306,7 +304,7 @@ def steam_exchanger(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         flow = data[f"{name}_flow"]
-        return _record(plant, _stamps(len(flow), 1.0), flow, data[f"{name}_temperature"], name)
+        return _record(plant, name, _stamps(len(flow), 1.0), flow, data[f"{name}_temperature"])
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
@@ -331,7 +329,7 @@ def leaf_cell(folder: Path) -> Rig:
     def read(name: str) -> eoi.Record:
         current = data[f"{name}_current"]
         stamps = _stamps(len(current), 5.0)
-        return _record(plant, stamps, current, data[f"{name}_voltage_less_r0"], name)
+        return _record(plant, name, stamps, current, data[f"{name}_voltage_less_r0"])
 
     return Rig(
         plant,
@@ -356,7 +354,7 @@ def buck_converter(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         data = np.loadtxt(folder / f"buck_converter/buck_{name}.csv", delimiter=",", skiprows=1)
-        return _record(plant, 1e3 * data[:, 0], data[:, 1], data[:, 2], name)
+        return _record(plant, name, 1e3 * data[:, 0], data[:, 1], data[:, 2])
 
     return Rig(
         plant, _parts(read, ["id"], ["valid"], []),
@@ -388,7 +386,7 @@ def tclab(folder: Path) -> Rig:
 
     def part(first: int, stop: int, name: str) -> eoi.Record:
         rows = data[first:stop]
-        return _record(plant, rows[:, 1], rows[:, 2], rows[:, 3:5], name)
+        return _record(plant, name, rows[:, 1], rows[:, 2], rows[:, 3:5])
 
     return Rig(
         plant, ((part(0, 700, "first"),), (part(700, 1002, "rest"),), ()),
@@ -418,7 +416,7 @@ def servo_pendulum(folder: Path) -> Rig:
 
     def read(name: str) -> eoi.Record:
         keys = ("timestamp", "goal_position", "position")
-        return _record(plant, *(data[f"{name}_{key}"] for key in keys), name)
+        return _record(plant, name, *(data[f"{name}_{key}"] for key in keys))
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], []),
