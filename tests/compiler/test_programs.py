@@ -159,7 +159,7 @@ MANY = """
 import gc, sys
 import numpy as np
 import eoi_jax as eoi
-eoi.configure(cache=False, programs=25)
+eoi.configure(cache=False)
 time = 0.01 * np.arange(700)
 drive = np.repeat(np.random.default_rng(1).uniform(-2.0, 2.0, 14), 50)
 
@@ -191,7 +191,8 @@ def test_new_plants_do_not_pile_up():
     )
     assert done.returncode == 0, done.stderr
     maps = np.array(done.stdout.split(), int)
-    # Once the limit is met a plant adds less than a quarter of what the first ones did: programs
-    # are of many sizes, so that the number goes up and down.
-    assert maps[1] - maps[0] > 0.05 * maps[0]
-    assert (maps[-1] - maps[-6]) / 5 < 0.25 * (maps[1] - maps[0]), maps
+    # A program for every plant adds 5 to 10 % of what the first plant took; programs are shared,
+    # and what a plant adds is its machine code. Now and then a new shape is compiled.
+    added = np.diff(maps)
+    assert np.median(added) < 0.01 * maps[0], maps
+    assert np.count_nonzero(added > 0.01 * maps[0]) < 5, maps
