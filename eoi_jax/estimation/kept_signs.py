@@ -38,6 +38,9 @@ def without_runaways(
 ) -> Any:
     """An estimate with parameters that ran off held, and a note on each divisor of a wrong sign.
 
+    Where the fit without bounds is better and lies within them, it has only passed through infinity
+    and come back: it is the answer.
+
     Args:
         plant: with the nominal parameters.
         fit: an `Identification` or a `Refinement` of it, with a fit.
@@ -45,12 +48,16 @@ def without_runaways(
         cost: logarithm of what a fit minimises.
     """
     fit = held_runaways(plant, fit, refit, cost)
-    names = [name for name in _divisors(plant) if _is_large(plant, name, fit.parameters[name])]
+    divisors = _divisors(plant)
+    names = [name for name in divisors if _is_large(plant, name, fit.parameters[name])]
     if not names:
         return fit
-    unbounded = refit(plant.declared_anew(bounds=dict.fromkeys(names, (-np.inf, np.inf))))
+    unbounded = refit(plant.declared_anew(bounds=dict.fromkeys(divisors, (-np.inf, np.inf))))
     if not unbounded.status.ok or not cost(unbounded) < cost(fit) - _SETTINGS.min_fall:
         return fit
+    values = np.asarray(list(unbounded.parameters.values()))
+    if np.all((plant.lower <= values) & (values <= plant.upper)):
+        return replace(refit(plant.with_parameters(unbounded.parameters)), nominal=plant)
     notes = []
     for name in names:
         value = unbounded.parameters[name]
