@@ -268,7 +268,7 @@ outputs = ["temp"]
 files = ["test.csv"]
 """,
     command="discover",
-    effects=(("power_loss",),),
+    effects=(("radiation",),),  # named power_loss before there was one in the library
     held_out={"temp": 3.0},
 )
 

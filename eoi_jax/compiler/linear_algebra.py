@@ -44,13 +44,13 @@ def lu(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
         for k in range(size):
             pivot = _largest(graph, a[k:, k])
             pivots[at][k] = _chosen(graph, pivot, [graph.constant(i) for i in range(k, size)])
-            taken = [_chosen(graph, pivot, list(a[k:, j])) for j in range(size)]
+            pivot_row = [_chosen(graph, pivot, list(a[k:, j])) for j in range(size)]
             row = _chosen(graph, pivot, rows[k:])
             for i, flag in enumerate(pivot, k + 1):
                 for j in range(size):
                     a[i, j] = graph.make("select", flag, a[k, j], a[i, j])
                 rows[i] = graph.make("select", flag, rows[k], rows[i])
-            a[k], rows[k] = taken, row
+            a[k], rows[k] = pivot_row, row
             for i in range(k + 1, size):
                 a[i, k] = graph.make("div", a[i, k], a[k, k])
                 for j in range(k + 1, size):
@@ -113,13 +113,13 @@ def cholesky(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]
         a, lower = matrix[at], factor[at]
         for j in range(size):
             for i in range(j, size):
-                rest = a[i, j]
+                remainder = a[i, j]
                 for k in range(j):
-                    rest = _less(graph, rest, lower[i, k], lower[j, k])
+                    remainder = _less(graph, remainder, lower[i, k], lower[j, k])
                 if i == j:
-                    lower[i, j] = graph.make("sqrt", rest)
+                    lower[i, j] = graph.make("sqrt", remainder)
                 else:
-                    lower[i, j] = graph.make("div", rest, lower[j, j])
+                    lower[i, j] = graph.make("div", remainder, lower[j, j])
     return [factor]
 
 

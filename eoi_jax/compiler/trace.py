@@ -12,7 +12,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.lax import GatherScatterMode
 
 from eoi_jax.compiler import indexing
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
@@ -25,8 +24,7 @@ from eoi_jax.compiler.jax_private import (
     solving_part,
 )
 from eoi_jax.compiler.linear_algebra import cholesky, lu, triangular_solve
-
-MOST_UNROLLED = 64  # turns of a loop
+from eoi_jax.compiler.lookup import MOST_UNROLLED, choose, constants, is_constant, looked_up
 
 
 def constant_nodes(graph: Graph, value: Any) -> np.ndarray:
@@ -87,8 +85,8 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
     shape = equation.outvars[0].aval.shape
     if name in _MOVES:
         moved = _MOVES[name](params, *args)
-    elif name in ("gather", "dynamic_slice") and not all(_known(arg) for arg in args[1:]):
-        moved = _looked_up(graph, equation, *args)
+    elif name in ("gather", "dynamic_slice") and not all(is_constant(arg) for arg in args[1:]):
+        moved = looked_up(graph, equation, *args)
     elif name in _INDEXED:
         moved = _indexed(equation, args)
     elif name in _ARRAYS:
@@ -140,7 +138,7 @@ def _cond(graph: Graph, params: dict, index: np.ndarray, *args: np.ndarray) -> l
     for ways in zip(*branches, strict=True):
         array = np.empty(ways[0].shape, object)
         for at in np.ndindex(array.shape):
-            array[at] = _choose(graph, chosen, *(values[at] for values in ways))
+            array[at] = choose(graph, chosen, *(values[at] for values in ways))
         results.append(array)
     return results
 
@@ -149,16 +147,6 @@ def _flag_of(graph: Graph, node: Node) -> Node:
     """The flag that was made a number to choose between two branches."""
     plain = node.op == "select" and node.args[1:] == (graph.constant(1.0), graph.constant(0.0))
     return node.args[0] if plain else node
-
-
-def _choose(graph: Graph, index: Node, *ways: Node) -> Node:
-    if index.is_bool:
-        return graph.make("select", index, ways[1], ways[0])
-    choice = ways[-1]
-    for i in range(len(ways) - 2, -1, -1):
-        first = graph.make("le", index, graph.constant(i))
-        choice = graph.make("select", first, ways[i], choice)
-    return choice
 
 
 def _split(graph: Graph, params: dict, array: np.ndarray) -> list[np.ndarray]:
@@ -254,7 +242,7 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
             flat.extend(array.ravel())
             operands.append(np.arange(first, len(flat), dtype=np.int32).reshape(array.shape))
         else:
-            operands.append(_constants(name, array, atom))
+            operands.append(constants(name, array, atom))
     places = getattr(indexing, name)(equation.params, *operands)
     if not np.all((places >= 0) & (places < len(flat))):
         raise Untranslatable(f"{name} beyond its array")
@@ -263,88 +251,12 @@ def _indexed(equation: Any, args: list[np.ndarray]) -> np.ndarray:
     return components[places]
 
 
-def _looked_up(graph: Graph, equation: Any, array: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """Components at a place along one axis that depends on the data: chosen among all places."""
-    name, params = equation.primitive.name, equation.params
-    running = np.arange(array.size, dtype=np.int32).reshape(array.shape)
-    unknown = [i for i, start in enumerate(starts) if not _known(start)]
-    numbers = params.get("dimension_numbers")
-    axes = unknown if numbers is None else numbers.start_index_map
-    if len(axes) > 1 or getattr(numbers, "operand_batching_dims", ()):
-        raise Untranslatable(f"{name} at places that depend on the data along several axes")
-    (axis,) = axes
-    count = array.shape[axis] - params["slice_sizes"][axis] + 1
-    if count > MOST_UNROLLED:
-        raise Untranslatable(f"{name} at places that depend on the data (over {MOST_UNROLLED})")
-    known = [
-        np.zeros(start.shape, np.int32) if i in unknown else _constants(name, start, atom)
-        for i, (start, atom) in enumerate(zip(starts, equation.invars[1:], strict=True))
-    ]
-    ways = []
-    for place in range(count):
-        known[unknown[0]] = np.full(starts[unknown[0]].shape, place, np.int32)
-        ways.append(getattr(indexing, name)(params, running, *known))
-    # The batch of starts lies along the axes of the result that are no offsets.
-    offsets = range(ways[0].ndim) if numbers is None else numbers.offset_dims
-    along = [i for i in range(ways[0].ndim) if i not in offsets]
-    fills = params.get("mode") == GatherScatterMode.FILL_OR_DROP
-    last, flat = graph.constant(count - 1), array.ravel()
-    indices = starts[unknown[0]].reshape([ways[0].shape[i] for i in along])
-    result = np.empty(ways[0].shape, object)
-    for at in np.ndindex(result.shape):
-        index: Node = indices.item(*(at[i] for i in along))
-        choice = _choose(graph, index, *(flat.item(way[at]) for way in ways))
-        low, high = _range(index)
-        if fills and not 0 <= low <= high < count:
-            beyond = [graph.make("lt", index, graph.constant(0)), graph.make("lt", last, index)]
-            nothing = graph.constant(np.nan)
-            choice = graph.make("select", graph.make("or", *beyond), nothing, choice)
-        result[at] = choice
-    return result
-
-
-def _range(node: Node) -> tuple[float, float]:
-    """Bounds of an index, where it is clipped."""
-    if node.op == "constant":
-        return float(node.value), float(node.value)
-    if node.op not in ("min", "max", "add", "sub", "select"):
-        return -np.inf, np.inf
-    if node.op == "select" and node.args[0].op == "lt":  # as a negative index counts from the end
-        (left, _), (_, right) = (_range(arg) for arg in node.args[0].args)
-        if left >= right:
-            return _range(node.args[2])
-    (low, high), (other_low, other_high) = (_range(arg) for arg in node.args[-2:])
-    match node.op:
-        case "min":
-            return min(low, other_low), min(high, other_high)
-        case "max":
-            return max(low, other_low), max(high, other_high)
-        case "add":
-            return low + other_low, high + other_high
-        case "sub":
-            return low - other_high, high - other_low
-        case _:
-            return min(low, other_low), max(high, other_high)
-
-
-def _known(array: np.ndarray) -> bool:
-    return all(node.op == "constant" for node in array.ravel())
-
-
-def _constants(name: str, array: np.ndarray, atom: Any) -> np.ndarray:
-    """Constants as the numbers that they are."""
-    if not _known(array):
-        raise Untranslatable(f"{name} at places that depend on the data")
-    values = [node.value for node in array.ravel()]
-    return np.asarray(values, atom.aval.dtype).reshape(array.shape)
-
-
 def _scatter_add(
     graph: Graph, equation: Any, array: np.ndarray, where: np.ndarray, added: np.ndarray
 ) -> np.ndarray:
     numbers = np.arange(added.size, dtype=np.int32).reshape(added.shape)
     nowhere = np.full(array.shape, -1, np.int32)
-    places = _constants("scatter-add", where, equation.invars[1])
+    places = constants("scatter-add", where, equation.invars[1])
     hits = indexing.scatter(equation.params, nowhere, places, numbers)
     result, flat = array.copy(), added.ravel()
     if np.sum(hits >= 0) != added.size:
@@ -496,7 +408,7 @@ def _clamp(graph: Graph, equation: Any, low: Node, node: Node, high: Node) -> No
 
 def _select_n(graph: Graph, equation: Any, index: Node, *ways: Node) -> Node:
     del equation
-    return _choose(graph, index, *ways)
+    return choose(graph, index, *ways)
 
 
 def _composed(*steps: str | float) -> Callable:

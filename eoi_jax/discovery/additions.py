@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from eoi_jax.discovery.ranking import ends
+from eoi_jax.discovery.refit import SEARCHED
 from eoi_jax.discovery.result import Added
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
@@ -13,6 +14,8 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
 UNCERTAIN = "the records hardly tell the size of"
+REFIT_STATUS = "the refit of the augmented model ended as"
+GRID_END = "is at the end of what was searched"
 _LARGEST_ERROR = 0.5  # standard error over the value, below which a parameter is known
 
 
@@ -61,3 +64,8 @@ def as_fit(prepared: PreparedRecords, result: Refinement) -> Identification:
         certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
         status=result.status,
     )  # fmt: skip
+
+
+def is_on_fit(note: str) -> bool:
+    """Whether a note is on a fitted model with effects in it, and goes with it."""
+    return note.startswith((SEARCHED, REFIT_STATUS, UNCERTAIN)) or GRID_END in note

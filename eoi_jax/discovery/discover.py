@@ -22,7 +22,14 @@ from eoi_jax._checks import check, check_count, real
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
-from eoi_jax.discovery.additions import UNCERTAIN, added_effect, as_fit, uncertain_effects
+from eoi_jax.discovery.additions import (
+    GRID_END,
+    REFIT_STATUS,
+    added_effect,
+    as_fit,
+    is_on_fit,
+    uncertain_effects,
+)
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.hold_choice import with_best_hold
@@ -31,7 +38,6 @@ from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import polished
 from eoi_jax.discovery.refit import (
-    SEARCHED,
     free_runs,
     not_simulated,
     on_bounds,
@@ -337,9 +343,8 @@ def _polished(
     if isinstance(better, str):
         return replace(discovery, notes=(*discovery.notes, better))
     # Notes about the estimate before the refinement no longer apply.
-    stale = (SEARCHED, _REFIT_STATUS, UNCERTAIN)
-    stale += tuple(on_bounds(task.plant, discovery.plant))
-    notes = [note for note in discovery.notes if not note.startswith(stale)]
+    stale = tuple(on_bounds(task.plant, discovery.plant))
+    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
     notes += on_bounds(task.plant, better.refinement.plant)
     short = better.refinement.window
     length = "" if short is None else f" over windows of {short:.3g} s"
@@ -408,7 +413,7 @@ def _answer(
             continue
         refit = refitted(task, model, notes)
         if not refit.status.ok:
-            notes.append(f"{_REFIT_STATUS} {refit.status}")
+            notes.append(f"{REFIT_STATUS} {refit.status}")
         runs = free_runs(task, refit.plant)
         if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(before, runs):
             break
@@ -491,10 +496,9 @@ _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
-_REFIT_STATUS = "the refit of the augmented model ended as"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"
+_AT_GRID_END = "{} " + GRID_END + ", {:.4g}: {} ones may do as well or better"
 _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in free runs"
-_AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"

@@ -146,7 +146,7 @@ def search_free_runs(
         accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
         if not accepted:
             break
-        best = _plainest(accepted)
+        best = search.chosen(accepted)
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
@@ -266,14 +266,14 @@ class _Search:
         plant = best.refinement.plant
         offsets = placements(plant, [e for e in effects if isinstance(e, ConstantOffset)])
         sets = [
-            (one.placed, one.values)
-            for one in remaining(best.refinement, effects, level=level).significant
+            (item.placed, item.values)
+            for item in remaining(best.refinement, effects, level=level).significant
         ]
         sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
-        fresh = [one for one in sets if not _repeated(best.placed, one[0])]
+        fresh = [item for item in sets if not _repeated(best.placed, item[0])]
         first: dict[tuple, Model] = {}
         for placed, values in fresh:
-            key = tuple(sorted(_place_of(one)[:2] for one in placed))
+            key = tuple(sorted(_place_of(item)[:2] for item in placed))
             first.setdefault(key, (augmented(plant, placed, values), placed))
         return list(first.values())[: _RULES.tried]
 
@@ -297,12 +297,35 @@ class _Search:
         known = all(size_is_known(added.names, values, errors) for added in trial.placed)
         return trial if known else None
 
+    def chosen(self, trials: Sequence[Judged]) -> Judged:
+        """The model with the fewest effects among those that predict as well as the best one.
+
+        Where the records that judge do not tell as many effects apart, those of the fit do.
+        """
+        lowest = min(trial.error for trial in trials)
+        as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
+        plainest = min(as_good, key=lambda trial: (len(trial.placed), trial.error))
+        rivals = [
+            trial
+            for trial in trials
+            if len(trial.placed) == len(plainest.placed)
+            and not self.judge.prefers(plainest.runs, trial.runs)
+        ]
+        count = sum(int(np.sum(record.output_valid)) for record in self.records)
+
+        def criterion(trial: Judged) -> float:
+            """Of Bayes, over the number of samples."""
+            size = sum(len(item.names) for item in trial.placed)
+            return trial.refinement.cost + size * float(np.log(count)) / count
+
+        return min(rivals, key=criterion)
+
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without."""
         declared, values = self.base.refinement.plant, best.refinement.parameters
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         for effect in best.placed if len(best.placed) > 1 else ():
-            placed = tuple(one for one in best.placed if one is not effect)
+            placed = tuple(item for item in best.placed if item is not effect)
             plant = augmented(declared, placed, values)
             lean = _fitted(plant, placed, self.records, best.refinement.window, self.judge)
             if lean is not None and lean.error < best.error + _RULES.min_fall:
@@ -333,17 +356,10 @@ def _fitted(
     return Judged(refinement, placed, judge.runs(refinement.plant))
 
 
-def _plainest(trials: Sequence[Judged]) -> Judged:
-    """The model with the fewest effects among those that are as good as the best one."""
-    lowest = min(trial.error for trial in trials)
-    as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
-    return min(as_good, key=lambda trial: (len(trial.placed), trial.error))
-
-
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is in the model already, at the same place."""
-    places = {_place_of(one) for one in present}
-    return any(_place_of(one) in places for one in placed)
+    places = {_place_of(item) for item in present}
+    return any(_place_of(item) in places for item in placed)
 
 
 def _place_of(placed: Placed) -> tuple:

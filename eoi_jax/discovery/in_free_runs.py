@@ -10,7 +10,7 @@ from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
-from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
+from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
@@ -115,10 +115,12 @@ def _with_model(
     base, plant = answer.base, discovery.declared.nominal
     fit = _fit_of(discovery, answer, model, lowpass)
     added = _added(discovery, fit, model)
-    settled, stale = discovery.held_out[0], ["hold "]
+    settled, stale = discovery.held_out[0], ["hold ", *on_bounds(plant, discovery.plant)]
     if np.any(settled.skew) and not np.any(answer.records[0].skew):
         stale.append(skew_text(settled, settled.skew))
-    notes = [note for note in discovery.notes if not note.startswith(tuple(stale))]
+    notes = [
+        note for note in discovery.notes if not (note.startswith(tuple(stale)) or is_on_fit(note))
+    ]
     notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,

@@ -97,6 +97,8 @@ CLASSES: Mapping[str, str] = {
     "InternalOverflow": "models.effects.outflow",
     "Leak": "models.effects.outflow",
     "Overflow": "models.effects.outflow",
+    "PowerLoss": "models.effects.outflow",
+    "Radiation": "models.effects.outflow",
     "ModulatedSinusoid": "models.effects.products",
     "Product": "models.effects.products",
     "CubicStiffness": "models.effects.stiffness",

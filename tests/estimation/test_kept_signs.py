@@ -91,7 +91,8 @@ def cell(volts=5e-4):
 
 
 def test_a_divisor_that_passes_through_infinity_and_comes_back_is_within_its_bounds():
-    bounds = dict.fromkeys(("R0", "R1", "R2"), (0.0, 1.0))
+    bounds: dict[str, tuple[float | None, float | None]] = {}
+    bounds |= dict.fromkeys(("R0", "R1", "R2"), (0.0, 1.0))
     bounds |= dict.fromkeys(("C1", "C2"), (1.0, 1e6))
     plant = eoi.plant_from_text(
         {"v1": "(I - v1/R1)/C1", "v2": "(I - v2/R2)/C2"},

@@ -34,6 +34,8 @@ from eoi_jax.models.effects.memory import SecondNode as SecondNode
 from eoi_jax.models.effects.outflow import InternalOverflow as InternalOverflow
 from eoi_jax.models.effects.outflow import Leak as Leak
 from eoi_jax.models.effects.outflow import Overflow as Overflow
+from eoi_jax.models.effects.outflow import PowerLoss as PowerLoss
+from eoi_jax.models.effects.outflow import Radiation as Radiation
 from eoi_jax.models.effects.products import Product as Product
 from eoi_jax.models.effects.stiffness import CubicStiffness as CubicStiffness
 from eoi_jax.models.effects.stiffness import EndStop as EndStop

@@ -21,7 +21,7 @@ from eoi_jax.models.effects.inputs import (
     InputYield,
 )
 from eoi_jax.models.effects.memory import Hysteresis, SecondNode
-from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow
+from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow, PowerLoss, Radiation
 from eoi_jax.models.effects.products import Product
 from eoi_jax.models.effects.stiffness import (
     CubicStiffness,
@@ -80,7 +80,8 @@ def standard() -> tuple[AbstractEffect, ...]:
 def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
-    Products of signals, a second store, a yield law, a response to the rate of the input.
+    Products of signals, a second store, a loss with a power of the output, radiation, a yield law,
+    a response to the rate of the input.
 
     Returns:
         One object of each form.
@@ -90,6 +91,9 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("u", "v"),
         Product("y", "v"),
         SecondNode(),
+        PowerLoss(),
+        Radiation(celsius=False),
+        Radiation(celsius=True),
         InputYield(),
         InputRate(),
     )

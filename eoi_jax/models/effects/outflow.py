@@ -1,4 +1,4 @@
-"""Flows out of a tank whose level is the output, or an internal state."""
+"""What flows out of a store whose level, temperature or charge is the output, or not measured."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +17,9 @@ from eoi_jax.models.effects.effect import (
     turns,
 )
 from eoi_jax.models.plant import Plant
+
+_CELSIUS = ("°C", "degC", "C")
+_ZERO_CELSIUS = 273.15  # K
 
 
 def _levels(
@@ -65,6 +68,66 @@ class Overflow(AbstractTerm):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.maximum(at.y - shape[0], 0.0)
+
+
+@dataclass(frozen=True)
+class Radiation(AbstractTerm):
+    """-k ((T/100)⁴ - (T0/100)⁴), T and T0 absolute: what a hot body radiates to its surroundings.
+
+    Attributes:
+        celsius: whether y is in degrees Celsius: this form fits outputs with the unit "°C", "degC"
+            or "C", the other one those with the unit "K".
+
+    Source:
+        Stefan-Boltzmann law; the hundredth of the temperature is usual in engineering.
+    """
+
+    name = "radiation"
+    sentence = "radiation of heat, with the fourth power of the temperature"
+    gains = (Parameter("coefficient", "{f}", lower=0.0),)
+    shapes = (Parameter("ambient", "{y}"),)
+    depends_on = "y"
+    only_in_free_runs = True
+
+    celsius: bool = False
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        unit = plant.units.get(plant.outputs[output])
+        return plant.degrees[output] == 1 and unit in (_CELSIUS if self.celsius else ("K",))
+
+    def grid(self, seen: Seen) -> Grid:
+        return quantiles(seen.y, (0.0, 0.1, 0.3, 0.6))
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        zero = _ZERO_CELSIUS if self.celsius else 0.0
+        return -gain[0] * (((at.y + zero) / 100.0) ** 4 - ((shape[0] + zero) / 100.0) ** 4)
+
+
+class PowerLoss(AbstractTerm):
+    """-k |y|^n sign(y): a loss that grows with a power of the output.
+
+    Convection of a hot body, recombination of charges, an outlet of a tank.
+    """
+
+    name = "power_loss"
+    sentence = "a loss that grows with a power of the output"
+    gains = (Parameter("coefficient", "", lower=0.0),)
+    shapes = (Parameter("exponent", "1", lower=0.1),)
+    depends_on = "y"
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+    def shows(self, seen: Seen) -> bool:
+        return not turns(seen.y)
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.array([[0.5], [1.5], [2.0], [2.5], [3.0], [4.0]])
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        size = jnp.maximum(jnp.abs(at.y), np.finfo(float).tiny)  # has a slope in n at zero
+        return -gain[0] * size ** shape[0] * jnp.sign(at.y)
 
 
 @dataclass(frozen=True)

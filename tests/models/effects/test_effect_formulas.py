@@ -68,6 +68,11 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.InputYield(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1] + s[1] * u,
     effects.Leak(): lambda t, y, v, u, z, g, s: -g[0] * y,
     effects.Overflow(): lambda t, y, v, u, z, g, s: -g[0] * (y - s[0]) if y > s[0] else 0.0,
+    effects.Radiation(): lambda t, y, v, u, z, g, s: g[0] * (s[0] ** 4 - y**4) / 1e8,
+    effects.Radiation(celsius=True): lambda t, y, v, u, z, g, s: (
+        g[0] * (s[0] - y) * (s[0] + y + 546.3) * ((s[0] + 273.15) ** 2 + (y + 273.15) ** 2) / 1e8
+    ),
+    effects.PowerLoss(): lambda t, y, v, u, z, g, s: -g[0] * abs(y) ** s[0] * np.sign(y),
     effects.InternalOverflow(caught=True): lambda t, y, v, u, z, g, s: (
         g[0] * s[0] * (y - s[1]) if y > s[1] else 0.0
     ),
