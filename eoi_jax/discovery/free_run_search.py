@@ -146,7 +146,7 @@ def search_free_runs(
         accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
         if not accepted:
             break
-        best = search.chosen(accepted)
+        best = _plainest(accepted)
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
@@ -297,40 +297,22 @@ class _Search:
         known = all(size_is_known(added.names, values, errors) for added in trial.placed)
         return trial if known else None
 
-    def chosen(self, trials: Sequence[Judged]) -> Judged:
-        """The model with the fewest effects among those that predict as well as the best one.
-
-        Where the records that judge do not tell as many effects apart, those of the fit do.
-        """
-        lowest = min(trial.error for trial in trials)
-        as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
-        plainest = min(as_good, key=lambda trial: (len(trial.placed), trial.error))
-        rivals = [
-            trial
-            for trial in trials
-            if len(trial.placed) == len(plainest.placed)
-            and not self.judge.prefers(plainest.runs, trial.runs)
-        ]
-        count = sum(int(np.sum(record.output_valid)) for record in self.records)
-
-        def criterion(trial: Judged) -> float:
-            """Of Bayes, over the number of samples."""
-            size = sum(len(item.names) for item in trial.placed)
-            return trial.refinement.cost + size * float(np.log(count)) / count
-
-        return min(rivals, key=criterion)
-
     def leanest(self, best: Judged) -> Judged:
-        """The model without the effects that it can be without."""
+        """The model without the effects that it can be without, largest ones first."""
+        if len(best.placed) < 2:
+            return best
         declared, values = self.base.refinement.plant, best.refinement.parameters
         declared = declared.with_parameters({name: values[name] for name in declared.names})
-        for effect in best.placed if len(best.placed) > 1 else ():
+        leaner = []
+        for effect in best.placed:
             placed = tuple(item for item in best.placed if item is not effect)
             plant = augmented(declared, placed, values)
-            lean = _fitted(plant, placed, self.records, best.refinement.window, self.judge)
-            if lean is not None and lean.error < best.error + _RULES.min_fall:
-                return self.leanest(lean)
-        return best
+            fit = _fitted(plant, placed, self.records, best.refinement.window, self.judge)
+            if fit is not None and fit.error < best.error + _RULES.min_fall:
+                leaner.append(fit)
+        if not leaner:
+            return best
+        return self.leanest(min(leaner, key=lambda fit: (_size(fit), fit.error)))
 
     def settled(self, best: Judged) -> Judged:
         """The model refined over both lengths of runs: what predicts better."""
@@ -354,6 +336,18 @@ def _fitted(
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))
+
+
+def _plainest(trials: Sequence[Judged]) -> Judged:
+    """The model with the fewest effects among those that are as good as the best one."""
+    lowest = min(trial.error for trial in trials)
+    as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
+    return min(as_good, key=lambda trial: (len(trial.placed), trial.error))
+
+
+def _size(model: Judged) -> int:
+    """Parameters of its effects."""
+    return sum(len(effect.names) for effect in model.placed)
 
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:

@@ -131,6 +131,48 @@ def test_a_fall_is_measured_by_its_scatter():
     assert _standardised(np.ones(1)) == 0.0
 
 
+def cooling(t, x, u, p):
+    return -p.k * (x.y[0] - 22.0)
+
+
+STEEL = eoi.Plant(
+    cooling, {"k": 0.002}, 1, inputs=(), outputs=("temperature",), units={"temperature": "°C"}
+)
+
+
+def cooled(seed, start, power):
+    """A hot body in a room of 22 °C, by SciPy."""
+    time = 2.0 * np.arange(700)
+
+    def rate(t, x):
+        lost = 0.38e-11 * ((x + 273.15) ** 4 - 295.15**4) if power == 4 else 2e-5 * x**power
+        return -8e-4 * (x - 22.0) - lost
+
+    run = solve_ivp(rate, (0.0, time[-1]), [start], t_eval=time, rtol=1e-8, atol=1e-8).y[0]
+    noise = 0.5 * np.random.default_rng(seed).standard_normal(len(time))
+    return eoi.Record(
+        time, np.zeros((700, 0)), run + noise, f"run {seed}", input_names=(),
+        output_names=("temperature",), units={"temperature": "°C"},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("power", "name", "parameter", "value"),
+    [
+        (4, "radiation", "radiation_coefficient", 0.38e-3),
+        (1.8, "power_loss", "power_loss_exponent", 1.8),
+    ],
+)
+def test_a_hot_body_radiates_or_loses_heat_with_a_power(power, name, parameter, value):
+    tried = [effects.Radiation(celsius=True), effects.PowerLoss(), effects.ConstantOffset()]
+    records = cooled(1, 620.0, power), cooled(2, 430.0, power)
+    answer = search_free_runs([STEEL], [(records, (cooled(3, 540.0, power),))], tried)
+    assert answer is not None
+    assert [placed.effect.name for placed in answer.best.placed] == [name]
+    assert answer.best.refinement.parameters[parameter] == pytest.approx(value, rel=0.05)
+
+
 @pytest.mark.slow
 def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():
     answer = eoi.discover(PLATE, measured(1), validation=measured(2))
