@@ -106,11 +106,14 @@ class Graph:
     Attributes:
         branches: conditions on which a program takes its rarer way, in the order in which they
             were met; None where they are not collected.
-        as_written: whether operands stay in their order, for formulas that are to be read.
+        as_written: whether operands stay in their order, for formulas.
+        writes_out: whether tables, and factorisations of matrices, are written out by choices among
+            all their components: no formula to be read.
     """
 
     def __init__(self, *, as_written: bool = False):
         self.as_written = as_written
+        self.writes_out = True
         self.branches: list[Node] | None = None
         self._nodes: dict[tuple, Node] = {}
         self._order = itertools.count()

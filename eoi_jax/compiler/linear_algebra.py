@@ -32,9 +32,12 @@ def lu(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
         with, (..., n); rows of A in their new order, (..., n).
 
     Raises:
-        Untranslatable: more than `MOST_ROWS` rows, or a matrix that is not square.
+        Untranslatable: more than `MOST_ROWS` rows, a matrix that is not square, or where
+            factorisations are not written out.
     """
     del params
+    if not graph.writes_out and any(node.op != "constant" for node in matrix.flat):
+        raise Untranslatable("lu")
     size = _size(matrix)
     factors = matrix.copy()
     pivots, order = (np.empty(matrix.shape[:-1], object) for _ in range(2))

@@ -21,13 +21,16 @@ def looked_up(graph: Graph, equation: Any, array: np.ndarray, *starts: np.ndarra
         starts: operands that say where.
 
     Raises:
-        Untranslatable: places along several axes, or more than `MOST_UNROLLED` of them.
+        Untranslatable: places along several axes, or more than `MOST_UNROLLED` of them, or where
+            tables are not written out.
     """
     name, params = equation.primitive.name, equation.params
     running = np.arange(array.size, dtype=np.int32).reshape(array.shape)
     free = [i for i, start in enumerate(starts) if not is_constant(start)]
     numbers = params.get("dimension_numbers")
     axes = free if numbers is None else numbers.start_index_map
+    if not graph.writes_out:
+        raise Untranslatable(f"{name} at places that depend on the data")
     if len(axes) > 1 or getattr(numbers, "operand_batching_dims", ()):
         raise Untranslatable(f"{name} at places that depend on the data along several axes")
     (axis,) = axes

@@ -96,10 +96,13 @@ class SymbolicPlant:
         Args:
             function: as for `nodes`.
         """
+        self.graph.writes_out = False
         try:
             nodes = self.nodes(function)
         except Untranslatable:
             return None
+        finally:
+            self.graph.writes_out = True
         if not all(
             np.isfinite(node.value) for node in topological_order(nodes) if node.op == "constant"
         ):
