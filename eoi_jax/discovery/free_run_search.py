@@ -133,16 +133,18 @@ def search_free_runs(
     ]
     if not searches:
         return None
-    # A hold that the records of the fit refute is none, whatever others say.
-    lowest = min(search.base.refinement.cost for search in searches)
-    likely = [s for s in searches if s.base.refinement.cost < lowest + _RULES.same_cost]
-    search = min(likely, key=lambda search: search.base.error)
+    search = _most_likely(searches)
     best = search.base
     for number in range(_RULES.most):
-        candidates = search.candidates(best, tried, level)
+        # What short runs do not show a whole one may, and the other way about.
+        origins = search.bases if number == 0 else (best,)
+        trials = [
+            search.fitted(*candidate, origin)
+            for origin in origins
+            for candidate in search.candidates(origin, tried, level)
+        ]
         if number == 0:
-            candidates += [*further, *search.at_nominal(starts[-1], candidates)]
-        trials = [search.fitted(*candidate, best) for candidate in candidates]
+            trials += [search.fitted(*candidate, best) for candidate in further]
         accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
         if not accepted:
             break
@@ -239,25 +241,30 @@ class _Search:
 
     Attributes:
         records: to fit. judge: the others.
-        base: the declared model, refined.
+        bases: the declared model, refined over whole records, over windows; the better one first.
     """
 
     records: tuple[Record, ...]
     judge: _Judge
-    base: Judged
+    bases: tuple[Judged, ...]
+
+    @property
+    def base(self) -> Judged:
+        """The better one."""
+        return self.bases[0]
 
     @classmethod
     def begun(
         cls, starts: Sequence[Plant], records: tuple[Record, ...], judge: _Judge
     ) -> "_Search | None":
-        """With the best base over whole records and over windows; None where there is no fit."""
-        fits = [
-            _fitted(start, (), records, window, judge)
-            for window in (None, judge.window)
-            for start in starts
-        ]
-        bases = [fit for fit in fits if fit is not None]
-        return cls(records, judge, min(bases, key=lambda fit: fit.error)) if bases else None
+        """With the best base of each length of runs; None where there is no fit."""
+        bases = []
+        for window in (None, judge.window):
+            fits = [_fitted(start, (), records, window, judge) for start in starts]
+            fits = [fit for fit in fits if fit is not None]
+            bases += [min(fits, key=lambda fit: fit.error)] if fits else []
+        ordered = sorted(bases, key=lambda fit: fit.error)
+        return cls(records, judge, tuple(ordered)) if bases else None
 
     def candidates(
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
@@ -276,10 +283,6 @@ class _Search:
             key = tuple(sorted(_place_of(item)[:2] for item in placed))
             first.setdefault(key, (augmented(plant, placed, values), placed))
         return list(first.values())[: _RULES.tried]
-
-    def at_nominal(self, nominal: Plant, candidates: Sequence[Model]) -> list[Model]:
-        """The candidates with the declared parameters at nominal values."""
-        return [(plant.with_parameters(nominal.parameters), placed) for plant, placed in candidates]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
@@ -336,6 +339,27 @@ def _fitted(
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))
+
+
+def _most_likely(searches: Sequence[_Search]) -> _Search:
+    """The search whose base predicts best, of those that the records of the fit do not refute.
+
+    Costs are compared at the same length of runs.
+    """
+    lowest: dict[float | None, float] = {}
+    for search in searches:
+        for base in search.bases:
+            fit = base.refinement
+            lowest[fit.window] = min(lowest.get(fit.window, np.inf), fit.cost)
+    likely = [
+        search
+        for search in searches
+        if any(
+            base.refinement.cost < lowest[base.refinement.window] + _RULES.same_cost
+            for base in search.bases
+        )
+    ]
+    return min(likely, key=lambda search: search.base.error)
 
 
 def _plainest(trials: Sequence[Judged]) -> Judged:
