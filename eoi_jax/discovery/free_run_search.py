@@ -138,13 +138,19 @@ def search_free_runs(
     for number in range(_RULES.most):
         # What short runs do not show a whole one may, and the other way about.
         origins = search.bases if number == 0 else (best,)
-        trials = [
-            search.fitted(*candidate, origin)
+        models = [
+            (*candidate, origin)
             for origin in origins
             for candidate in search.candidates(origin, tried, level)
         ]
         if number == 0:
-            trials += [search.fitted(*candidate, best) for candidate in further]
+            models += [(*candidate, best) for candidate in further]
+            models += [
+                (plant.with_parameters(starts[-1].parameters), placed, best)
+                for plant, placed, origin in models
+                if origin is best
+            ]
+        trials = [search.fitted(*model) for model in models]
         accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
         if not accepted:
             break
