@@ -369,10 +369,19 @@ def _most_likely(searches: Sequence[_Search]) -> _Search:
 
 
 def _plainest(trials: Sequence[Judged]) -> Judged:
-    """The model with the fewest effects among those that are as good as the best one."""
-    lowest = min(trial.error for trial in trials)
-    as_good = [trial for trial in trials if trial.error < lowest + _RULES.min_fall]
-    return min(as_good, key=lambda trial: (len(trial.placed), trial.error))
+    """The model with the fewest effects among those that are as good as the best one.
+
+    A rare effect must be better by as much as decides, times its rarity, than one that may do the
+    same.
+    """
+
+    def weighed(trial: Judged) -> float:
+        rarity = sum(effect.effect.rarity for effect in trial.placed)
+        return trial.error + _RULES.min_fall * rarity
+
+    lowest = min(weighed(trial) for trial in trials)
+    as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
+    return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
 
 
 def _size(model: Judged) -> int:

@@ -146,6 +146,7 @@ class InputRate(AbstractActuator):
 
     name = "input_rate"
     sentence = "a response to the rate of the input"
+    rarity = 2.0  # a second store behind a plant of first order does the same
     shapes = (Parameter("lead", "s"), Parameter("lag", "s", lower=0.0))
     depends_on = "t"
     only_in_free_runs = True
