@@ -108,6 +108,9 @@ _CALLS = {
 
 def called(equation: Any) -> ClosedJaxpr | None:
     """The function that an equation merely calls; None if it does something else."""
+    if equation.primitive.name == "call_hi_primitive":  # from JAX 0.12 on, as in `jnp.searchsorted`
+        shapes = [jax.ShapeDtypeStruct(var.aval.shape, var.aval.dtype) for var in equation.invars]
+        return jax.make_jaxpr(equation.params["_prim"].expand)(*shapes)
     key = _CALLS.get(equation.primitive.name)
     return None if key is None else closed_jaxpr(equation.params[key])
 

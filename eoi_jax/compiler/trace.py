@@ -24,7 +24,13 @@ from eoi_jax.compiler.jax_private import (
     solving_part,
 )
 from eoi_jax.compiler.linear_algebra import cholesky, lu, triangular_solve
-from eoi_jax.compiler.lookup import MOST_UNROLLED, choose, constants, is_constant, looked_up
+from eoi_jax.compiler.lookup import (
+    MOST_UNROLLED,
+    choose,
+    constants,
+    is_constant,
+    looked_up,
+)
 
 
 def constant_nodes(graph: Graph, value: Any) -> np.ndarray:
@@ -449,6 +455,7 @@ _COMPONENTS: dict[str, Callable] = {
     "round": _round,
     "square": lambda graph, _, a: graph.make("mul", a, a),
     "rsqrt": _composed("sqrt", 1.0, "div"),
+    "log2": _composed("log", float(1.0 / np.log(2.0)), "mul"),
     "logistic": _composed("neg", "exp", 1.0, "add", 1.0, "div"),
     "is_finite": _finite,
     "convert_element_type": _converted,
