@@ -49,6 +49,7 @@ def looked_up(graph: Graph, equation: Any, array: np.ndarray, *starts: np.ndarra
     offsets = range(ways[0].ndim) if numbers is None else numbers.offset_dims
     batch_axes = [i for i in range(ways[0].ndim) if i not in offsets]
     fills = params.get("mode") == GatherScatterMode.FILL_OR_DROP
+    fill = graph.constant(_fill_value(equation)) if fills else None
     largest, flat = graph.constant(count - 1), array.ravel()
     indices = starts[free[0]].reshape([ways[0].shape[i] for i in batch_axes])
     result = np.empty(ways[0].shape, object)
@@ -56,15 +57,22 @@ def looked_up(graph: Graph, equation: Any, array: np.ndarray, *starts: np.ndarra
         index: Node = indices.item(*(at[i] for i in batch_axes))
         choice = choose(graph, index, *(flat.item(way[at]) for way in ways))
         low, high = index_range(index)
-        if fills and not 0 <= low <= high < count:
+        if fill is not None and not 0 <= low <= high < count:
             beyond_ends = [
                 graph.make("lt", index, graph.constant(0)),
                 graph.make("lt", largest, index),
             ]
-            fill = graph.constant(np.nan)
             choice = graph.make("select", graph.make("or", *beyond_ends), fill, choice)
         result[at] = choice
     return result
+
+
+def _fill_value(equation: Any) -> float:
+    """What `lax.gather` gives beyond the ends of an array: by default not a number."""
+    value = equation.params["fill_value"]
+    if value is None and equation.outvars[0].aval.dtype.kind != "f":
+        raise Untranslatable("gather beyond a table that is not of floating-point numbers")
+    return np.nan if value is None else float(value)
 
 
 def index_range(node: Node) -> tuple[float, float]:

@@ -446,7 +446,9 @@ def _finite(graph: Graph, equation: Any, node: Node) -> Node:
 _COMPONENTS: dict[str, Callable] = {
     **dict.fromkeys(set(OPERATIONS) - {"select", "trunc", "round_even"}, _plain),
     "add_any": lambda graph, _, a, b: graph.make("add", a, b),
-    "lt_to": lambda graph, _, a, b: graph.make("lt", a, b),  # in total order: of NaN as well
+    "lt_to": lambda graph, _, a, b: graph.make(
+        "lt", a, b
+    ),  # total order: another one for NaN alone
     "le_to": lambda graph, _, a, b: graph.make("le", a, b),
     "gt": _swapped("lt"),
     "ge": _swapped("le"),

@@ -57,7 +57,9 @@ def without_runaways(
         return fit
     values = np.asarray(list(unbounded.parameters.values()))
     if np.all((plant.lower <= values) & (values <= plant.upper)):
-        return replace(refit(plant.with_parameters(unbounded.parameters)), nominal=plant)
+        within = refit(plant.with_parameters(unbounded.parameters))
+        is_better = within.status.ok and cost(within) < cost(fit) - _SETTINGS.min_fall
+        return replace(within, nominal=plant) if is_better else fit
     notes = []
     for name in names:
         value = unbounded.parameters[name]

@@ -105,6 +105,12 @@ FUNCTIONS = {
     "exponential": lambda x, y: jax.scipy.linalg.expm(x[:2, :2]),
     "looked up": lambda x, y: x[jnp.int32(4 * x[0, 0])] + y[:, jnp.int32(4 * x[:, 1])][0, 0],
     "looked up beyond": lambda x, y: jnp.take(x[0], jnp.int32(9 * x[1])) + y[0],
+    "looked up beyond, with a value": lambda x, y: (
+        x[0].at[jnp.int32(9 * x[1])].get(mode="fill", fill_value=2.5) + y[0]
+    ),
+    "whole numbers looked up beyond": lambda x, y: (
+        1.0 * jnp.take(jnp.arange(3), jnp.int32(9 * x[1])) + y[0]
+    ),
     "a curve": lambda x, y: jnp.interp(3.0 * x, jnp.array([0.5, 1.0, 2.5]), y[:, 0]),
     "jacobian": lambda x, y: jax.jacfwd(lambda a: jnp.sin(a[0]) * a[1] + y[0])(x),
 }
