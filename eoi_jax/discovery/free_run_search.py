@@ -303,8 +303,8 @@ class _Search:
         if trial is None:
             return None
         values, errors = trial.refinement.parameters, trial.refinement.standard_errors
-        known = all(size_is_known(added.names, values, errors) for added in trial.placed)
-        return trial if known else None
+        determined = all(size_is_known(added.names, values, errors) for added in trial.placed)
+        return trial if determined else None
 
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without, largest ones first."""

@@ -33,7 +33,7 @@ def leaves_open(discovery: Discovery) -> bool:
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
         return False
-    if any(one.remark == NO_FREE_RUN for one in discovery.ranking):
+    if any(item.remark == NO_FREE_RUN for item in discovery.ranking):
         return False
     code = discovery.status.code
     in_time = any(
@@ -102,8 +102,8 @@ def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | No
     if base.error - answer.start_error < np.log(CONFIRMED):
         # What the injection said of the model as it was is said of no other one.
         left = beyond_noise(base.runs[1], answer.judging)
-        said = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
-        found = replace(discovery, status=Status(*said), lead=lead if left else None)
+        verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
+        found = replace(discovery, status=Status(*verdict), lead=lead if left else None)
         return _with_model(found, answer, base, lowpass)
     return replace(discovery, lead=discovery.lead or lead)
 
@@ -146,7 +146,7 @@ def _added(discovery: Discovery, fit: Identification, model: Judged) -> tuple[Ad
 
 def _imitates(discovery: Discovery, best: Judged) -> bool:
     """Whether a product of signals refuted an effect in the injection, and none is in the model."""
-    refuted = {one.effect for one in discovery.ranking if one.remark.startswith(PRODUCT)}
+    refuted = {item.effect for item in discovery.ranking if item.remark.startswith(PRODUCT)}
     names = set(names_of(best.placed))
     return bool(names & refuted) and Product.name not in names
 

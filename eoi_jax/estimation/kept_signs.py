@@ -57,9 +57,9 @@ def without_runaways(
         return fit
     values = np.asarray(list(unbounded.parameters.values()))
     if np.all((plant.lower <= values) & (values <= plant.upper)):
-        within = refit(plant.with_parameters(unbounded.parameters))
-        is_better = within.status.ok and cost(within) < cost(fit) - _SETTINGS.min_fall
-        return replace(within, nominal=plant) if is_better else fit
+        bounded = refit(plant.with_parameters(unbounded.parameters))
+        is_better = bounded.status.ok and cost(bounded) < cost(fit) - _SETTINGS.min_fall
+        return replace(bounded, nominal=plant) if is_better else fit
     notes = []
     for name in names:
         value = unbounded.parameters[name]
