@@ -44,6 +44,8 @@ from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.simulation.validate import Validation, validate, validated_alike
 
+_NOT_IN_LOOP = "[controller] is not in the loop: the recorded inputs drive {}"
+_HOLD_ZERO = "hold zero for all inputs: [controller] holds them between samples"
 _MORE_STARTS = "`starts = 200` under [refine] tries that many points around the nominal values"
 _UNDETERMINED = (
     "no parameter has a standard error below its value: these records do not determine this model. "
@@ -80,6 +82,10 @@ def identify(
     source, job = _prepare(config, "pendulum", data, output, progress, passes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
+    notes = _hold_notes(job.settings)
+    if job.loop is not None and validation is None:
+        notes.append(_NOT_IN_LOOP.format("passes, and there is no free run on held-out records"))
+    result = replace(result, notes=(*result.notes, *notes))
     if result.status.ok and not _determined(result):
         result = replace(result, status=Status("undetermined", _UNDETERMINED))
     summary = identification_summary(job, result, validation)
@@ -228,6 +234,10 @@ def sweep(
         best_lane = best(result, job.model, job.held_out or None) if has_answer else None
     summary = sweep_summary(job, result, best_lane)
     text = sweep_text(result, best_lane)
+    if job.loop is not None:
+        note = _NOT_IN_LOOP.format("all lanes, and free runs on held-out records")
+        summary["notes"] = [*_hold_notes(job.settings), note]
+        text += "\n\n" + "\n".join(f"- {line}" for line in summary["notes"])
     config_text = _with_command(f"eoi sweep{_config_argument(config)}", source)
     run_folder.write_sweep(folder, result, best_lane, summary, text, config_text)
     if not result.attrs["finished"]:
@@ -411,7 +421,7 @@ def _prepare(
     run_folder.check_place(output / settings.name, "name")
     if progress is not None:
         progress("reading", 0, None, "")
-    return source, run_folder.job(settings, source.parent, data)
+    return source, run_folder.job(settings, run_folder.folder_of(source), data)
 
 
 def _default_config(name: str) -> Path:
@@ -483,13 +493,23 @@ def _discover(job: run_folder.Job, progress: ProgressCallback | None) -> Discove
 
 
 def _unused(settings: Config) -> list[str]:
-    """A note on tables of a config that a discovery does not use."""
+    """Notes on tables of a config that a discovery does not use, and on its hold."""
     tables = {"[observer]": settings.observer, "[identify]": settings.identify}
     names = [name for name, table in tables.items() if table not in (None, IdentifyTable())]
-    if not names:
-        return []
-    verb = "is" if len(names) == 1 else "are"
-    return [f"{' and '.join(names)} {verb} not used: a discovery chooses these for every model"]
+    verb, notes = "is" if len(names) == 1 else "are", _hold_notes(settings)
+    if names:
+        text = f"{' and '.join(names)} {verb} not used: a discovery chooses these for every model"
+        notes.append(text)
+    if settings.controller is not None:
+        text = "passes and free runs of a discovery. Of an unstable plant only runs in windows say "
+        notes.append(_NOT_IN_LOOP.format(f"{text}anything; `eoi refine` has it in the loop"))
+    return notes
+
+
+def _hold_notes(settings: Config) -> list[str]:
+    """A note on the hold of records that do not declare it, and have a controller."""
+    undeclared = settings.data is not None and settings.data.hold == "auto"
+    return [_HOLD_ZERO] if settings.controller is not None and undeclared else []
 
 
 def _refine(
@@ -506,7 +526,8 @@ def _refine(
         assert progress is not None
         progress("free-run fit, step", number, limit, "at most")
 
-    begin = {}
+    loop, begin = job.loop, {}
+    records, held_out = (loop or job).records, (loop or job).held_out
     if start.status.ok:
         begin["estimate of the passes"] = start.plant
     if start.status.code not in _ENDED:
@@ -514,18 +535,20 @@ def _refine(
     fits = {
         name: run_refinement(
             plant,
-            job.records,
+            records,
             window=table.window,
             substeps=table.substeps,
             max_steps=table.max_steps,
             starts=table.starts,
             rounds=table.rounds,
-            validation=job.held_out or None,
+            validation=held_out or None,
             callback=None if progress is None else report_step,
+            controller=None if loop is None else loop.controller,
         )
         for name, plant in begin.items()
     }
     name, result = min(fits.items(), key=lambda fit: (not fit[1].status.ok, fit[1].cost))
+    result = replace(result, notes=(*result.notes, *_hold_notes(job.settings)))
     if start.status.code not in _ENDED:
         note = f"refined from the {name}: the passes ended as {start.status.code}"
         result = replace(result, notes=(*result.notes, note))
@@ -536,6 +559,8 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
     """Free runs on the held-out records; None without an estimate or without such records."""
     if not (result.status.ok and job.held_out):
         return None
+    if job.loop is not None:
+        return validate(result.plant, job.loop.held_out, controller=job.loop.controller)
     return validate(result.plant, made_alike(job.held_out, job.records, result.records))
 
 

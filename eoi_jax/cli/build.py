@@ -17,7 +17,9 @@ from eoi_jax.cli.config import (
     ChirpTable,
     Config,
     DataTable,
+    LawTable,
     MultisineTable,
+    PidTable,
     PrbsTable,
     RandomStepsTable,
     RangeTable,
@@ -27,12 +29,13 @@ from eoi_jax.cli.config import (
     SweepTable,
 )
 from eoi_jax.data import excitation
-from eoi_jax.data.readers.read_record import read_record
+from eoi_jax.data.readers.read_record import read_record, read_table
 from eoi_jax.data.record import Record
 from eoi_jax.estimation import observers
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models import library as plants
 from eoi_jax.models.augmented import Placed, augmented
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.effects import AbstractEffect, standard
 from eoi_jax.models.equations.text_model import plant_of
 from eoi_jax.models.placements import placements
@@ -86,30 +89,80 @@ def _base(config: Config, folder: Path) -> Plant:
 
 
 def _plant_from_file(reference: str, folder: Path) -> Plant:
+    def plant_of_item(item: Any) -> Any:
+        return item() if callable(item) and not isinstance(item, Plant) else item
+
+    rule = 'must be "file.py:object"'
+    plant = _from_file("plant", rule, reference, folder, plant_of_item)
+    rule += " where the object is a Plant or a function that returns one"
+    check(isinstance(plant, Plant), "plant", rule, reference)
+    return plant
+
+
+def _from_file(
+    field: str, rule: str, reference: str, folder: Path, converted: Callable[[Any], Any]
+) -> Any:
+    """An object of a Python file, converted; `converted` gets None where the file has none."""
     file, _, name = reference.rpartition(":")
     path = folder / file
-    rule = 'must be "file.py:object"'
-    check(path.is_file(), "plant", f"{rule} with a file that exists", path)
+    check(path.is_file(), field, f"{rule} with a file that exists", path)
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    check(spec is not None, "plant", f"{rule} with a Python file", path)
+    check(spec is not None, field, f"{rule} with a Python file", path)
     module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
     try:
         with contextlib.redirect_stdout(sys.stderr):  # stdout is for results
             spec.loader.exec_module(module)  # type: ignore[union-attr]
-            plant = getattr(module, name, None)
-            plant = plant() if callable(plant) and not isinstance(plant, Plant) else plant
+            return converted(getattr(module, name, None))
     # Any error of the user's code, `SystemExit` included, is an error of the config.
     except (Exception, SystemExit) as error:
         raise ValueError(
-            f"`plant` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
+            f"`{field}` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
         ) from error
-    check(
-        isinstance(plant, Plant),
-        "plant",
-        f"{rule} where the object is a Plant or a function that returns one",
-        reference,
-    )
-    return plant  # type: ignore[return-value]
+
+
+def controller(config: Config, model: Plant, folder: Path, period: float) -> Controller | None:
+    """The controller of the table [controller]; None: there is none.
+
+    Args:
+        config: the tables.
+        model: the plant that it controls.
+        folder: of the config; the file of a law is relative to it.
+        period: sample period of the records [s].
+
+    Raises:
+        ValueError: an output that the plant does not have, several inputs of which a PID controller
+            drives none by name, a file with an error, or the errors of `Controller`.
+    """
+    table = config.controller
+    if table is None:
+        return None
+    fields = msgspec.structs.asdict(table)
+    if isinstance(table, LawTable):
+        rule = 'must be "file.py:function"'
+        law = _from_file("controller.law", rule, table.law, folder, lambda item: item)
+        rule += " where the object is a function law(t, r, y, s)"
+        check(callable(law), "controller.law", rule, table.law)
+        make, changes = Controller, {"law": law}
+    else:
+        output = model.outputs[0] if table.output is None else table.output
+        check_choice("controller.output", output, model.outputs)
+        rule = "must name the input that a PID controller drives"
+        clear = table.inputs is not None or len(model.inputs) == 1
+        check(clear, "controller.inputs", rule, f"nothing for {', '.join(model.inputs)}")
+        make = Controller.pid
+        changes = {"period": period, "output": model.outputs.index(output)}
+    try:
+        return make(**{**fields, **changes})
+    except ValueError as error:
+        raise ValueError(f"[controller] {error}") from None
+
+
+def _references(table: PidTable | LawTable | None) -> tuple[str, ...]:
+    """Names of the references that a controller reads in the records."""
+    if table is None or isinstance(table.reference, float | int):
+        return ()
+    names = table.reference
+    return (names,) if isinstance(names, str) else names
 
 
 _OBSERVERS = {
@@ -197,6 +250,8 @@ def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
 def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:
     """The records to identify from, simulated or read.
 
+    The references of a controller are further inputs, after those of the plant.
+
     Args:
         config: the tables.
         model: the plant with its nominal parameters.
@@ -207,7 +262,7 @@ def records(config: Config, model: Plant, folder: Path, data: Path | None = None
         ValueError: of `simulate` or `read_record`, or a name that the plant does not have.
     """
     if config.data is not None:
-        return _read(config.data, "data", model, folder, data)
+        return _read(config.data, "data", model, config.controller, folder, data)
     assert config.simulate is not None
     return [_simulated(config.name, config.simulate, model, "input")]
 
@@ -222,36 +277,75 @@ def validation_records(
         return [_simulated(f"{config.name}, held out", held_out, model, "held_out")]
     if config.validation is None:
         return []
-    return _read(config.validation, "validation", model, folder, data)
+    return _read(config.validation, "validation", model, config.controller, folder, data)
 
 
 def _read(
-    table: DataTable, name: str, model: Plant, folder: Path, data: Path | None
+    table: DataTable,
+    name: str,
+    model: Plant,
+    loop: PidTable | LawTable | None,
+    folder: Path,
+    data: Path | None,
 ) -> list[Record]:
-    for field, channels in (("inputs", model.inputs), ("outputs", model.outputs)):
+    references = _references(loop)
+    if table.references is None:
+        table = msgspec.structs.replace(table, references=references)
+    assert table.references is not None
+    for field, channels, owner in (
+        ("inputs", model.inputs, "the plant's"),
+        ("outputs", model.outputs, "the plant's"),
+        ("references", references, "the reference of [controller],"),
+    ):
         columns = getattr(table, field)
         check(
             len(columns) == len(channels),
             f"{name}.{field}",
-            f"must name {len(channels)} column(s), for the plant's {', '.join(channels) or 'none'}",
+            f"must name {len(channels)} column(s), for {owner} {', '.join(channels) or 'none'}",
             ", ".join(columns) or "none",
         )
-    return [
-        read_record(
-            _path_of(file, name, folder, data),
-            time=table.time,
-            inputs=list(table.inputs),
-            outputs=list(table.outputs),
-            sample_period=table.sample_period,
-            scale=dict(table.scale),
-            units=dict(table.units),
-            hold=table.hold,
-            burn_in=table.burn_in,
-            slice=table.slice,
-            max_gigabytes=table.max_gigabytes,
-        )
-        for file in table.files
-    ]
+    rule = "must be columns that are neither inputs nor outputs"
+    shared = {*table.references} & {*table.inputs, *table.outputs}
+    advice = "Where plant and controller read the same signal, the file needs it in two columns."
+    check(not shared, f"{name}.references", rule, ", ".join(shared), advice)
+    hold = "zero" if loop is not None and table.hold == "auto" else table.hold
+    if isinstance(hold, dict):
+        hold = {**dict.fromkeys(table.references, "zero"), **hold}
+    measured = []
+    for file in table.files:
+        path = _path_of(file, name, folder, data)
+        try:
+            record = read_record(
+                path,
+                time=table.time,
+                inputs=[*table.inputs, *table.references],
+                outputs=list(table.outputs),
+                sample_period=table.sample_period,
+                scale=dict(table.scale),
+                units=dict(table.units),
+                hold=hold,
+                burn_in=table.burn_in,
+                slice=table.slice,
+                renames=dict(zip(table.references, references, strict=True)),
+                max_gigabytes=table.max_gigabytes,
+            )
+        except ValueError:
+            _check_columns(table, name, path)
+            raise
+        measured.append(record)
+    return measured
+
+
+def _check_columns(table: DataTable, name: str, path: Path) -> None:
+    """A file that could not be read as described must have the columns of the references."""
+    assert table.references is not None
+    if not table.references:
+        return
+    columns = read_table(path, table.max_gigabytes).columns
+    rule = f"must be columns of {path} (present: {', '.join(columns)})"
+    advice = "Name the column of each reference of [controller] there."
+    for column in table.references:
+        check(column in columns, f"{name}.references", rule, column, advice)
 
 
 def _path_of(file: str, name: str, folder: Path, data: Path | None) -> Path:

@@ -19,6 +19,8 @@ from eoi_jax.models.equations.text_model import ModelTable
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
+NotNegativeCount = Annotated[int, msgspec.Meta(ge=0)]
+Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 Gain = Positive | tuple[Positive, ...]
 # The name becomes a folder in runs/: no path separators, no leading dot.
 FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
@@ -120,7 +122,7 @@ class DiscoverTable(msgspec.Struct, frozen=True):
     """
 
     effects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)] | None = None
-    alpha: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.01
+    alpha: Share = 0.01
     most: Count = 3
     window: Positive | None = None
     refine: bool = False
@@ -171,6 +173,50 @@ class GainTable(msgspec.Struct, frozen=True):
     scheme: Literal["implicit", "explicit"] = "implicit"
 
 
+class PidTable(msgspec.Struct, frozen=True, tag_field="kind", tag="pid"):
+    """[controller] of `Controller.pid`; its period is that of the records.
+
+    Attributes:
+        proportional, integral, derivative, filter_time, offset, limits: of the law.
+        reference: its name, or a number: a constant set point. [data] names its column.
+        output: name of the output that is controlled; default: the first.
+        inputs: name of the input that it drives; may be omitted where the plant has a single input.
+        initial, delay, tolerance: as of `Controller`.
+    """
+
+    proportional: float
+    integral: float = 0.0
+    derivative: float = 0.0
+    reference: str | float = "r"
+    filter_time: NotNegative = 0.0
+    offset: float = 0.0
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    output: str | None = None
+    inputs: str | None = None
+    initial: tuple[float, ...] | None = None
+    delay: NotNegativeCount = 0
+    tolerance: Share = 0.02
+
+
+class LawTable(msgspec.Struct, frozen=True, tag_field="kind", tag="law"):
+    """[controller] with a law of one's own.
+
+    Attributes:
+        law: ``"file.py:function"`` beside the config: ``law(t, r, y, s)``, as of `Controller`.
+        reference: its name or several; default: none. [data] names their columns.
+        inputs: name of the input that it drives, or several; default: all.
+        states, initial, delay, tolerance: as of `Controller`.
+    """
+
+    law: str
+    reference: str | tuple[str, ...] = ()
+    inputs: str | tuple[str, ...] | None = None
+    states: NotNegativeCount = 0
+    initial: tuple[float, ...] | None = None
+    delay: NotNegativeCount = 0
+    tolerance: Share = 0.02
+
+
 class SweepTable(msgspec.Struct, frozen=True):
     """[sweep]: the lanes; defaults are the values of the other tables.
 
@@ -189,7 +235,7 @@ class SweepTable(msgspec.Struct, frozen=True):
     cutoffs: tuple[Positive, ...] | RangeTable | None = None
     order: Count = 2
     starts: tuple[dict[str, float], ...] = ()
-    resamples: Annotated[int, msgspec.Meta(ge=0)] = 0
+    resamples: NotNegativeCount = 0
     seed: int = 0
     precision: Literal["float64", "float32"] = "float64"
     chunk: Count = 4096
@@ -292,12 +338,14 @@ class DataTable(msgspec.Struct, frozen=True):
     Attributes:
         files: a record each; relative to ``--data``, else to the config, else to $EOI_DATA.
         inputs, outputs: columns, in the order of the plant's inputs and outputs.
+        references: columns of the references of [controller], in their order; default: the columns
+            that are called as they are. The plant does not get them.
         time: column of time [s]; omitted with `sample_period` [s].
         scale: factor by column, to convert units.
         units: unit by column, after scaling.
         slice: first and last (excluded) sample used.
         hold: the input between samples: zero, linear, smooth, or auto; or by column, as
-            ``{ heating = "zero", outdoor = "linear" }``.
+            ``{ heating = "zero", outdoor = "linear" }``. With a [controller] auto means zero.
         burn_in: time at the start that is not scored [s].
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes].
     """
@@ -305,6 +353,7 @@ class DataTable(msgspec.Struct, frozen=True):
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    references: tuple[str, ...] | None = None
     time: str | None = None
     sample_period: Positive | None = None
     scale: dict[str, float] = {}
@@ -325,6 +374,8 @@ class Config(msgspec.Struct, frozen=True):
         model: the equations as text, instead of `plant`.
         observer, lowpass: default: chosen from the records.
         identify, discover, refine, sweep: options of the commands with these names.
+        controller: what drove inputs of the plant while [data] was measured. Free runs of identify
+            and refine have it in the loop.
         simulate, data: source of the records; exactly one of the two.
         validation: held-out files; defaults are the values of [data].
     """
@@ -338,6 +389,7 @@ class Config(msgspec.Struct, frozen=True):
     identify: IdentifyTable = IdentifyTable()
     discover: DiscoverTable = DiscoverTable()
     refine: RefineTable = RefineTable()
+    controller: PidTable | LawTable | None = None
     sweep: SweepTable = SweepTable()
     simulate: SimulateTable | None = None
     data: DataTable | None = None
@@ -348,10 +400,10 @@ class Config(msgspec.Struct, frozen=True):
 
 
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
-    """TOML has inf and nan: only a bound may be infinite, meaning no bound."""
+    """TOML has inf and nan: only a bound or a limit may be infinite, meaning none."""
     if isinstance(value, dict):
         for key, part in value.items():
-            if key != "bounds":
+            if key not in ("bounds", "limits"):
                 _check_finite(part, (*place, key))
     elif isinstance(value, list):
         for i, part in enumerate(value):
@@ -399,5 +451,12 @@ def load(path: Path, max_depth: int = 20) -> Config:
         "config",
         "must have exactly one of the tables [simulate] and [data]",
         "none" if config.data is None else "both",
+    )
+    check(
+        config.controller is None or config.data is not None,
+        "controller",
+        "must be that of measured records",
+        "the table [simulate], whose signals drive the plant",
+        "Give the files of the records in [data], or remove [controller].",
     )
     return config

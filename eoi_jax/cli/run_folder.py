@@ -21,6 +21,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.models.controller import Controller
 from eoi_jax.models.equations.display import equation_latex
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.storage import has_all_functions, load, save
@@ -30,6 +31,7 @@ from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.sweep import sweep_figure
+from eoi_jax.simulation.closed_loop import closed_loop
 from eoi_jax.simulation.validate import Validation
 
 RESULT = "result.npz"  # the result, for `eoi_jax.load`
@@ -39,20 +41,37 @@ _RUN_FIRST = "Run `eoi identify`, `eoi refine` or `eoi discover` first, and give
 
 
 @dataclass(frozen=True)
+class Loop:
+    """The controller of a config, for free runs.
+
+    Attributes:
+        controller: of the plant.
+        records: for the fit, with the references among their inputs.
+        held_out: for validation, likewise; may be empty.
+    """
+
+    controller: Controller
+    records: list[Record]
+    held_out: list[Record]
+
+
+@dataclass(frozen=True)
 class Job:
     """The model and the records of a config.
 
     Attributes:
         settings: the config.
         model: the plant with its nominal parameters.
-        records: for the fit.
+        records: for the fit, with the inputs of the plant.
         held_out: for validation; may be empty.
+        loop: the controller; None: the recorded inputs drive all runs.
     """
 
     settings: Config
     model: Plant
     records: list[Record]
     held_out: list[Record]
+    loop: Loop | None = None
 
 
 @contextmanager
@@ -72,16 +91,19 @@ def job(settings: Config, folder: Path, data: Path | None) -> Job:
         data: folder of measured files; None: `folder`, else $EOI_DATA.
 
     Raises:
-        ValueError: files or names of the config do not exist or do not match.
+        ValueError: files or names of the config do not exist or do not match, a controller that is
+            not that of the records.
     """
     with quiet_records():
         model = build.plant(settings, folder)
-        return Job(
-            settings,
-            model,
-            build.records(settings, model, folder, data),
-            build.validation_records(settings, model, folder, data),
-        )
+        records = build.records(settings, model, folder, data)
+        held_out = build.validation_records(settings, model, folder, data)
+    controller = build.controller(settings, model, folder, records[0].sample_period)
+    if controller is None:
+        return Job(settings, model, records, held_out)
+    originals = list(closed_loop(model, [*records, *held_out], controller).originals)
+    count, loop = len(records), Loop(controller, records, held_out)
+    return Job(settings, model, originals[:count], originals[count:], loop)
 
 
 def check_place(folder: Path, field: str) -> None:
@@ -314,16 +336,32 @@ def _declared(copy: Path, trust: bool) -> Plant:
         f"{copy.parent}, whose model is a function in {settings.plant}",
         "Check this file; --trust executes it.",
     )
-    command = re.match(r"# eoi \w+ (.*\.toml)", copy.read_text(encoding="utf-8"))
-    return build.plant(
-        settings, _original_folder(Path(command[1]), copy) if command else copy.parent
-    )
+    return build.plant(settings, folder_of(copy))
 
 
-def _original_folder(config: Path, copy: Path) -> Path:
-    """The folder of a config that is named relative to the working folder of the command.
+def folder_of(config: Path) -> Path:
+    """The folder to which the files that a config names are relative.
 
-    That is a parent of the folder of the run, as by default, or the current working folder.
+    That of the config; of the copy in the folder of a run, that of the original, named by the
+    command in its first line relative to the working folder of that time. It is looked for in the
+    parents of the folder of the run, as by default, and in the current one. The copy of a copy has
+    two such lines.
+
+    Args:
+        config: its path.
     """
-    bases = (*copy.resolve().parents, Path.cwd())
-    return next((base / config for base in bases if (base / config).is_file()), copy).parent
+    if not _is_run(config.parent):
+        return config.parent
+    bases = (*config.resolve().parents, Path.cwd())
+    for line in config.read_text(encoding="utf-8-sig").splitlines():
+        command = re.match(r"# eoi \w+ (.*\.toml)", line)
+        if command is None:
+            break
+        for original in (base / command[1] for base in bases):
+            if original.is_file() and not _is_run(original.parent):
+                return original.parent
+    return config.parent
+
+
+def _is_run(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (RESULT, "result.json", SWEEP))

@@ -129,6 +129,7 @@ def refinement_summary(
         "starts": [_fields(start_point) for start_point in result.starts],
         "steps": result.steps,
         "window": result.window,
+        "in_loop": result.in_loop,
         "notes": result.notes,
         "engine": _fields(result.engine),
         "common_factors": [_fields(factor) for factor in result.common_factors],
@@ -273,6 +274,7 @@ def _errors(validation: Validation) -> dict[str, Any]:
         **by_output,
         "scored": validation.scored,
         "window": validation.window,
+        "in_loop": validation.in_loop,
         "notes": validation.notes,
     }
 

@@ -202,12 +202,18 @@ class Controller:
             count: number of driven inputs.
 
         Raises:
-            ValueError: not as many inputs or states as declared.
+            ValueError: a law that fails, not as many inputs or states as declared.
         """
         dtype = jnp.result_type(float)
         shapes = ((), (len(self.reference),), (outputs,), (self.states,))
         structures = (jax.ShapeDtypeStruct(size, dtype) for size in shapes)
-        result: Any = jax.eval_shape(self.law, *structures)
+        try:
+            result: Any = jax.eval_shape(self.law, *structures)
+        except Exception as error:  # of any class, as the function is the user's
+            sizes = zip("trys", shapes, strict=True)
+            rule = f"must run with {', '.join(f'{name} {size}' for name, size in sizes)} in shape"
+            check(False, "controller.law", rule, f"{type(error).__name__}: {error}")
+            raise
         pair = isinstance(result, tuple) and len(result) == 2
         rule = "must return u alone, as `states` is 0"
         if self.states:

@@ -146,7 +146,7 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         )
     report_figures += _estimates(uncertainty(result), result.nominal.parameters)
     report_figures += _maps(extra["diagnosis"])
-    notes = (*result.reasons, *result.notes)
+    notes = (*result.reasons, *result.notes, *(validation.notes if validation is not None else ()))
     checks = health(extra["diagnosis"])
     return Contents(tuple(tiles), tuple(tables), tuple(report_figures), (), checks, notes)
 
