@@ -31,6 +31,7 @@ from eoi_jax.discovery.additions import (
     uncertain_effects,
 )
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
+from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.hold_choice import with_best_hold
 from eoi_jax.discovery.in_free_runs import leaves_open, with_free_runs
@@ -161,6 +162,9 @@ def discover(
         discovery = with_free_runs(
             discovery, fit_records, held_out, timed, search.lowpass, search.alpha
         )
+    if effects is None and misses_a_law(discovery):
+        progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
+        discovery = with_curves(discovery, fit_records, search.lowpass)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )

@@ -79,7 +79,7 @@ class Judged:
     @cached_property
     def error(self) -> float:
         """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
-        return _mean_error(self.runs)
+        return mean_error(self.runs)
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,7 @@ def search_free_runs(
     searches = [
         search
         for records, judging in variants
-        if (judge := _Judge.of(judging)) is not None
-        and (search := _Search.begun(starts, records, judge)) is not None
+        if (search := Search.begun(starts, records, judging)) is not None
     ]
     if not searches:
         return None
@@ -154,16 +153,15 @@ def search_free_runs(
         accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
         if not accepted:
             break
-        best = _plainest(accepted)
+        best = plainest(accepted)
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
-    start_error = _mean_error(searches[0].judge.runs(starts[0]))
-    return FreeRunAnswer(search.base, best, search.records, search.judge.records, start_error)
+    return search.answer(best, mean_error(searches[0].judge.runs(starts[0])))
 
 
 @dataclass(frozen=True)
-class _Judge:
+class Judge:
     """Records on which models are compared.
 
     Attributes:
@@ -178,7 +176,7 @@ class _Judge:
     whole_head: int
 
     @classmethod
-    def of(cls, records: tuple[Record, ...]) -> "_Judge | None":
+    def of(cls, records: tuple[Record, ...]) -> "Judge | None":
         """None where the records are too short for windows."""
         shortest = min(len(record) for record in records)
         count = max(shortest // _RULES.blocks, _RULES.min_window)
@@ -196,7 +194,7 @@ class _Judge:
 
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""
-        if _mean_error(best) - _mean_error(trial) < _RULES.min_fall:
+        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
             return False
         pairs = zip(best, trial, strict=True)
         deviations = [self._deviations(before, after) for before, after in pairs]
@@ -229,7 +227,7 @@ class _Judge:
         return np.asarray(means)
 
 
-def _mean_error(runs: FreeRuns) -> float:
+def mean_error(runs: FreeRuns) -> float:
     """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
     sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
     return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
@@ -242,7 +240,7 @@ def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
 
 
 @dataclass(frozen=True)
-class _Search:
+class Search:
     """A search on records that were made in one way.
 
     Attributes:
@@ -251,7 +249,7 @@ class _Search:
     """
 
     records: tuple[Record, ...]
-    judge: _Judge
+    judge: Judge
     bases: tuple[Judged, ...]
 
     @property
@@ -261,16 +259,22 @@ class _Search:
 
     @classmethod
     def begun(
-        cls, starts: Sequence[Plant], records: tuple[Record, ...], judge: _Judge
-    ) -> "_Search | None":
-        """With the best base of each length of runs; None where there is no fit."""
-        bases = []
+        cls, starts: Sequence[Plant], records: tuple[Record, ...], judging: tuple[Record, ...]
+    ) -> "Search | None":
+        """With the best base of each length of runs; None without a fit or with short records."""
+        judge, bases = Judge.of(judging), []
+        if judge is None:
+            return None
         for window in (None, judge.window):
             fits = [_fitted(start, (), records, window, judge) for start in starts]
             fits = [fit for fit in fits if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error)] if fits else []
         ordered = sorted(bases, key=lambda fit: fit.error)
         return cls(records, judge, tuple(ordered)) if bases else None
+
+    def answer(self, best: Judged, start_error: float) -> FreeRunAnswer:
+        """What the search came to, from a declared model with this error."""
+        return FreeRunAnswer(self.base, best, self.records, self.judge.records, start_error)
 
     def candidates(
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
@@ -325,12 +329,28 @@ class _Search:
 
     def settled(self, best: Judged) -> Judged:
         """The model refined over both lengths of runs: what predicts better."""
-        fits = [best]
-        for window in (None, self.judge.window):
-            fit = _fitted(best.refinement.plant, best.placed, self.records, window, self.judge)
-            if fit is not None and fit.refinement.status.ok:
-                fits.append(fit)
-        return min(fits, key=lambda fit: fit.error)
+        again = refined(best.refinement.plant, best.placed, self.records, self.judge)
+        return best if again is None or again.error > best.error else again
+
+
+def refined(
+    plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
+) -> Judged | None:
+    """A model refined over the length of runs that predicts better; None where there is no fit.
+
+    Args:
+        plant: to refine from its values.
+        placed: effects that were added to the declared model in it.
+        records: to fit.
+        judge: of the fits.
+    """
+    fits = [
+        fit
+        for window in (None, judge.window)
+        if (fit := _fitted(plant, placed, records, window, judge)) is not None
+        and fit.refinement.status.ok
+    ]
+    return min(fits, key=lambda fit: fit.error, default=None)
 
 
 def _fitted(
@@ -338,7 +358,7 @@ def _fitted(
     placed: tuple[Placed, ...],
     records: tuple[Record, ...],
     window: float | None,
-    judge: _Judge,
+    judge: Judge,
 ) -> Judged | None:
     """A model refined and judged; None where there is no fit."""
     refinement = refine_once(plant, records, window)
@@ -347,7 +367,7 @@ def _fitted(
     return Judged(refinement, placed, judge.runs(refinement.plant))
 
 
-def _most_likely(searches: Sequence[_Search]) -> _Search:
+def _most_likely(searches: Sequence[Search]) -> Search:
     """The search whose base predicts best, of those that the records of the fit do not refute.
 
     Costs are compared at the same length of runs.
@@ -368,7 +388,7 @@ def _most_likely(searches: Sequence[_Search]) -> _Search:
     return min(likely, key=lambda search: search.base.error)
 
 
-def _plainest(trials: Sequence[Judged]) -> Judged:
+def plainest(trials: Sequence[Judged]) -> Judged:
     """The model with the fewest effects among those that are as good as the best one.
 
     A rare effect must be better by as much as decides, times its rarity, than one that may do the

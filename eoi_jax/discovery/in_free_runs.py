@@ -75,10 +75,10 @@ def with_free_runs(
     further = [(model, added_effects(model)[count:]) for model in (lead, rival) if model]
     starts = [discovery.declared.plant, plant]
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
-    return discovery if answer is None else _answered(discovery, answer, lowpass)
+    return discovery if answer is None else answered(discovery, answer, lowpass)
 
 
-def _answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
+def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
     """The discovery with the model that the search came to, where that is an answer.
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.free_run_search import _Judge, _standardised, search_free_runs
+from eoi_jax.discovery.free_run_search import Judge, _standardised, search_free_runs
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
@@ -120,7 +120,7 @@ def test_an_input_that_yields_is_found_where_the_gain_has_made_up_for_it():
 def test_records_too_short_for_windows_are_not_judged():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
-    assert _Judge.of((short,)) is None
+    assert Judge.of((short,)) is None
     assert search_free_runs([PLATE], [((record,), (short,))], [effects.ConstantOffset()]) is None
 
 

@@ -1,5 +1,7 @@
 """What a model may lack: the canonical effects and their interfaces."""
 
+from eoi_jax.models.effects.curve import Curve as Curve
+from eoi_jax.models.effects.curve import InputCurve as InputCurve
 from eoi_jax.models.effects.disturbance import ConstantOffset as ConstantOffset
 from eoi_jax.models.effects.disturbance import Drift as Drift
 from eoi_jax.models.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
@@ -16,6 +18,7 @@ from eoi_jax.models.effects.friction import AsymmetricFriction as AsymmetricFric
 from eoi_jax.models.effects.friction import AsymmetricViscousFriction as AsymmetricViscousFriction
 from eoi_jax.models.effects.friction import CoulombFriction as CoulombFriction
 from eoi_jax.models.effects.friction import CubicDamping as CubicDamping
+from eoi_jax.models.effects.friction import DisplacementDamping as DisplacementDamping
 from eoi_jax.models.effects.friction import QuadraticDrag as QuadraticDrag
 from eoi_jax.models.effects.friction import StribeckFriction as StribeckFriction
 from eoi_jax.models.effects.friction import ViscousFriction as ViscousFriction

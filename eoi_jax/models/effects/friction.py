@@ -6,7 +6,16 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax.models.effects.effect import AbstractTerm, At, Grid, Parameter, Seen, turns
+from eoi_jax.models.effects.effect import (
+    AbstractTerm,
+    At,
+    Grid,
+    Parameter,
+    Seen,
+    mechanical,
+    turns,
+)
+from eoi_jax.models.plant import Plant
 
 
 class AbstractFriction(AbstractTerm):
@@ -108,6 +117,23 @@ class CubicDamping(AbstractFriction):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.v**3
+
+
+class DisplacementDamping(AbstractFriction):
+    """-c y² v: the nonlinear damping of van der Pol's oscillator."""
+
+    name = "displacement_damping"
+    sentence = "damping that grows with the square of the displacement"
+    rarity = 1.0
+    gains = (Parameter("", "{f/v}/({y})²"),)
+    depends_on = "y"
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y**2 * at.v
 
 
 class AsymmetricViscousFriction(AbstractFriction):

@@ -7,6 +7,7 @@ from eoi_jax.models.effects.friction import (
     AsymmetricViscousFriction,
     CoulombFriction,
     CubicDamping,
+    DisplacementDamping,
     QuadraticDrag,
     StribeckFriction,
     ViscousFriction,
@@ -80,8 +81,8 @@ def standard() -> tuple[AbstractEffect, ...]:
 def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
-    Products of signals, a second store, a loss with a power of the output, radiation, a yield law,
-    a response to the rate of the input.
+    Products of signals, damping with the square of the displacement, a second store, a loss with a
+    power of the output, radiation, a yield law, a response to the rate of the input.
 
     Returns:
         One object of each form.
@@ -90,6 +91,9 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("u", "y"),
         Product("u", "v"),
         Product("y", "v"),
+        Product("u", "y", "y"),
+        Product("y", "v", "v"),
+        DisplacementDamping(),
         SecondNode(),
         PowerLoss(),
         Radiation(celsius=False),

@@ -1,5 +1,6 @@
 """Terms outside the library of effects, which discovery uses as alternatives to its answer."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,27 +11,34 @@ from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
 
 @dataclass(frozen=True)
 class Product(AbstractTerm):
-    """a v w: product of two of y, ẏ and u, as in a gain that changes with the position.
+    """a v w: product of two or three of y, ẏ and u, as in a gain that changes with the position.
 
     Attributes:
         first, second: "y", "v" or "u".
+        third: likewise; "" for a product of two.
     """
 
     first: str
     second: str
+    third: str = ""
 
     name = "product"
-    sentence = "a product of two signals"
+    sentence = "a product of signals"
     gains = (Parameter("", ""),)
     depends_on = "y"
     only_in_free_runs = True
 
     @property
+    def factors(self) -> tuple[str, ...]:
+        """Its signals."""
+        return tuple(filter(None, (self.first, self.second, self.third)))
+
+    @property
     def kind(self) -> str:
-        return f"{self.name} {self.first} {self.second}"
+        return " ".join((self.name, *self.factors))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return gain[0] * getattr(at, self.first) * getattr(at, self.second)
+        return math.prod((getattr(at, signal) for signal in self.factors), start=gain[0])
 
 
 @dataclass(frozen=True)

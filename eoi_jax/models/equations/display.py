@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from eoi_jax.models.augmented import Placed, instant, split_parameters
-from eoi_jax.models.effects import INPUT_EFFECTS, ActuatorLag, InputDelay
+from eoi_jax.models.effects import INPUT_EFFECTS, ActuatorLag, Curve, InputCurve, InputDelay
 from eoi_jax.models.effects.effect import (
     AbstractEffect,
     AbstractInputEffect,
@@ -213,7 +213,7 @@ class _EffectFormulas:
         inner = internal_names(plant)
         count = placed.effect.states
         numbered = first > 0 or count > 1
-        self.placed = placed
+        self.placed, self._plant = placed, plant
         self.states = tuple(f"z{first + i + 1}" if numbered else "z" for i in range(count))
         self._inner = len(inner)
         slope = (f"{plant.outputs[placed.output]}'",) if placed.effect.follows_slope else ()
@@ -224,6 +224,13 @@ class _EffectFormulas:
         """What it adds to y^(r)."""
         effect = self.placed.effect
         assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
+        if isinstance(effect, Curve):
+            output = self._plant.outputs[self.placed.output]
+            rate = Symbol(output, self.placed.row)
+            curve = Call("curve", (rate if effect.over == "v" else Symbol(output),))
+            factors = {"v": rate, "u": Symbol((*self._plant.inputs, "u")[0])}
+            factor = factors.get(effect.times)
+            return curve if factor is None else Operation("*", curve, factor)
         return self._formulas(effect.term)[0]
 
     def change(self) -> Expression:
@@ -235,6 +242,8 @@ class _EffectFormulas:
     def changed(self, drive: Symbol) -> Expression:
         """What the model gets instead of an input; what depends on its past has a notation."""
         effect, parameters = self.placed.effect, self._parameters
+        if isinstance(effect, InputCurve):
+            return Operation("+", drive, Call("curve", (drive,)))
         if isinstance(effect, InputDelay):
             return Call(drive.name, (Operation("-", Symbol("t"), parameters[0]),))
         if isinstance(effect, ActuatorLag):  # in Laplace's s

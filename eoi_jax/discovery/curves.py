@@ -1,0 +1,259 @@
+r"""A curve where no law of the library fits: what is missing depends on a single signal.
+
+The declared model, and the answer so far, are refined with a natural cubic spline of each signal in
+turn (`models/effects/curve.py`): every output, every velocity, every input. A spline takes the
+place of the answer, or stands beside it, where that lowers the errors of free runs on held-out
+records as much as what confirms an effect elsewhere: a law that is nearly right then gives way, and
+one that is right does not, since a curve can only do the same. The law that comes nearest to the
+curve is named beside it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.holds import with_hold
+from eoi_jax.data.record import Record
+from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
+from eoi_jax.discovery.free_run_search import (
+    Judge,
+    Judged,
+    Search,
+    mean_error,
+    plainest,
+    refined,
+)
+from eoi_jax.discovery.in_free_runs import answered
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.lowpass import LowPass
+from eoi_jax.models.augmented import Placed, added_effects, augmented, place
+from eoi_jax.models.effects import ConstantOffset, Curve, InputCurve, standard, wider
+from eoi_jax.models.effects.curve import knots_of
+from eoi_jax.models.effects.effect import (
+    AbstractEffect,
+    AbstractInputEffect,
+    AbstractTerm,
+    At,
+    Seen,
+)
+from eoi_jax.models.placements import placements
+from eoi_jax.refinement.score_test import LinearisedRuns
+from eoi_jax.refinement.spans import spans_of
+
+
+@dataclass(frozen=True)
+class CurveRules:
+    """How curves are tried.
+
+    Attributes:
+        knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
+        most: curves in an answer.
+        near: share of a curve that a law must give to be named beside it.
+        points: of the signal, at which they are compared.
+    """
+
+    knots: int = 14
+    fewest: int = 5
+    samples: int = 50
+    most: int = 2
+    near: float = 0.9
+    points: int = 400
+
+
+_RULES = CurveRules()
+_SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "u"))
+
+
+def misses_a_law(discovery: Discovery) -> bool:
+    """Whether curves are tried: with or without effects more than noise is left, held out."""
+    plant = discovery.declared.nominal
+    if discovery.in_sample or plant.has_algebraic or plant.sampled is not None:
+        return False
+    answers = ("unexplained", "partial", "explained")
+    left = beyond_noise(discovery.windows_after, discovery.held_out)
+    return discovery.status.code in answers and bool(left)
+
+
+def with_curves(
+    discovery: Discovery, records: tuple[Record, ...], lowpass: LowPass | None
+) -> Discovery:
+    """The discovery, with curves of single signals where they predict far better.
+
+    Args:
+        discovery: the answer so far.
+        records: to fit, as given.
+        lowpass: F of the fits; None: chosen from the records.
+    """
+    declared, judging = discovery.declared, discovery.held_out
+    skew, judge = judging[0].skew, Judge.of(judging)
+    made = with_hold(records, judging[0].hold, skew if np.any(skew) else None)
+    if judge is None:
+        return discovery
+    named = None
+    if discovery.added:
+        count = len(added_effects(declared.nominal))
+        placed = added_effects(discovery.plant)[count:]
+        named = refined(discovery.plant, placed, made, judge)
+        if named is None or not beyond_noise(named.runs[1], judging):
+            return discovery
+    search = Search.begun([declared.plant, declared.nominal], made, judging)
+    if search is None:
+        return discovery
+    named = named or search.base
+    best = _with_best_curves(search, named)
+    if best is named:
+        return discovery
+    best = search.settled(search.leanest(best))
+    start_error = mean_error(search.judge.runs(declared.plant))
+    found = answered(discovery, search.answer(best, start_error), lowpass)
+    notes = dict.fromkeys((*found.notes, *_nearest_laws(best)))
+    return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
+
+
+def _with_best_curves(search: Search, named: Judged) -> Judged:
+    """The model with the curves that predict far better; the named one without any.
+
+    In place of the named effects, where that is enough; else beside them.
+    """
+    for origin in [search.base, named] if named.placed else [search.base]:
+        best = origin
+        for _ in range(_RULES.most):
+            rival = named if best is origin else best
+            trials = [
+                trial
+                for placed in _curves(best)
+                if (trial := _fitted(search, best, placed)) is not None
+                and (_is_far_better(trial, rival) or _replaces_sum(placed, trial, rival))
+                and search.judge.prefers(trial.runs, best.runs)
+            ]
+            if not trials:
+                break
+            best = plainest(trials)
+        if best is not origin:
+            return best
+    return named
+
+
+def _is_far_better(trial: Judged, rival: Judged) -> bool:
+    """Whether the errors fall by as much as what confirms an effect elsewhere."""
+    return trial.error < rival.error + np.log(CONFIRMED)
+
+
+def _replaces_sum(curve: Placed, trial: Judged, rival: Judged) -> bool:
+    """Whether a single curve does better than a sum of laws of its signal."""
+    laws = [law for law in rival.placed if not isinstance(law.effect, ConstantOffset)]
+    same = all(
+        (law.effect.depends_on, law.channel) == (curve.effect.depends_on, curve.channel)
+        for law in laws
+    )
+    return len(laws) > 1 and same and len(trial.placed) == 1 and trial.error < rival.error
+
+
+def _curves(model: Judged) -> Iterator[Placed]:
+    """A curve of each signal that has none, with the straight line that the model lacks."""
+    plant, runs = model.refinement.plant, _runs_of(model)
+    present = {(placed.effect.kind, placed.channel) for placed in model.placed}
+    longest = max(len(record) for record in runs.records)
+    count = int(np.clip(longest // _RULES.samples, _RULES.fewest, _RULES.knots))
+
+    def adds(effect: Curve | ConstantOffset, channel: int) -> bool:
+        return bool(runs.tries(place(plant, effect, channel)))
+
+    for placed in placements(plant, [*_SHAPES, InputCurve(())]):
+        effect, channel = placed.effect, placed.channel
+        signal = _signal(runs.signal_statistics(placed), placed)
+        if (effect.kind, channel) in present or placed.through is not None:
+            continue
+        if not np.ptp(signal) > 0.0:
+            continue
+        knots = knots_of(signal, count)
+        if isinstance(effect, Curve):
+            offset, slope = (
+                adds(replace(effect, offset=not rises, slope=rises), channel)
+                for rises in (False, True)
+            )
+            yield place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
+        else:
+            offset = adds(ConstantOffset(), placed.output)
+            yield place(plant, InputCurve(knots, offset), channel)
+
+
+def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
+    """A model with a curve that starts from zero."""
+    plant = augmented(origin.refinement.plant, [placed], dict.fromkeys(placed.names, 0.0))
+    return search.fitted(plant, (placed,), origin)
+
+
+def _runs_of(model: Judged) -> LinearisedRuns:
+    fit = model.refinement
+    return LinearisedRuns.of(fit, fit.records, spans_of(fit.records, fit.window), fit.substeps)
+
+
+def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:
+    """What a curve is a function of, along the free runs."""
+    return getattr(seen, placed.effect.depends_on)
+
+
+# -- the nearest law --------------------------------------------------------------------------
+
+
+def _nearest_laws(model: Judged) -> list[str]:
+    """A sentence for each curve that is nearly a law of the library."""
+    plant, runs, notes = model.refinement.plant, _runs_of(model), []
+    for placed in model.placed:
+        if not isinstance(placed.effect, Curve | InputCurve) or getattr(placed.effect, "times", ""):
+            continue
+        seen = runs.signal_statistics(placed)
+        values = [model.refinement.parameters[name] for name in placed.names]
+        shares = {
+            law.effect.name: _likeness(placed, values, law.effect, seen)
+            for law in placements(plant, (*standard(), *wider()))
+            if law.channel == placed.channel and law.against is None and law.through is None
+            and type(law.effect).depends_on == placed.effect.depends_on
+            and law.on_input == placed.on_input and not law.on_state and not law.effect.states
+        }  # fmt: skip
+        name, share = max(shares.items(), key=lambda item: item[1], default=("", 0.0))
+        if share > _RULES.near:
+            signal = placed.effect.channels(plant)[placed.channel]
+            law = name.replace("_", " ")
+            notes.append(_NEAR.format(signal, law, 100.0 * share))
+    return notes
+
+
+def _likeness(placed: Placed, values: list[float], law: AbstractEffect, seen: Seen) -> float:
+    """Share of a curve's power, less a straight line, that a law has at its best shape."""
+    signal = np.sort(_signal(seen, placed))[:: max(len(seen.y) // _RULES.points, 1)]
+    zero = np.zeros_like(signal)
+    y, v, u = (signal if key == placed.effect.depends_on else zero for key in "yvu")
+    at = At(zero, y, v, u, zero[:0])
+    line = np.stack([np.ones_like(signal), signal], axis=1)
+    rest = _without(_force(placed.effect, at, values), line)
+    best = 0.0
+    for shape in np.asarray(law.grid(seen), dtype=float):
+        count = len(law.gains)
+        columns = [_force(law, at, [*gain, *shape]) for gain in np.eye(count)]
+        columns = columns or [_force(law, at, [*shape])]
+        columns = _without(np.stack(columns, axis=1), line)
+        left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
+        best = max(best, 1.0 - float(left @ left) / float(rest @ rest))
+    return best
+
+
+def _force(effect: AbstractEffect, at: At, values: Sequence[float]) -> np.ndarray:
+    """The term of an effect, or what it changes of an input."""
+    count = len(effect.gains)
+    if isinstance(effect, AbstractTerm):
+        term = effect.term(at, list(values[:count]), list(values[count:]))
+        return np.broadcast_to(np.asarray(term), np.shape(at.y))
+    assert isinstance(effect, AbstractInputEffect)
+    return np.asarray(effect.changed(at, list(values))) - at.u
+
+
+def _without(values: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Values less a straight line."""
+    return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
+
+
+_NEAR = "of the laws of the library the curve of {} is nearest to {}, which gives {:.3g} % of it"
