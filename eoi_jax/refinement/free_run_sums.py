@@ -18,6 +18,8 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.refinement.driven_inputs import DrivenInputs
 from eoi_jax.refinement.problem import HostRuns, Problem, Unknowns, driven
 from eoi_jax.simulation import compiled_runs
+from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 
 
@@ -152,6 +154,32 @@ def signals(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     lane = _lanes(*(np.asarray(part)[None] for part in lanes))
     rows = host_rows(problem, theta, np.asarray(unknowns.starts))
     return compiled_runs.signals(problem.kernel, lane, *rows, problem.substeps)
+
+
+def outputs(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs time ny"]:
+    """ŷ of every sample, without derivatives; anything beyond the end of a run."""
+    kernel, theta = problem.kernel, problem.completed(unknowns.theta)
+    plant, values = kernel.plant.with_parameters(theta), np.asarray(unknowns.starts)
+    tables, steps, _ = host_rows(problem, theta, values)
+    nu, ny = len(plant.inputs), len(plant.outputs)
+    time, inputs, _, _ = compiled_runs.columns(nu, ny)
+    drivers = tables[..., inputs].reshape(*tables.shape[:2], 3, nu)
+    starts = jax.vmap(lambda start, declared: kernel.start(start, theta, declared))(
+        values, problem.declared
+    )
+    y_hat = np.empty((len(tables), (tables.shape[1] - 1) // problem.substeps + 1, ny))
+    for step in np.unique(steps):  # a loop has one
+        runs = np.flatnonzero(steps == step)
+        drive = Drive(
+            tables[runs, :-1, time.start],
+            steps[runs],
+            drivers[runs, :-1],
+            problem.substeps,
+            drivers[runs, -1, 0],
+        )
+        begun = jax.tree.map(lambda leaf, runs=runs: np.asarray(leaf)[runs], starts)
+        y_hat[runs] = outputs_of(plant, drive, begun, kernel.friction)
+    return y_hat
 
 
 @jit

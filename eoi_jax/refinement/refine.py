@@ -44,6 +44,7 @@ from eoi_jax.refinement.estimate import (
     refinement_of,
     unanswered,
 )
+from eoi_jax.refinement.first_runs import first_runs, first_settled_runs, stepped
 from eoi_jax.refinement.fit import (
     Effort,
     Fit,
@@ -63,8 +64,6 @@ from eoi_jax.refinement.problem import (
     Problem,
     Unknowns,
     beginning,
-    guessed_starts,
-    problem_of,
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
@@ -267,7 +266,7 @@ def refine_once(
     """
     spans = spans_of(records, window)
     window = used_window(records, spans, window)
-    problem, unknowns, sensitivities = _begun(plant, records, spans, substeps)
+    problem, unknowns, sensitivities = first_runs(plant, records, spans, substeps)
     error = unweighed(problem, sensitivities)
     if not np.all(np.isfinite(error)):
         return unanswered(plant, records, window, Status("diverged", DIVERGED))
@@ -370,7 +369,7 @@ def _again(
     if not result.status.ok:
         return result
     spans = spans_of(result.records, window)
-    problem, _, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    problem, _, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
     error = unweighed(problem, sensitivities)
     result = compared_with(result, nominal, error, problem.use, spans)
     return replace(result, steps=first.steps + result.steps)
@@ -385,7 +384,7 @@ def _start_kept(
 ) -> Refinement:
     """The start as the answer, with the certainty that the runs of a fit give it."""
     spans = spans_of(result.records, result.window)
-    problem, unknowns, sensitivities = _begun(nominal, result.records, spans, question.substeps)
+    problem, unknowns, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
     error = unweighed(problem, sensitivities)
     weights = weighed(problem, rms(error, problem.use))
     sensitivities = sensitivities * np.asarray(weights.scale / problem.scale)[:, None]
@@ -410,7 +409,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     scored = np.any([np.any(span.use, axis=0) for span in spans], axis=0)
     for name, any_scored in zip(nominal.outputs, scored, strict=True):
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)
-    problem, unknowns, sensitivities = _begun(nominal, records, spans, substeps)
+    problem, unknowns, sensitivities = first_runs(nominal, records, spans, substeps)
     initial_error = unweighed(problem, sensitivities)
     if question.window is None and not question.many_starts and nominal.sampled is None:
         growth = lost_growth(nominal, records, rms(initial_error, problem.use), problem)
@@ -434,7 +433,10 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     if not question.many_starts:
         fits = [_grown(fits[0], begun[0][0], effort, huber)]
     if substeps is None:
-        fits = [_finer(fit, records, spans, effort, huber) for fit in fits]
+        finer = [_finer(fit, records, spans, effort, huber) for fit in fits]
+        fits = [fit for fit, _ in finer]
+        if not question.many_starts and not finer[0][1]:
+            fits = [_anew(fits[0], nominal, records, spans, problem.substeps, effort, huber)]
     if not question.many_starts:
         fits += _search_around(fits[0], records, spans, effort, huber)
     result = refinement_of(lowest(fits, huber), records, spans, window)
@@ -459,32 +461,6 @@ def _from_passes(
     return unanswered(nominal, records, None, Status("diverged", reason))
 
 
-def _begun(
-    nominal: Plant, records: Sequence[Record], spans: Sequence[Span], substeps: int | None
-) -> tuple[Problem, Unknowns, Float[np.ndarray, "runs time ny size"]]:
-    """The free runs at the plant's own values, and their signals.
-
-    Where no number of steps is asked for, as the fastest mode there needs them, and so many that
-    these runs have derivatives.
-    """
-    first = None
-    count = choose_steps(nominal, records).count if substeps is None else substeps
-    most = min(count * 2**RULES.halvings, finest_steps(records))
-    while True:
-        problem = problem_of(nominal, records, spans, count)
-        unknowns = Unknowns(
-            np.asarray(nominal.theta)[list(problem.free)],
-            guessed_starts(problem, records, spans),
-        )
-        sensitivities = signals(unknowns, problem)
-        candidate = problem, unknowns, sensitivities
-        first, count = first or candidate, 2 * count
-        if differentiable_at(problem, unknowns, sensitivities):
-            return candidate
-        if substeps is not None or count > most:
-            return first
-
-
 def _rougher(
     problem: Problem,
     records: Sequence[Record],
@@ -499,7 +475,7 @@ def _rougher(
     if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
         return problem
     substeps = max(problem.substeps // _SETTINGS.rough_step, 1)
-    rough = _stepped(problem, records, spans, substeps)
+    rough = stepped(problem, records, spans, substeps)
     sensitivities = signals(unknowns, rough)
     step_error = rms(unweighed(rough, sensitivities) - initial_error, problem.use)
     negligible = step_error <= _SETTINGS.max_rough_error * rms(initial_error, problem.use)
@@ -508,14 +484,6 @@ def _rougher(
         if np.all(negligible) and differentiable_at(rough, unknowns, sensitivities)
         else problem
     )
-
-
-def _stepped(
-    problem: Problem, records: Sequence[Record], spans: Sequence[Span], substeps: int
-) -> Problem:
-    """The same runs and weights with other steps."""
-    stepped = problem_of(problem.kernel.plant, records, spans, substeps)
-    return weighed(stepped, 1.0 / np.asarray(problem.scale), float(problem.threshold))
 
 
 def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) -> Fit:
@@ -596,13 +564,14 @@ def _finer(
     spans: Sequence[Span],
     effort: Effort,
     huber: float | None,
-) -> Fit:
+) -> tuple[Fit, bool]:
     r"""Shorter steps, as long as the error of the longer ones shows in the estimate.
 
     An error e of the simulation moves θ, in units of its standard error, by up to
     $\sqrt{N}\,\mathrm{rms}(e) / \mathrm{rms}(r)$: noise averages out over N samples, e does not.
     The shorter steps stay whether they fit better or not: what long ones fit better is their own
-    error. Steps are halved, or as short as the fastest mode at the estimate needs them.
+    error. Steps are halved, or as short as the fastest mode at the estimate needs them. Also,
+    whether that came to an end.
     """
     limit = finest_steps(records)
     for _ in range(RULES.halvings):
@@ -611,14 +580,38 @@ def _finer(
         count = max(2 * old.substeps, choose_steps(estimate, records).count)
         if not fit.differentiable or count > limit:
             break
-        problem = _stepped(old, records, spans, count)
+        problem = stepped(old, records, spans, count)
         sensitivities = signals(unknowns, problem)
         step_error = unweighed(problem, sensitivities) - fit.error
         samples, size = np.sqrt(np.sum(fit.use, axis=(0, 1))), rms(fit.error, fit.use)
         if np.all(samples * rms(step_error, fit.use) <= size):
-            break
+            return fit, True
         finer = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
         if not finer.differentiable:
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
-    return fit
+    return fit, False
+
+
+def _anew(
+    fit: Fit,
+    nominal: Plant,
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    substeps: int,
+    effort: Effort,
+    huber: float | None,
+) -> Fit:
+    """A fit whose steps never became short enough, anew from its start if they were too long there.
+
+    Where a run meets a fast mode that the measured signals do not show, such a fit follows the
+    error of its steps, to where shorter ones lead nowhere.
+    """
+    begun = first_settled_runs(nominal, records, spans, substeps)
+    if begun is None:
+        return fit
+    problem, unknowns, sensitivities = begun
+    initial_error = unweighed(problem, sensitivities)
+    again = fitted(problem, unknowns, sensitivities, initial_error, effort, huber)
+    again, _ = _finer(_grown(again, unknowns, effort, huber), records, spans, effort, huber)
+    return replace(again, steps=fit.steps + again.steps)

@@ -5,9 +5,16 @@ the classical Runge-Kutta rule is stable only for $|\lambda h| < 2.8$, and its r
 step is $|\lambda h|^5 / 120$ (Hairer, Nørsett, Wanner, *Solving Ordinary Differential Equations I*,
 sections II.1 and IV.2). λ are eigenvalues of the Jacobian of the whole state, outputs with their
 derivatives and internal states, linearised along the measured signals.
+
+That is where the halving of steps begins, not where it ends: the signals do not show every mode
+that a run meets. A sensor that is full at 10 V never passes a rim that the model has at 10.1 V, and
+an internal state is taken where it starts. At such a kink of f an explicit rule whose step is too
+long does not diverge: it overshoots to the side without the fast mode, again and again. Only runs
+with shorter steps tell, so steps are halved until these agree. Their error falls with h at least;
+that of a chaotic run does not, and no steps are short enough for it.
 """
 
-from collections.abc import Sequence, Sized
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,10 +38,11 @@ class StepRules:
         coarsest: steps per sample at least, which double until they are short enough. Four are
             exact enough for a record that is sampled ten times per period of its resonance.
         mode: largest |λh| of the fastest mode; a step then errs by 3e-4 of it.
-        exact: |λh| from which on the error is looked for, by halving the steps; below, a step errs
-            by less than 1e-7 of the mode.
         visible: rms change by halving, over the rms of the residual, that asks for shorter steps.
-        halvings: how often steps are halved at most. A chaotic run never settles.
+        resolution: the same change over the rms of the output, which shows in no measurement: less
+            than a step of a converter of 23 bits.
+        halvings: how often steps are halved before it is asked whether that leads anywhere: whether
+            the change is of first order in h. A chaotic run never settles.
         finest: steps per sample at most: a mode with a time constant of 1/500 of the sample period
             is followed. Faster ones are better replaced by their steady state.
         total: steps at most in all records together, because of their memory.
@@ -45,8 +53,8 @@ class StepRules:
 
     coarsest: int = 4
     mode: float = 0.5
-    exact: float = 0.1
     visible: float = 0.02
+    resolution: float = 1e-7
     halvings: int = 3
     finest: int = 1024
     total: int = 20_000_000
@@ -110,22 +118,15 @@ def mode_along(
 
 @dataclass(frozen=True)
 class StepChoice:
-    """Steps per sample, and what they follow from.
+    """Steps per sample by the fastest mode.
 
     Attributes:
         count: steps per sample.
-        rate: |λ| of the fastest mode times the sample period, of the record where it is largest.
         note: a sentence where the mode is too fast for as many steps as there may be, else "".
     """
 
     count: int
-    rate: float
     note: str = ""
-
-    @property
-    def exact(self) -> bool:
-        """Whether the steps are so short that no error of theirs needs to be looked for."""
-        return self.rate <= RULES.exact * self.count
 
 
 def choose_steps(plant: Plant, records: Sequence[Record]) -> StepChoice:
@@ -141,13 +142,44 @@ def choose_steps(plant: Plant, records: Sequence[Record]) -> StepChoice:
     while count * RULES.mode < rates[number] and 2 * count <= limit:
         count *= 2
     if count * RULES.mode >= rates[number]:
-        return StepChoice(count, rates[number])
+        return StepChoice(count)
     period = records[number].sample_period
-    return StepChoice(count, rates[number], (
+    return StepChoice(count, (
         f"The model has a mode with a time constant of {period / rates[number]:.2g} s, which needs "
         f"more than {count} steps of the simulation in a sample period of {period:.2g} s. Replace "
         "the fast state by its steady state, or bound the parameters that make it fast."
     ))  # fmt: skip
+
+
+# Rms by which halving the steps changes runs, of what they leave of the outputs, and of these.
+StepChange = tuple[Float[np.ndarray, " ny"], Float[np.ndarray, " ny"], Float[np.ndarray, " ny"]]
+
+
+def settled_steps(count: int, limit: int, change: Callable[[int], StepChange]) -> tuple[int, bool]:
+    """Steps per sample, doubled until runs of half as long ones agree.
+
+    Args:
+        count: to begin with.
+        limit: steps per sample at most.
+        change: of the runs by halving such steps, the residual of the finer ones, not finite where
+            they diverge, and the measured outputs.
+
+    Returns:
+        The fewest that are enough, or, where none are, the most that were looked at; and whether
+        they are enough.
+    """
+    first, halvings = np.zeros(0), 0
+    while 2 * count <= limit:
+        size, residual, measured = change(count)
+        enough = size <= np.maximum(RULES.visible * residual, RULES.resolution * measured)
+        if np.all(enough):
+            return count, True
+        first = size if halvings == 0 else first
+        falls = np.isfinite(size) & ~(size > first / 2**halvings)
+        count, halvings = 2 * count, halvings + 1
+        if halvings > RULES.halvings and not np.all(falls | enough):
+            break
+    return count, False
 
 
 def finest_steps(records: Sequence[Sized]) -> int:

@@ -41,7 +41,13 @@ from eoi_jax.simulation.initial_state import Run, initial_states, states_of, wit
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
 from eoi_jax.simulation.start_error import sufficient_starts
-from eoi_jax.simulation.step_size import RULES, StepChoice, choose_steps, finest_steps
+from eoi_jax.simulation.step_size import (
+    StepChange,
+    StepChoice,
+    choose_steps,
+    finest_steps,
+    settled_steps,
+)
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
@@ -225,14 +231,14 @@ def _judged(
     records: tuple[Record, ...],
 ) -> Validation:
     """The free runs of records whose hold is declared."""
-    choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps, 0.0)
+    choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps)
     heads = [_head(plant, record, initial_samples) for record in records]
     run = Run(plant, frictional(plant), choice.count)
     if initial_samples is None and window is None:
         heads = sufficient_starts(run, records, heads)
     pieces = _pieces(plant, records, heads, window)
     prediction = _Prediction.of(run, records, pieces)
-    if not choice.exact:
+    if substeps is None:
         prediction = _halved(prediction, run, records, pieces)
     notes = [choice.note, *_start_notes(records, pieces, heads, window), *prediction.notes]
     samples = prediction.samples(records)
@@ -411,26 +417,24 @@ class _Prediction:
         counts = [mask[use] for mask, use in zip(masks, keep, strict=True)]
         return np.concatenate(y), np.concatenate(y_hat), np.concatenate(counts)
 
-    def agrees_with(self, finer: "_Prediction", records: Sequence[Record]) -> bool:
-        """Whether shorter steps change the outputs by less than what would show in the residual."""
+    def change_to(self, finer: "_Prediction", records: Sequence[Record]) -> StepChange:
+        """By how much shorter steps change the outputs, their residual, and what was measured."""
         (y, coarse, counts), (_, fine, _) = self.samples(records), finer.samples(records)
         with np.errstate(all="ignore"):
-            change, residual = _rms(fine - coarse, counts), _rms(y - fine, counts)
-        return bool(np.all(change <= RULES.visible * residual))
+            return _rms(fine - coarse, counts), _rms(y - fine, counts), _rms(y, counts)
 
 
 def _halved(
     prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
 ) -> _Prediction:
     """The runs with the longest steps that half as long ones agree with."""
-    most = min(run.substeps * 2**RULES.halvings, finest_steps(records) // 2)
-    while run.substeps <= most:
-        run = replace(run, substeps=2 * run.substeps)
-        finer = _Prediction.of(run, records, pieces)
-        if prediction.agrees_with(finer, records):
-            break
-        prediction = finer
-    return prediction
+    predictions = {run.substeps: prediction}
+
+    def change(count: int) -> StepChange:
+        predictions[2 * count] = _Prediction.of(replace(run, substeps=2 * count), records, pieces)
+        return predictions[count].change_to(predictions[2 * count], records)
+
+    return predictions[settled_steps(run.substeps, finest_steps(records), change)[0]]
 
 
 def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:

@@ -763,6 +763,45 @@ def test_a_search_keeps_off_where_rounding_decides(spilled):
     assert reached >= 6
 
 
+@pytest.fixture(scope="module")
+def brimming():
+    """A brim of 1 ms, sampled once a second; the sensor is full just below, and never shows it.
+
+    Two records, noise of 0.01. Steps of a quarter of a sample are 250 times as long as the time
+    constant: the run does not diverge, but falls far below the brim again and again.
+    """
+    time, values = 1.0 * np.arange(400), {"gain": 1.0, "leak": 0.1, "rate": 1000.0, "edge": 5.0}
+    tank = eoi.Plant(spilling, values, 1, ("u",), ("level",), fixed=("rate", "edge"))
+    records = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        flow = np.repeat(rng.uniform(0.0, 1.2, 40), 10)
+        level = eoi.simulate(tank, time, flow, initial=2.0, hold="zero", substeps=2048).outputs
+        shown = np.minimum(level + 1e-2 * rng.standard_normal(level.shape), 4.99)
+        records.append(eoi.Record(time, flow, shown, hold="zero"))
+    return tank, *records
+
+
+def test_held_out_runs_over_a_kink_that_no_sample_shows_take_shorter_steps(brimming):
+    tank, _, held_out = brimming
+    exact = eoi.validate(tank, held_out, substeps=1024).rmse
+    np.testing.assert_allclose(eoi.validate(tank, held_out).rmse, exact, rtol=0.02)
+    assert exact[0] < 0.012
+    assert eoi.validate(tank, held_out, substeps=4).rmse[0] > 100.0 * exact[0]  # the first tried
+
+
+@pytest.mark.parametrize("start", [{}, {"gain": 0.8, "leak": 0.12}])
+def test_a_fit_over_a_kink_that_no_sample_shows_takes_shorter_steps(brimming, start):
+    """Without derivatives in the first steps from the truth; with wrong ones from elsewhere."""
+    tank, record, held_out = brimming
+    result = refine(tank.with_parameters(start), record, validation=held_out)
+    assert result.status.code == "converged"
+    for name in ("gain", "leak"):
+        truth, error = tank.parameters[name], result.standard_errors[name]
+        assert abs(result.parameters[name] - truth) < 4.0 * error
+    assert result.rmse[0] < 0.012
+
+
 def test_too_few_steps_are_said():
     result = refine(OSCILLATOR.with_parameters({"stiffness": 5.0}), run(OSCILLATOR), max_steps=2)
     assert result.status.code == "passes_exhausted"

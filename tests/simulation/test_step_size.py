@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 import eoi_jax as eoi
-from eoi_jax.simulation.step_size import RULES, choose_steps, fastest_mode
+from eoi_jax.simulation.step_size import RULES, choose_steps, fastest_mode, settled_steps
 
 PERIOD = 0.01
 
@@ -63,6 +63,25 @@ def test_longer_steps_stay_where_shorter_ones_agree():
     plant, record = two_modes(3.0, 20.0), record_of(3.0, 20.0)
     chosen, asked = eoi.validate(plant, record), eoi.validate(plant, record, substeps=4)
     np.testing.assert_array_equal(chosen.rmse, asked.rmse)
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        (lambda count: 1.0 / count, (64, True)),  # falls with h: enough from 1/50 on
+        (lambda count: 1.0, (64, False)),  # a chaotic run
+        (lambda count: np.nan if count < 8 else 1.0 / count**4, (8, True)),
+        (lambda count: np.inf, (64, False)),
+        (lambda count: 50.0 / count, (1024, False)),  # falls, but never enough
+        (lambda count: 0.0, (4, True)),
+    ],
+)
+def test_steps_are_halved_as_long_as_that_leads_anywhere(change, answer):
+    def of_two_outputs(count):
+        # The second one is fitted exactly, and moved by less than can be measured.
+        return np.array([change(count), 1e-8]), np.array([1.0, 0.0]), np.array([9.0, 1.0])
+
+    assert settled_steps(4, 1024, of_two_outputs) == answer
 
 
 def test_a_mode_too_fast_for_any_steps_is_named():
