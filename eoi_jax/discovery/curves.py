@@ -8,7 +8,7 @@ one that is right does not, since a curve can only do the same. The law that com
 curve is named beside it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,16 +49,20 @@ class CurveRules:
 
     Attributes:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
+        tried: curves that add to an output, of each model.
         most: curves in an answer.
         near: share of a curve that a law must give to be named beside it.
+        alike: difference of such shares at which the law with fewest parameters is named.
         points: of the signal, at which they are compared.
     """
 
     knots: int = 14
     fewest: int = 5
     samples: int = 50
+    tried: int = 2
     most: int = 2
     near: float = 0.9
+    alike: float = 0.05
     points: int = 400
 
 
@@ -138,7 +142,7 @@ def _with_best_curves(search: Search, named: Judged) -> Judged:
 
 def _is_far_better(trial: Judged, rival: Judged) -> bool:
     """Whether the errors fall by as much as what confirms an effect elsewhere."""
-    return trial.error < rival.error + np.log(CONFIRMED)
+    return bool(trial.error < rival.error + np.log(CONFIRMED))
 
 
 def _replaces_sum(curve: Placed, trial: Judged, rival: Judged) -> bool:
@@ -151,33 +155,35 @@ def _replaces_sum(curve: Placed, trial: Judged, rival: Judged) -> bool:
     return len(laws) > 1 and same and len(trial.placed) == 1 and trial.error < rival.error
 
 
-def _curves(model: Judged) -> Iterator[Placed]:
-    """A curve of each signal that has none, with the straight line that the model lacks."""
+def _curves(model: Judged) -> list[Placed]:
+    """Curves of signals that have none, each with the straight line that the model lacks.
+
+    Of those that add to an output the ones of which a score test says most.
+    """
     plant, runs = model.refinement.plant, _runs_of(model)
     present = {(placed.effect.kind, placed.channel) for placed in model.placed}
     longest = max(len(record) for record in runs.records)
     count = int(np.clip(longest // _RULES.samples, _RULES.fewest, _RULES.knots))
-
-    def adds(effect: Curve | ConstantOffset, channel: int) -> bool:
-        return bool(runs.tries(place(plant, effect, channel)))
-
+    inputs, shares = [], {}
     for placed in placements(plant, [*_SHAPES, InputCurve(())]):
         effect, channel = placed.effect, placed.channel
         signal = _signal(runs.signal_statistics(placed), placed)
-        if (effect.kind, channel) in present or placed.through is not None:
-            continue
-        if not np.ptp(signal) > 0.0:
+        repeated = (effect.kind, channel) in present or placed.through is not None
+        if repeated or not np.ptp(signal) > 0.0:
             continue
         knots = knots_of(signal, count)
-        if isinstance(effect, Curve):
-            offset, slope = (
-                adds(replace(effect, offset=not rises, slope=rises), channel)
-                for rises in (False, True)
-            )
-            yield place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
-        else:
-            offset = adds(ConstantOffset(), placed.output)
-            yield place(plant, InputCurve(knots, offset), channel)
+        if isinstance(effect, InputCurve):
+            offset = bool(runs.tries(place(plant, ConstantOffset(), placed.output)))
+            inputs.append(place(plant, InputCurve(knots, offset), channel))
+            continue
+        assert isinstance(effect, Curve)
+        lines = (replace(effect, offset=not rises, slope=rises) for rises in (False, True))
+        offset, slope = (bool(runs.tries(place(plant, line, channel))) for line in lines)
+        curve = place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
+        tries = runs.tries(curve)
+        shares[curve] = (tries and runs.share(tries)) or 0.0
+    ranked = sorted(shares, key=lambda curve: -shares[curve])
+    return [*ranked[: _RULES.tried], *inputs]
 
 
 def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
@@ -207,18 +213,23 @@ def _nearest_laws(model: Judged) -> list[str]:
             continue
         seen = runs.signal_statistics(placed)
         values = [model.refinement.parameters[name] for name in placed.names]
-        shares = {
-            law.effect.name: _likeness(placed, values, law.effect, seen)
+        laws = [
+            law
             for law in placements(plant, (*standard(), *wider()))
             if law.channel == placed.channel and law.against is None and law.through is None
             and type(law.effect).depends_on == placed.effect.depends_on
             and law.on_input == placed.on_input and not law.on_state and not law.effect.states
-        }  # fmt: skip
-        name, share = max(shares.items(), key=lambda item: item[1], default=("", 0.0))
-        if share > _RULES.near:
-            signal = placed.effect.channels(plant)[placed.channel]
-            law = name.replace("_", " ")
-            notes.append(_NEAR.format(signal, law, 100.0 * share))
+        ]  # fmt: skip
+        shares = [_likeness(placed, values, law.effect, seen) for law in laws]
+        near = [
+            (len(law.names), -share, law.effect.name)
+            for law, share in zip(laws, shares, strict=True)
+            if share > max(_RULES.near, max(shares) - _RULES.alike)
+        ]
+        if near:
+            _, negative, name = min(near)
+            signal, law = placed.effect.channels(plant)[placed.channel], name.replace("_", " ")
+            notes.append(_NEAR.format(signal, law, -100.0 * negative))
     return notes
 
 
@@ -230,14 +241,16 @@ def _likeness(placed: Placed, values: list[float], law: AbstractEffect, seen: Se
     at = At(zero, y, v, u, zero[:0])
     line = np.stack([np.ones_like(signal), signal], axis=1)
     rest = _without(_force(placed.effect, at, values), line)
-    best = 0.0
+    best, ranges = 0.0, [(gain.lower, gain.upper) for gain in law.gains] or [(0.0, np.inf)]
+    low, high = np.transpose(ranges)
+    units = np.eye(len(law.gains)) if law.gains else np.zeros((1, 0))
     for shape in np.asarray(law.grid(seen), dtype=float):
-        count = len(law.gains)
-        columns = [_force(law, at, [*gain, *shape]) for gain in np.eye(count)]
-        columns = columns or [_force(law, at, [*shape])]
+        columns = [_force(law, at, [*unit, *shape]) for unit in units]
         columns = _without(np.stack(columns, axis=1), line)
-        left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
-        best = max(best, 1.0 - float(left @ left) / float(rest @ rest))
+        gains = np.linalg.lstsq(columns, rest, rcond=None)[0]
+        if np.all((low <= gains) & (gains <= high)):
+            left = rest - columns @ gains
+            best = max(best, 1.0 - float(left @ left) / float(rest @ rest))
     return best
 
 

@@ -1,0 +1,119 @@
+"""Curves of a signal, where what is missing is no law of the library."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+from eoi_jax.discovery.curves import misses_a_law
+from eoi_jax.models.effects import Curve, InputCurve
+from eoi_jax.models.effects.effect import At
+
+PERIOD, COUNT, EACH = 0.05, 3000, 15
+NOISE = 1e-3
+
+
+def heated(t, x, u, p):
+    return -p.a * x.y[0] + p.b * u
+
+
+def sprung(t, x, u, p):
+    return p.b * u - p.k * x.y[0] - p.c * x.y[1]
+
+
+HEATER = eoi.Plant(heated, {"a": 0.8, "b": 1.0}, 1, inputs=("u",), outputs=("y",))
+MASS = eoi.Plant(sprung, {"k": 40.0, "c": 1.2, "b": 1.0}, 2, inputs=("u",), outputs=("y",))
+
+
+def measured(rate, size, high, seed, period=PERIOD):
+    """Steps of random height, simulated by SciPy from step to step; noise on the output."""
+    random = np.random.default_rng(seed)
+    heights = random.uniform(-high, high, COUNT // EACH)
+    x, outputs = np.zeros(size), []
+    for u in heights:
+        grid = period * np.arange(EACH + 1)
+        run = solve_ivp(rate, (0.0, grid[-1]), x, t_eval=grid, args=(u,), rtol=1e-9, atol=1e-10)
+        outputs.append(run.y[0, :-1])
+        x = run.y[:, -1]
+    y = np.concatenate(outputs)
+    y += NOISE * np.std(y) * random.standard_normal(COUNT)
+    return eoi.Record(period * np.arange(COUNT), np.repeat(heights, EACH), y, f"seed {seed}",
+                      hold="zero", input_names=("u",), output_names=("y",))  # fmt: skip
+
+
+def over_noise(found):
+    record = found.held_out[0]
+    return float(found.windows_after.rmse[0]) / (NOISE * np.std(record.outputs))
+
+
+def found_of(plant, rate, size, high, period=PERIOD):
+    return eoi.discover(
+        plant, measured(rate, size, high, 1, period), measured(rate, size, high, 2, period)
+    )
+
+
+@pytest.fixture(scope="module")
+def soft():
+    """An amplifier that saturates softly: no clip, though near to it."""
+    return found_of(HEATER, lambda t, x, u: [2.0 * np.tanh(0.5 * u) - 0.8 * x[0]], 1, 6.0)
+
+
+@pytest.mark.slow
+def test_soft_saturation_is_a_curve_of_the_input(soft):
+    assert soft.effects == ("input_curve",)
+    assert over_noise(soft) < 1.5
+    assert any("nearest to input saturation" in note for note in soft.notes)
+
+
+@pytest.mark.slow
+def test_curve_has_the_shape_of_what_is_missing(soft):
+    (added,) = soft.added
+    u = np.linspace(-5.5, 5.5, 45)
+    changed = np.asarray(added.effect.changed(at_input(u), list(added.parameters.values())))
+    through = soft.plant.parameters["b"] * changed
+    np.testing.assert_allclose(through, 2.0 * np.tanh(0.5 * u), atol=0.03)
+
+
+def at_input(u):
+    return At(0.0 * u, 0.0 * u, 0.0 * u, u, None)
+
+
+@pytest.mark.slow
+def test_report_says_what_it_is(soft):
+    text = str(soft)
+    assert "an actuator whose characteristic is a curve" in text
+    assert "with u → u + curve(u)" in text
+
+
+def test_clip_stays_a_saturation():
+    found = found_of(HEATER, lambda t, x, u: [np.clip(u, -2.5, 2.5) - 0.8 * x[0]], 1, 6.0)
+    assert found.effects == ("input_saturation",)
+    assert over_noise(found) < 1.5
+
+
+@pytest.mark.slow
+def test_damping_that_grows_with_the_distance_is_a_curve_times_the_velocity():
+    found = found_of(
+        MASS, lambda t, x, u: [x[1], u - 40.0 * x[0] - 1.2 * x[1] - 2.0 * abs(x[0]) * x[1]],
+        2, 80.0, 0.02,
+    )  # fmt: skip
+    assert [added.effect.kind for added in found.added] == ["curve y v"]
+    assert over_noise(found) < 1.5
+
+
+@pytest.mark.slow
+def test_curves_are_not_tried_where_nothing_is_left(soft):
+    assert not misses_a_law(soft)
+    left = replace(soft, windows_after=soft.windows_before)
+    assert misses_a_law(left)
+    assert not misses_a_law(replace(left, in_sample=True))
+    assert not misses_a_law(replace(left, status=eoi.Status("nothing_missing", "")))
+
+
+def test_effects_that_are_asked_for_are_the_only_ones():
+    rate = lambda t, x, u: [2.0 * np.tanh(0.5 * u) - 0.8 * x[0]]  # noqa: E731
+    records = (measured(rate, 1, 6.0, 1), measured(rate, 1, 6.0, 2))
+    found = eoi.discover(HEATER, *records, effects=["input_saturation"])
+    assert not any(isinstance(added.effect, Curve | InputCurve) for added in found.added)
