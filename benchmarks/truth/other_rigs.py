@@ -4,8 +4,7 @@
 
 Every rig is a few lines of plain Python below, stepped by a Runge-Kutta rule of its own. All were
 written down before the library was tried on them. At 30a864d it missed the motor, the heater
-and the shock absorber, which was mended. For what the last three lack it had no name; for the play
-between two masses and the friction of the trolley it has one now.
+and the shock absorber, which was mended. For what the last three lack it had no name; it has now.
 """
 
 import math
@@ -223,7 +222,7 @@ def rigs() -> list[Rig]:
             ("coulomb_friction",),
             eoi.Plant(_crane, {"c": 1.5, "m": 1.6, "d": 0.08}, 2, outputs=("trolley", "angle")),
             _true_crane, (0.0, 0.0, 0.0, 0.0), 2e-3, 10000, multisine(5.0, 3.0)),
-        Rig("Van der Pol", "damping with the square of the displacement", (),
+        Rig("Van der Pol", "damping with the square of the displacement", ("displacement_damping",),
             sprung(3.0, 0.3, 1.2),
             lambda x, u: (x[1], u - 4.0 * x[0] - 0.6 * x[1] * (x[0] ** 2 - 1.0)),
             (0.5, 0.0), 5e-3, 8000, multisine(1.5, 3.0)),

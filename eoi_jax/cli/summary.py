@@ -225,7 +225,10 @@ def _fields(row: Any) -> dict[str, Any]:
 
 
 def _added(effects: Sequence[Added]) -> list[dict[str, Any]]:
-    return [{**_fields(added), "effect": added.effect.name} for added in effects]
+    return [
+        {**_fields(added), "effect": added.effect.name, "form": _fields(added.effect)}
+        for added in effects
+    ]
 
 
 def _at_input(result: Discovery) -> list[dict[str, Any]]:

@@ -21,7 +21,6 @@ from eoi_jax.discovery.free_run_search import (
     Judge,
     Judged,
     Search,
-    mean_error,
     plainest,
     refined,
 )
@@ -51,8 +50,8 @@ class CurveRules:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
         tried: curves that add to an output, of each model.
         most: curves in an answer.
-        near: share of a curve that a law must give to be named beside it.
-        alike: difference of such shares at which the law with fewest parameters is named.
+        likeness: share of a curve that a law must give to be named beside it.
+        tie: difference of such shares at which the law with fewest parameters is named.
         points: of the signal, at which they are compared.
     """
 
@@ -61,8 +60,8 @@ class CurveRules:
     samples: int = 50
     tried: int = 2
     most: int = 2
-    near: float = 0.9
-    alike: float = 0.05
+    likeness: float = 0.9
+    tie: float = 0.05
     points: int = 400
 
 
@@ -92,17 +91,17 @@ def with_curves(
     """
     declared, judging = discovery.declared, discovery.held_out
     skew, judge = judging[0].skew, Judge.of(judging)
-    made = with_hold(records, judging[0].hold, skew if np.any(skew) else None)
+    fitted = with_hold(records, judging[0].hold, skew if np.any(skew) else None)
     if judge is None:
         return discovery
     named = None
     if discovery.added:
         count = len(added_effects(declared.nominal))
         placed = added_effects(discovery.plant)[count:]
-        named = refined(discovery.plant, placed, made, judge)
+        named = refined(discovery.plant, placed, fitted, judge)
         if named is None or not beyond_noise(named.runs[1], judging):
             return discovery
-    search = Search.begun([declared.plant, declared.nominal], made, judging)
+    search = Search.begun([declared.plant, declared.nominal], fitted, judging)
     if search is None:
         return discovery
     named = named or search.base
@@ -110,8 +109,7 @@ def with_curves(
     if best is named:
         return discovery
     best = search.settled(search.leanest(best))
-    start_error = mean_error(search.judge.runs(declared.plant))
-    found = answered(discovery, search.answer(best, start_error), lowpass)
+    found = answered(discovery, search.answer(best, declared.plant), lowpass)
     notes = dict.fromkeys((*found.notes, *_nearest_laws(best)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 
@@ -148,11 +146,11 @@ def _is_far_better(trial: Judged, rival: Judged) -> bool:
 def _replaces_sum(curve: Placed, trial: Judged, rival: Judged) -> bool:
     """Whether a single curve does better than a sum of laws of its signal."""
     laws = [law for law in rival.placed if not isinstance(law.effect, ConstantOffset)]
-    same = all(
+    of_signal = all(
         (law.effect.depends_on, law.channel) == (curve.effect.depends_on, curve.channel)
         for law in laws
     )
-    return len(laws) > 1 and same and len(trial.placed) == 1 and trial.error < rival.error
+    return len(laws) > 1 and of_signal and len(trial.placed) == 1 and trial.error < rival.error
 
 
 def _curves(model: Judged) -> list[Placed]:
@@ -221,15 +219,15 @@ def _nearest_laws(model: Judged) -> list[str]:
             and law.on_input == placed.on_input and not law.on_state and not law.effect.states
         ]  # fmt: skip
         shares = [_likeness(placed, values, law.effect, seen) for law in laws]
-        near = [
+        laws_near = [
             (len(law.names), -share, law.effect.name)
             for law, share in zip(laws, shares, strict=True)
-            if share > max(_RULES.near, max(shares) - _RULES.alike)
+            if share > max(_RULES.likeness, max(shares) - _RULES.tie)
         ]
-        if near:
-            _, negative, name = min(near)
+        if laws_near:
+            _, negative, name = min(laws_near)
             signal, law = placed.effect.channels(plant)[placed.channel], name.replace("_", " ")
-            notes.append(_NEAR.format(signal, law, -100.0 * negative))
+            notes.append(_NEAREST.format(signal, law, -100.0 * negative))
     return notes
 
 
@@ -240,17 +238,17 @@ def _likeness(placed: Placed, values: list[float], law: AbstractEffect, seen: Se
     y, v, u = (signal if key == placed.effect.depends_on else zero for key in "yvu")
     at = At(zero, y, v, u, zero[:0])
     line = np.stack([np.ones_like(signal), signal], axis=1)
-    rest = _without(_force(placed.effect, at, values), line)
+    bent = _detrended(_force(placed.effect, at, values), line)
     best, ranges = 0.0, [(gain.lower, gain.upper) for gain in law.gains] or [(0.0, np.inf)]
     low, high = np.transpose(ranges)
     units = np.eye(len(law.gains)) if law.gains else np.zeros((1, 0))
     for shape in np.asarray(law.grid(seen), dtype=float):
         columns = [_force(law, at, [*unit, *shape]) for unit in units]
-        columns = _without(np.stack(columns, axis=1), line)
-        gains = np.linalg.lstsq(columns, rest, rcond=None)[0]
+        columns = _detrended(np.stack(columns, axis=1), line)
+        gains = np.linalg.lstsq(columns, bent, rcond=None)[0]
         if np.all((low <= gains) & (gains <= high)):
-            left = rest - columns @ gains
-            best = max(best, 1.0 - float(left @ left) / float(rest @ rest))
+            difference = bent - columns @ gains
+            best = max(best, 1.0 - float(difference @ difference) / float(bent @ bent))
     return best
 
 
@@ -264,9 +262,9 @@ def _force(effect: AbstractEffect, at: At, values: Sequence[float]) -> np.ndarra
     return np.asarray(effect.changed(at, list(values))) - at.u
 
 
-def _without(values: np.ndarray, line: np.ndarray) -> np.ndarray:
+def _detrended(values: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Values less a straight line."""
     return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
 
 
-_NEAR = "of the laws of the library the curve of {} is nearest to {}, which gives {:.3g} % of it"
+_NEAREST = "of the laws of the library the curve of {} is nearest to {}, which gives {:.3g} % of it"

@@ -79,7 +79,7 @@ class Judged:
     @cached_property
     def error(self) -> float:
         """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
-        return mean_error(self.runs)
+        return _mean_error(self.runs)
 
 
 @dataclass(frozen=True)
@@ -90,15 +90,14 @@ class FreeRunAnswer:
         base: the declared model, refined.
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
-        start_error: mean logarithm of the errors of the declared model before it was refined, on
-            the first variant.
+        better_base: whether it predicts better than before it was refined, by more than chance.
     """
 
     base: Judged
     best: Judged
     records: tuple[Record, ...]
     judging: tuple[Record, ...]
-    start_error: float
+    better_base: bool
 
 
 def search_free_runs(
@@ -157,7 +156,7 @@ def search_free_runs(
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
-    return search.answer(best, mean_error(searches[0].judge.runs(starts[0])))
+    return search.answer(best, starts[0])
 
 
 @dataclass(frozen=True)
@@ -194,7 +193,7 @@ class Judge:
 
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""
-        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
+        if _mean_error(best) - _mean_error(trial) < _RULES.min_fall:
             return False
         pairs = zip(best, trial, strict=True)
         deviations = [self._deviations(before, after) for before, after in pairs]
@@ -227,7 +226,7 @@ class Judge:
         return np.asarray(means)
 
 
-def mean_error(runs: FreeRuns) -> float:
+def _mean_error(runs: FreeRuns) -> float:
     """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
     sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
     return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
@@ -272,9 +271,10 @@ class Search:
         ordered = sorted(bases, key=lambda fit: fit.error)
         return cls(records, judge, tuple(ordered)) if bases else None
 
-    def answer(self, best: Judged, start_error: float) -> FreeRunAnswer:
-        """What the search came to, from a declared model with this error."""
-        return FreeRunAnswer(self.base, best, self.records, self.judge.records, start_error)
+    def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
+        """What the search came to, from this declared model."""
+        better = self.judge.prefers(self.base.runs, self.judge.runs(start))
+        return FreeRunAnswer(self.base, best, self.records, self.judge.records, better)
 
     def candidates(
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
@@ -329,8 +329,8 @@ class Search:
 
     def settled(self, best: Judged) -> Judged:
         """The model refined over both lengths of runs: what predicts better."""
-        again = refined(best.refinement.plant, best.placed, self.records, self.judge)
-        return best if again is None or again.error > best.error else again
+        trial = refined(best.refinement.plant, best.placed, self.records, self.judge)
+        return best if trial is None or trial.error > best.error else trial
 
 
 def refined(

@@ -83,7 +83,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
     effect that the library lacks can lower them a little, too. Else it is the lead, and the
-    declared model is refined where that alone lowers them as much.
+    declared model is refined where that lowers them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
@@ -99,11 +99,11 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     if best.placed:
         fit = _fit_of(discovery, answer, best, lowpass)
         lead = PartialExplanation(_added(discovery, fit, best), 1.0 - ratio**2, fit, *best.runs)
-    if base.error - answer.start_error < np.log(CONFIRMED):
+    if answer.better_base:
         # What the injection said of the model as it was is said of no other one.
-        left = beyond_noise(base.runs[1], answer.judging)
+        left = best.placed or beyond_noise(base.runs[1], answer.judging)
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
-        found = replace(discovery, status=Status(*verdict), lead=lead if left else None)
+        found = replace(discovery, status=Status(*verdict), lead=lead)
         return _with_model(found, answer, base, lowpass)
     return replace(discovery, lead=discovery.lead or lead)
 
@@ -157,8 +157,8 @@ _REFINED = (
     "these; errors before are those of the refined declared model"
 )
 _NOT_EXPLAINED = (
-    "refined, the declared model misses the held-out records by more than noise in free runs, and "
-    "no effect of the library lowers these errors by a third"
+    "refined, the declared model misses the held-out records by more than noise or chance in free "
+    "runs, and no effect of the library lowers these errors by a third"
 )
 _NOTHING_MISSING = (
     "refined, the declared model misses the held-out records by no more than noise in free runs"

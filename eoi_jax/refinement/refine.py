@@ -436,7 +436,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         finer = [_finer(fit, records, spans, effort, huber) for fit in fits]
         fits = [fit for fit, _ in finer]
         if not question.many_starts and not finer[0][1]:
-            fits = [_anew(fits[0], nominal, records, spans, problem.substeps, effort, huber)]
+            fits = [_renewed(fits[0], nominal, records, spans, problem.substeps, effort, huber)]
     if not question.many_starts:
         fits += _search_around(fits[0], records, spans, effort, huber)
     result = refinement_of(lowest(fits, huber), records, spans, window)
@@ -593,7 +593,7 @@ def _finer(
     return fit, False
 
 
-def _anew(
+def _renewed(
     fit: Fit,
     nominal: Plant,
     records: Sequence[Record],
@@ -612,6 +612,6 @@ def _anew(
         return fit
     problem, unknowns, sensitivities = begun
     initial_error = unweighed(problem, sensitivities)
-    again = fitted(problem, unknowns, sensitivities, initial_error, effort, huber)
-    again, _ = _finer(_grown(again, unknowns, effort, huber), records, spans, effort, huber)
-    return replace(again, steps=fit.steps + again.steps)
+    renewed = fitted(problem, unknowns, sensitivities, initial_error, effort, huber)
+    renewed, _ = _finer(_grown(renewed, unknowns, effort, huber), records, spans, effort, huber)
+    return replace(renewed, steps=fit.steps + renewed.steps)

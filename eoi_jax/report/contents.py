@@ -93,6 +93,9 @@ def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
         tables.append(_table("Parameters before and after", rows, (1, 2, 3, 4, 5)))
     else:
         tables.append(_table("Parameters", parameter_rows(result.declared), (1, 2, 3, 4)))
+    tables += [
+        _table(f"Points of {rows[0][1]}", rows, (0, 1, 2)) for rows in discovery.curve_rows(result)
+    ]
     rows = discovery.error_rows(result)
     title = "Errors before and after" if result.changed else "Errors"
     tables.append(_table(title, rows, (1, 2, 3) if result.changed else (1,)))

@@ -9,11 +9,12 @@ import numpy as np
 from eoi_jax.discovery.acceptance import DENIED
 from eoi_jax.discovery.confirm import only_short
 from eoi_jax.discovery.result import Added, Discovery, Evidence, PartialExplanation, Texts
-from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect
+from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect, Curve, InputCurve
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
+from eoi_jax.uncertainty.uncertainty import uncertainty
 
 _FORCES = ("N", "N m", "Nm", "N·m")
 _DRIFT = " (over whole records the free run drifts)"
@@ -35,6 +36,7 @@ def discovery_text(discovery: Discovery) -> str:
         "" if str(discovery.status) in sentence else str(discovery.status),
         lead(discovery),
         change_table(discovery) if discovery.changed else parameter_table(discovery.declared),
+        *(columns(rows, ">>>") for rows in curve_rows(discovery)),
         "\n".join(_strength_lines(discovery)),
         error_table(discovery),
         _explained(discovery),
@@ -159,6 +161,8 @@ def phrase(discovery: Discovery, added: Added) -> str:
             is_force = strength.unit in _FORCES
             text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
         values.append((parameter.name, text))
+    if isinstance(added.effect, Curve | InputCurve):
+        return f"{description}{position}"
     if len(values) == 1:
         return f"{description}{position} of {values[0][1]}"
     return f"{description}{position} ({', '.join(f'{name} {text}' for name, text in values)})"
@@ -223,6 +227,25 @@ def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def curve_rows(discovery: Discovery) -> list[list[tuple[str, ...]]]:
+    """The cells of a table of the points of each curve that was added, the header first."""
+    tables, certainty = [], uncertainty(discovery.found)
+    names = list(discovery.found.plant.names)
+    for added in discovery.added:
+        if not isinstance(added.effect, Curve | InputCurve):
+            continue
+        parameters = list(added.parameters.values())
+        slopes = np.stack([added.effect.points(unit) for unit in np.eye(len(parameters))], axis=1)
+        places = [names.index(name) for name in added.parameters]
+        covariance = certainty.covariance[np.ix_(places, places)]
+        errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, covariance, slopes))
+        signal = added.output + ("'" if added.effect.depends_on == "v" else "")
+        points = zip(added.effect.knots, slopes @ np.array(parameters), errors, strict=True)
+        rows = [(signal, f"curve({signal})", "± std. error")]
+        tables.append([*rows, *((f"{x:.6g}", f"{y:.6g}", f"{e:.2g}") for x, y, e in points)])
+    return tables
 
 
 def error_table(discovery: Discovery) -> str:

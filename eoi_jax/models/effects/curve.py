@@ -53,20 +53,24 @@ class Curve(AbstractTerm):
 
     @property
     def sentence(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Completes "the model lacks …"."""
         factor = {"": "a", "v": "the velocity times a", "u": "the input times a"}[self.times]
         signal = {"y": "output", "v": "velocity"}[self.over]
         return f"{factor} function of the {signal} (a curve, no law of the library)"
 
     @property
     def depends_on(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """x."""
         return self.over
 
     @property
     def kind(self) -> str:
+        """A model contains at most one curve of each signal and factor."""
         return f"{self.name} {self.over} {self.times}".rstrip()
 
     @property
     def gains(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Offset and slope, where they are parameters, then values at the knots."""
         unit = {"": "{f}", "v": "{f/v}", "u": ""}[self.times]
         rise = "" if self.times else "{f/" + self.over + "}"
         line = [Parameter(f"{self.over}_offset", unit)] if self.offset else []
@@ -74,14 +78,21 @@ class Curve(AbstractTerm):
         return (*line, *(Parameter(f"{self.over}_{i}", unit) for i in _free(len(self.knots))))
 
     def fits(self, plant: Plant, output: int) -> bool:
+        """Whether the output has the state that the curve depends on."""
         return plant.degrees[output] > ("v" in (self.over, self.times)) and (
             self.times != "u" or bool(plant.inputs)
         )
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
+        """What it adds to y^(r), linear in `gain`."""
         del shape
         curve = value(getattr(at, self.over), self.knots, gain, self.offset, self.slope)
         return curve * getattr(at, self.times) if self.times else curve
+
+    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
+        """The curve at its knots, without the factor, for these parameters."""
+        x = np.array(self.knots)
+        return np.asarray(value(x, self.knots, list(values), self.offset, self.slope))
 
 
 @dataclass(frozen=True)
@@ -106,11 +117,17 @@ class InputCurve(AbstractInputEffect):
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The offset, where it is a parameter, then values at the knots."""
         line = [Parameter("offset", "{u}")] if self.offset else []
         return (*line, *(Parameter(f"{i}", "{u}") for i in _free(len(self.knots))))
 
     def changed(self, at: At, shape: Any) -> Any:
+        """The input of the model."""
         return at.u + value(at.u, self.knots, shape, self.offset)
+
+    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
+        """What is added to the input at the knots, for these parameters."""
+        return np.asarray(value(np.array(self.knots), self.knots, list(values), self.offset))
 
 
 def knots_of(values: Float[np.ndarray, " samples"], count: int) -> tuple[float, ...]:
@@ -140,14 +157,14 @@ def value(
         slope: likewise.
     """
     first = knots[0] if knots else 0.0
-    left, total = list(values), 0.0 * x
+    values, total = list(values), 0.0 * x
     if offset:
-        total += left.pop(0)
+        total += values.pop(0)
     if slope:
-        total += left.pop(0) * (x - first)
-    if not left:
+        total += values.pop(0) * (x - first)
+    if not values:
         return total
-    weights = _weights(tuple(knots)) @ jnp.stack([jnp.asarray(part) for part in left])
+    weights = _weights(tuple(knots)) @ jnp.stack([jnp.asarray(part) for part in values])
     width = knots[-1] - first
     place = (x - first) / width
     for j, knot in enumerate(knots):

@@ -130,7 +130,8 @@ class DisplacementDamping(AbstractFriction):
     only_in_free_runs = True
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return mechanical(plant, output)
+        kind = plant.kinds[plant.outputs[output]]
+        return mechanical(plant, output) and kind in ("", "position")
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y**2 * at.v

@@ -26,6 +26,7 @@ class FormulaSettings:
     """How long a formula may be."""
 
     stored_depth: int = 25  # levels in a file; deeper ones are hard to read, and to parse
+    stored_size: int = 60  # parts in a file, for the same reason; two of them make a formula
     shown_depth: int = 100  # levels of one that is shown
     shown_size: int = 400  # parts of one that is shown
 
@@ -200,12 +201,12 @@ class _Forms:
             depth = 1 + max((self.depth[arg.order] for arg in args), default=0)
             simple = not args or (kind in _SHORT and not self._form(args[0])[1])
             shared = uses[node.order] > 1 and not simple
-            named = shared or depth > _SETTINGS.stored_depth
-            if names is not None and named and not node.is_bool:
+            size = 1 + sum(self.size[arg.order] for arg in args)
+            deep = depth > _SETTINGS.stored_depth or size > _SETTINGS.stored_size
+            if names is not None and (shared or deep) and not node.is_bool:
                 self.definitions.append((Symbol(next(names)), tree))
-                tree, depth = self.definitions[-1][0], 1
-            trees[node.order], self.depth[node.order] = tree, depth
-            self.size[node.order] = 1 + sum(self.size[arg.order] for arg in args)
+                tree, depth, size = self.definitions[-1][0], 1, 1
+            trees[node.order], self.depth[node.order], self.size[node.order] = tree, depth, size
         return [trees[node.order] for node in self.roots]
 
     def _uses(self) -> dict[int, int]:
