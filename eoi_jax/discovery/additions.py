@@ -10,6 +10,7 @@ from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects import ActuatorLag, InputDelay
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
@@ -52,6 +53,23 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
         "standard error above half of its value"
         for addition in added
         if not size_is_known(addition.parameters, addition.parameters, addition.standard_errors)
+    ]
+
+
+def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
+    """Notes on delays and lags that the sensor may have as well as the actuator.
+
+    What is linear and does not change in time commutes: behind such a plant of one input and one
+    output the records are the same.
+    """
+    if (len(plant.inputs), len(plant.outputs)) != (1, 1):
+        return []
+    words = {InputDelay.name: "delay", ActuatorLag.name: "lag"}
+    return [
+        f"a {words[addition.effect.name]} of the sensor of {plant.outputs[0]} in place of that of "
+        f"{plant.inputs[0]} does the same where the plant is linear"
+        for addition in added
+        if addition.effect.name in words
     ]
 
 

@@ -28,6 +28,7 @@ from eoi_jax.discovery.additions import (
     added_effect,
     as_fit,
     is_on_fit,
+    sensor_notes,
     uncertain_effects,
 )
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
@@ -168,7 +169,8 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    return replace(discovery, notes=(*discovery.notes, *unplaced_notes, *runs))
+    notes = *sensor_notes(plant, discovery.added), *unplaced_notes, *runs
+    return replace(discovery, notes=(*discovery.notes, *notes))
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,9 @@ from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
 class FreeRunRules:
     """What decides in the search; errors are natural logarithms of root mean squares."""
 
+    # Samples, of all outputs together, in which effects are searched: a score test of 40 000 takes
+    # some seconds. Models are refined on all records in the end.
+    samples: int = 40_000
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
     # Fall of the mean error from which on an effect stays, and below which it is left out again.
@@ -90,6 +93,7 @@ class FreeRunAnswer:
         base: the declared model, refined.
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
+        share: of the samples, in which effects were searched.
         better_base: whether it predicts better than before it was refined, by more than chance.
     """
 
@@ -98,6 +102,7 @@ class FreeRunAnswer:
     records: tuple[Record, ...]
     judging: tuple[Record, ...]
     better_base: bool
+    share: float
 
 
 def search_free_runs(
@@ -243,11 +248,14 @@ class Search:
     """A search on records that were made in one way.
 
     Attributes:
-        records: to fit. judge: the others.
+        records: to fit.
+        searched: those of them, or the part of a long one, in which effects are searched.
+        judge: on the others.
         bases: the declared model, refined over whole records, over windows; the better one first.
     """
 
     records: tuple[Record, ...]
+    searched: tuple[Record, ...]
     judge: Judge
     bases: tuple[Judged, ...]
 
@@ -264,17 +272,21 @@ class Search:
         judge, bases = Judge.of(judging), []
         if judge is None:
             return None
+        searched = _portion(records)
         for window in (None, judge.window):
-            fits = [_fitted(start, (), records, window, judge) for start in starts]
+            fits = [_fitted(start, (), searched, window, judge) for start in starts]
             fits = [fit for fit in fits if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error)] if fits else []
         ordered = sorted(bases, key=lambda fit: fit.error)
-        return cls(records, judge, tuple(ordered)) if bases else None
+        return cls(records, searched, judge, tuple(ordered)) if bases else None
 
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""
-        better = self.judge.prefers(self.base.runs, self.judge.runs(start))
-        return FreeRunAnswer(self.base, best, self.records, self.judge.records, better)
+        base = self.base if self.searched is self.records else self.settled(self.base)
+        best = best if best.placed else base
+        better = self.judge.prefers(base.runs, self.judge.runs(start))
+        share = _count(self.searched) / _count(self.records)
+        return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
 
     def candidates(
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
@@ -303,7 +315,7 @@ class Search:
         if not_simulated(plant):
             return None
         window = best.refinement.window
-        trial = _fitted(plant, (*best.placed, *placed), self.records, window, self.judge)
+        trial = _fitted(plant, (*best.placed, *placed), self.searched, window, self.judge)
         if trial is None:
             return None
         values, errors = trial.refinement.parameters, trial.refinement.standard_errors
@@ -320,7 +332,7 @@ class Search:
         for effect in best.placed:
             placed = tuple(item for item in best.placed if item is not effect)
             plant = augmented(declared, placed, values)
-            fit = _fitted(plant, placed, self.records, best.refinement.window, self.judge)
+            fit = _fitted(plant, placed, self.searched, best.refinement.window, self.judge)
             if fit is not None and fit.error < best.error + _RULES.min_fall:
                 leaner.append(fit)
         if not leaner:
@@ -365,6 +377,23 @@ def _fitted(
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))
+
+
+def _portion(records: tuple[Record, ...]) -> tuple[Record, ...]:
+    """As many of the records as may be searched, evenly chosen; the beginning of a long one."""
+    most = _RULES.samples // records[0].outputs.shape[1]
+    if _count(records) <= most:
+        return records
+    for count in range(len(records) - 1, 0, -1):
+        places = np.linspace(0, len(records) - 1, count).round().astype(int)
+        chosen = tuple(records[i] for i in places)
+        if _count(chosen) <= most:
+            return chosen
+    return (records[0][:most],)
+
+
+def _count(records: tuple[Record, ...]) -> int:
+    return sum(len(record) for record in records)
 
 
 def _most_likely(searches: Sequence[Search]) -> Search:

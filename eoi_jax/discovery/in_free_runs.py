@@ -122,6 +122,7 @@ def _with_model(
         note for note in discovery.notes if not (note.startswith(tuple(stale)) or is_on_fit(note))
     ]
     notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
+    notes += [] if answer.share == 1.0 else [_PORTION.format(100.0 * answer.share)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
@@ -155,6 +156,9 @@ _HOLD = "hold {}: of those that are possible the one with the smallest errors on
 _REFINED = (
     "the declared model was refined by the error of its free runs, and effects were searched in "
     "these; errors before are those of the refined declared model"
+)
+_PORTION = (
+    "effects were searched in {:.3g} % of the samples, to save time; all of them refined the model"
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
