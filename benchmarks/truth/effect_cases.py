@@ -102,7 +102,11 @@ _OUTSIDE_MECHANICAL = (
     "position_friction",
 )  # fmt: skip
 # What the library tries in free runs alone, where nothing else explains: it may be named.
-_PRODUCTS = {"outside:input_times_position", "outside:input_times_velocity"}
+_IN_FREE_RUNS = {
+    "outside:input_times_position": "product",
+    "outside:input_times_velocity": "product",
+    "outside:van_der_pol": "displacement_damping",
+}
 # Effects that the library does not have, or does not try at first.
 OUTSIDE: dict[str, tuple[tuple[str, ...], ...]] = {
     "mass": tuple((f"outside:{name}",) for name in (*_OUTSIDE, *_OUTSIDE_MECHANICAL)),
@@ -405,9 +409,10 @@ class _Draft:
         return size * self.unit_noise(lane, level)
 
     def _equivalent(self, inputs: Sequence[np.ndarray]) -> tuple[str, ...]:
-        """Dry friction with an offset is asymmetric friction; some effects outside are products."""
-        if set(self.truth) & _PRODUCTS:
-            return ("product",)
+        """Dry friction with an offset is asymmetric friction; some outside are seen in free runs."""
+        in_free_runs = tuple(_IN_FREE_RUNS[name] for name in self.truth if name in _IN_FREE_RUNS)
+        if in_free_runs:
+            return in_free_runs
         if self.truth == ("asymmetric_friction",):
             return ("coulomb_friction", "constant_offset")
         if set(self.truth) == {"coulomb_friction", "constant_offset"}:

@@ -192,6 +192,8 @@ def _row(kind: str, truth: tuple[str, ...], answer: tables.Answer, noise: float 
         ("none", (), _answer("drift"), False),
         ("none", (), _answer(status="error: ValueError: x"), False),
         ("outside", ("outside:x",), _answer(status="unexplained"), True),
+        ("outside", ("outside:x",), _answer("curve"), True),
+        ("outside", ("outside:x",), _answer("curve", "coulomb_friction"), False),
         ("outside", ("outside:x",), _answer(status="nothing_missing"), False),
         ("outside", ("outside:x",), _answer("drift"), False),
     ],
