@@ -56,6 +56,7 @@ def found(delay: int, lag: float = 0.0, noise: float = 1e-4) -> eoi.Discovery:
 def test_a_long_delay_is_named_however_clean_the_record(delay, noise):
     answer = found(delay, noise=noise)
     assert answer.effects == ("input_delay",)
+    assert any("a delay of the sensor" in note for note in answer.notes)
     assert answer.plant.parameters["input_delay"] == pytest.approx(delay * PERIOD, abs=1e-3)
     for name, value in TRUTH.items():
         assert answer.plant.parameters[name] == pytest.approx(value, rel=2e-2)

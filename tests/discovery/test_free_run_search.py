@@ -1,5 +1,7 @@
 """Effects that free runs show where the injection has no answer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -7,6 +9,7 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery import free_run_search
 from eoi_jax.discovery.free_run_search import Judge, _standardised, search_free_runs
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
@@ -122,6 +125,38 @@ def test_records_too_short_for_windows_are_not_judged():
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
     assert Judge.of((short,)) is None
     assert search_free_runs([PLATE], [((record,), (short,))], [effects.ConstantOffset()]) is None
+
+
+@pytest.mark.parametrize(
+    ("lengths", "most", "chosen"),
+    [
+        ((100, 100), 200, (0, 1)),
+        ((100,) * 7, 320, (0, 3, 6)),
+        ((100,) * 7, 199, (0,)),
+        ((100, 50, 40), 160, (0, 2)),
+    ],
+)
+def test_long_records_are_searched_in_part(monkeypatch, lengths, most, chosen):
+    rules = replace(free_run_search._RULES, samples=most)
+    monkeypatch.setattr(free_run_search, "_RULES", rules)
+    records = tuple(
+        eoi.Record(np.arange(count), np.zeros(count), np.arange(count) + 100.0 * i, hold="zero")
+        for i, count in enumerate(lengths)
+    )
+    assert free_run_search._portion(records) == tuple(records[i] for i in chosen)
+
+
+@pytest.mark.slow
+def test_of_a_single_long_record_its_beginning_is_searched(monkeypatch):
+    monkeypatch.setattr(
+        free_run_search, "_RULES", replace(free_run_search._RULES, samples=COUNT // 2)
+    )
+    record, judging = measured(1), measured(2)
+    answer = search_free_runs([PLATE], [((record,), (judging,))], [effects.SecondNode()])
+    assert answer is not None
+    assert answer.share == 0.5
+    assert [placed.effect.name for placed in answer.best.placed] == ["second_node"]
+    assert len(answer.best.refinement.records[0]) == COUNT
 
 
 def test_a_fall_is_measured_by_its_scatter():

@@ -35,6 +35,9 @@ class Curve(AbstractTerm):
         knots: k, rising [unit of x]; none for a straight line.
         times: w, "", "v" or "u".
         offset, slope: whether these are parameters.
+
+    Raises:
+        ValueError: signals of other names, fewer than four knots, or knots that do not rise.
     """
 
     over: str
@@ -102,6 +105,9 @@ class InputCurve(AbstractInputEffect):
     Attributes:
         knots: k, rising [unit of u].
         offset: whether it is a parameter.
+
+    Raises:
+        ValueError: fewer than four knots, or knots that do not rise.
     """
 
     knots: tuple[float, ...]
