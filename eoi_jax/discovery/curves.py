@@ -25,7 +25,7 @@ from eoi_jax.discovery.free_run_search import (
     refined,
 )
 from eoi_jax.discovery.in_free_runs import answered
-from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models.augmented import Placed, added_effects, augmented, place
 from eoi_jax.models.effects import ConstantOffset, Curve, InputCurve, standard, wider
@@ -50,6 +50,8 @@ class CurveRules:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
         tried: curves that add to an output, of each model.
         most: curves in an answer.
+        many: effects, an offset apart, in whose place a curve comes that is as good.
+        as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
         tie: difference of such shares at which the law with fewest parameters is named.
         points: of the signal, at which they are compared.
@@ -60,6 +62,8 @@ class CurveRules:
     samples: int = 50
     tried: int = 2
     most: int = 2
+    many: int = 3
+    as_good: float = 0.03
     likeness: float = 0.9
     tie: float = 0.05
     points: int = 400
@@ -70,13 +74,17 @@ _SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "
 
 
 def misses_a_law(discovery: Discovery) -> bool:
-    """Whether curves are tried: with or without effects more than noise is left, held out."""
+    """Whether curves are tried: more than noise is left, held out, or many effects have been added.
+
+    Many may stand for a single law.
+    """
     plant = discovery.declared.nominal
     if discovery.in_sample or plant.has_algebraic or plant.sampled is not None:
         return False
     answers = ("unexplained", "partial", "explained")
     left = beyond_noise(discovery.windows_after, discovery.held_out)
-    return discovery.status.code in answers and bool(left)
+    many = _laws(discovery.added) >= _RULES.many
+    return discovery.status.code in answers and (bool(left) or many)
 
 
 def with_curves(
@@ -99,7 +107,9 @@ def with_curves(
         count = len(added_effects(declared.nominal))
         placed = added_effects(discovery.plant)[count:]
         named = refined(discovery.plant, placed, fitted, judge)
-        if named is None or not beyond_noise(named.runs[1], judging):
+        if named is None:
+            return discovery
+        if not beyond_noise(named.runs[1], judging) and _laws(placed) < _RULES.many:
             return discovery
     search = Search.begun([declared.plant, declared.nominal], fitted, judging)
     if search is None:
@@ -123,16 +133,15 @@ def _with_best_curves(search: Search, named: Judged) -> Judged:
         best = origin
         for _ in range(_RULES.most):
             rival = named if best is origin else best
-            trials = [
-                trial
-                for placed in _curves(best)
-                if (trial := _fitted(search, best, placed)) is not None
-                and (_is_far_better(trial, rival) or _replaces_sum(placed, trial, rival))
-                and search.judge.prefers(trial.runs, best.runs)
-            ]
+            trials = [trial for placed in _curves(best)
+                      if (trial := _fitted(search, best, placed)) is not None]  # fmt: skip
             if not trials:
                 break
-            best = plainest(trials)
+            trial = _finest(search, plainest(trials))
+            better = _is_far_better(trial, rival) or _replaces_sum(trial, rival)
+            if not (better and search.judge.prefers(trial.runs, best.runs)):
+                break
+            best = trial
         if best is not origin:
             return best
     return named
@@ -143,14 +152,43 @@ def _is_far_better(trial: Judged, rival: Judged) -> bool:
     return bool(trial.error < rival.error + np.log(CONFIRMED))
 
 
-def _replaces_sum(curve: Placed, trial: Judged, rival: Judged) -> bool:
-    """Whether a single curve does better than a sum of laws of its signal."""
+def _replaces_sum(trial: Judged, rival: Judged) -> bool:
+    """Whether a single curve does as well as many laws, or better than several of its signal."""
     laws = [law for law in rival.placed if not isinstance(law.effect, ConstantOffset)]
+    curve = trial.placed[-1]
     of_signal = all(
         (law.effect.depends_on, law.channel) == (curve.effect.depends_on, curve.channel)
         for law in laws
     )
-    return len(laws) > 1 and of_signal and len(trial.placed) == 1 and trial.error < rival.error
+    if len(trial.placed) > 1 or len(laws) < 2:
+        return False
+    if len(laws) >= _RULES.many:
+        return bool(trial.error < rival.error + _RULES.as_good)
+    return bool(of_signal and trial.error < rival.error)
+
+
+def _laws(effects: Sequence[Placed | Added]) -> int:
+    """Number of effects, an offset apart."""
+    return sum(not isinstance(item.effect, ConstantOffset) for item in effects)
+
+
+def _finest(search: Search, model: Judged) -> Judged:
+    """The model, or that with its last curve through twice as many points if it predicts better."""
+    *others, last = model.placed
+    effect = last.effect
+    assert isinstance(effect, Curve | InputCurve)
+    signal = _signal(_runs_of(model).signal_statistics(last), last)
+    values, declared = model.refinement.parameters, search.base.refinement.plant
+    declared = declared.with_parameters({name: values[name] for name in declared.names})
+    plant = augmented(declared, others, values)
+    fine = replace(effect, knots=knots_of(signal, 2 * len(effect.knots)))
+    placed = place(plant, fine, last.channel)
+    coarse = effect.curve(np.array(fine.knots), [values[name] for name in last.names])
+    units = np.stack([fine.points(unit) for unit in np.eye(len(placed.names))], axis=1)
+    begin = np.linalg.lstsq(units, coarse, rcond=None)[0]
+    plant = augmented(plant, [placed], dict(zip(placed.names, begin.tolist(), strict=True)))
+    trial = search.fitted(plant, (placed,), replace(model, placed=tuple(others)))
+    return trial if trial and search.judge.prefers(trial.runs, model.runs) else model
 
 
 def _curves(model: Judged) -> list[Placed]:

@@ -76,6 +76,10 @@ class Search:
         init=False, default_factory=dict
     )
     spans: Spans = field(init=False, default_factory=dict)
+    # Of sets under the current power, with the atoms whose identities are the keys.
+    _signal_powers: dict[frozenset[int], tuple[Sequence[CandidateColumns], float]] = field(
+        init=False, default_factory=dict
+    )
 
     def run(self) -> list[Fit]:
         """The best set of each evaluated combination of effects, best first."""
@@ -136,7 +140,7 @@ class Search:
         base, set_power = self.base, self.base.signal_power(fit.residual)
         for atom in fit.atoms:
             remaining = [neighbor for neighbor in fit.atoms if neighbor is not atom]
-            power_without = base.signal_power(self.fit(remaining).residual)
+            power_without = self._signal_power(remaining)
             share_of_remainder = max(
                 _MAIN_SHARE * (power_without - base.noise_power), _HALF * power_without
             )
@@ -146,10 +150,18 @@ class Search:
             present = {neighbor.placed.effect.name for neighbor in remaining}
             for simple in self._contained(atom):
                 if simple.placed.effect.name not in present:
-                    simple_power = base.signal_power(self.fit([*remaining, simple]).residual)
+                    simple_power = self._signal_power([*remaining, simple])
                     if simple_power - set_power < _NESTED * self.lacking:
                         return False
         return True
+
+    def _signal_power(self, atoms: Sequence[CandidateColumns]) -> float:
+        """Power above the noise that a set leaves; many sets differ in a single effect."""
+        key = frozenset(map(id, atoms))
+        if key not in self._signal_powers:
+            power = self.base.signal_power(self.fit(atoms).residual)
+            self._signal_powers[key] = atoms, power
+        return self._signal_powers[key][1]
 
     def _contained(self, wide: CandidateColumns) -> list[CandidateColumns]:
         """Simpler effects at the same channel that this one can imitate."""
@@ -169,6 +181,7 @@ class Search:
     def _weigh(self, residual: Rows) -> None:
         base = self.base
         self.power = fitted_power(residual, base.noise, base.local, base.output)
+        self._signal_powers.clear()
         self._columns = Terms(self._terms, self.power)
         self._declared_projection = self._columns.project(base.columns, base.target)
         self._changes = changes(self._changing, base, self.power)

@@ -231,11 +231,11 @@ def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 
 def curve_rows(discovery: Discovery) -> list[list[tuple[str, ...]]]:
     """The cells of a table of the points of each curve that was added, the header first."""
-    tables, certainty = [], uncertainty(discovery.found)
-    names = list(discovery.found.plant.names)
+    tables, names = [], list(discovery.found.plant.names)
     for added in discovery.added:
         if not isinstance(added.effect, Curve | InputCurve):
             continue
+        certainty = uncertainty(discovery.found)
         parameters = list(added.parameters.values())
         slopes = np.stack([added.effect.points(unit) for unit in np.eye(len(parameters))], axis=1)
         places = [names.index(name) for name in added.parameters]

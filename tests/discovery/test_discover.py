@@ -28,7 +28,7 @@ def spring(t, x, u, p):
 
 
 def crossed(t, x, u, p):
-    """Outside the library: v y², damping that grows with the displacement."""
+    """v y², damping that grows with the displacement: no law that the injection is searched for."""
     position, rate = x.y
     return spring(t, x, u, p) - p.hidden * rate * position**2
 
@@ -121,7 +121,7 @@ def records(case: str) -> tuple[eoi.Record, eoi.Record]:
 @cache
 def found(case: str) -> eoi.Discovery:
     fit, held = records(case)
-    tried = None if case in ("coulomb", "outside") else FEW
+    tried = None if case == "coulomb" else FEW
     return eoi.discover(MASS, fit, held, tried)
 
 
@@ -208,12 +208,18 @@ def test_nothing_is_added_to_a_model_that_lacks_nothing():
     assert answer.after is answer.before
 
 
-@pytest.mark.slow
-def test_effect_outside_the_library_is_unexplained():
+def test_effect_outside_those_that_are_asked_for_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
     assert answer.plant.names == MASS.names
+
+
+@pytest.mark.slow
+def test_law_that_is_tried_in_free_runs_alone_is_named():
+    answer = eoi.discover(MASS, *records("outside"))
+    assert answer.effects == ("displacement_damping",)
+    assert values(answer)["displacement_damping"] == pytest.approx(3.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_what_free_runs_on_a_quiet_record_confirm_is_an_answer():
 def test_what_takes_too_little_is_no_answer_but_a_lead_with_its_free_runs(found):
     assert found.status.code == "unexplained"
     assert found.effects == ()
-    assert found.plant.parameters == found.declared.parameters
+    assert found.plant.names == DECLARED.names
     assert [one.effect.name for one in found.lead.added] == ["coulomb_friction"]
     assert 0.2 < found.lead.explained < 0.9
     (value,) = found.lead.added[0].parameters.values()

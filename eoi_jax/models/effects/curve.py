@@ -92,10 +92,15 @@ class Curve(AbstractTerm):
         curve = value(getattr(at, self.over), self.knots, gain, self.offset, self.slope)
         return curve * getattr(at, self.times) if self.times else curve
 
-    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
-        """The curve at its knots, without the factor, for these parameters."""
-        x = np.array(self.knots)
+    def curve(
+        self, x: Float[np.ndarray, " points"], values: Sequence[float] | np.ndarray
+    ) -> Float[np.ndarray, " points"]:
+        """The curve at these x, without the factor, for these parameters."""
         return np.asarray(value(x, self.knots, list(values), self.offset, self.slope))
+
+    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
+        """The same at the knots."""
+        return self.curve(np.array(self.knots), values)
 
 
 @dataclass(frozen=True)
@@ -131,9 +136,15 @@ class InputCurve(AbstractInputEffect):
         """The input of the model."""
         return at.u + value(at.u, self.knots, shape, self.offset)
 
+    def curve(
+        self, x: Float[np.ndarray, " points"], values: Sequence[float] | np.ndarray
+    ) -> Float[np.ndarray, " points"]:
+        """What is added to the input at these x, for these parameters."""
+        return np.asarray(value(x, self.knots, list(values), self.offset))
+
     def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
-        """What is added to the input at the knots, for these parameters."""
-        return np.asarray(value(np.array(self.knots), self.knots, list(values), self.offset))
+        """The same at the knots."""
+        return self.curve(np.array(self.knots), values)
 
 
 def knots_of(values: Float[np.ndarray, " samples"], count: int) -> tuple[float, ...]:
