@@ -8,7 +8,7 @@ one that is right does not, since a curve can only do the same. The law that com
 curve is named beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,7 +49,6 @@ class CurveRules:
     Attributes:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
         tried: curves that add to an output, of each model.
-        most: curves in an answer.
         many: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
@@ -61,7 +60,6 @@ class CurveRules:
     fewest: int = 5
     samples: int = 50
     tried: int = 2
-    most: int = 2
     many: int = 3
     as_good: float = 0.03
     likeness: float = 0.9
@@ -115,7 +113,7 @@ def with_curves(
     if search is None:
         return discovery
     named = named or search.base
-    best = _with_best_curves(search, named)
+    best = _with_best_curve(search, named, discovery.status.code == "explained")
     if best is named:
         return discovery
     best = search.settled(search.leanest(best))
@@ -124,25 +122,21 @@ def with_curves(
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 
 
-def _with_best_curves(search: Search, named: Judged) -> Judged:
-    """The model with the curves that predict far better; the named one without any.
+def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
+    """The model with the curve that predicts far better; the named one without any.
 
-    In place of the named effects, where that is enough; else beside them.
+    In place of the named effects, where that is enough; else beside them. Where these explain the
+    injection, only in their place, and only a curve of a signal that one of them depends on.
     """
-    for origin in [search.base, named] if named.placed else [search.base]:
-        best = origin
-        for _ in range(_RULES.most):
-            rival = named if best is origin else best
-            trials = [trial for placed in _curves(best)
-                      if (trial := _fitted(search, best, placed)) is not None]  # fmt: skip
-            if not trials:
-                break
-            trial = _finest(search, plainest(trials))
-            better = _is_far_better(trial, rival) or _replaces_sum(trial, rival)
-            if not (better and search.judge.prefers(trial.runs, best.runs)):
-                break
-            best = trial
-        if best is not origin:
+    signals = {law.effect.depends_on for law in named.placed} if explained else {*"yvu"}
+    for origin in [search.base] if explained or not named.placed else [search.base, named]:
+        trials = [trial for placed in _curves(origin, signals)
+                  if (trial := _fitted(search, origin, placed)) is not None]  # fmt: skip
+        if not trials:
+            continue
+        best = _finest(search, plainest(trials), named)
+        better = _is_far_better(best, named) or _replaces_sum(best, named)
+        if better and search.judge.prefers(best.runs, origin.runs):
             return best
     return named
 
@@ -172,18 +166,25 @@ def _laws(effects: Sequence[Placed | Added]) -> int:
     return sum(not isinstance(item.effect, ConstantOffset) for item in effects)
 
 
-def _finest(search: Search, model: Judged) -> Judged:
-    """The model, or that with its last curve through twice as many points if it predicts better."""
+def _finest(search: Search, model: Judged, named: Judged) -> Judged:
+    """The model, or that with points between those of its curve if it predicts better.
+
+    Tried where more than noise is left, or where a curve is to take the place of many effects.
+    """
     *others, last = model.placed
     effect = last.effect
     assert isinstance(effect, Curve | InputCurve)
-    signal = _signal(_runs_of(model).signal_statistics(last), last)
+    many = _laws(named.placed) >= _RULES.many
+    if not (many or beyond_noise(model.runs[1], search.judge.records)):
+        return model
+    knots = np.array(effect.knots)
+    knots = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
+    fine = replace(effect, knots=tuple(knots.tolist()))
     values, declared = model.refinement.parameters, search.base.refinement.plant
     declared = declared.with_parameters({name: values[name] for name in declared.names})
     plant = augmented(declared, others, values)
-    fine = replace(effect, knots=knots_of(signal, 2 * len(effect.knots)))
     placed = place(plant, fine, last.channel)
-    coarse = effect.curve(np.array(fine.knots), [values[name] for name in last.names])
+    coarse = effect.curve(knots, [values[name] for name in last.names])
     units = np.stack([fine.points(unit) for unit in np.eye(len(placed.names))], axis=1)
     begin = np.linalg.lstsq(units, coarse, rcond=None)[0]
     plant = augmented(plant, [placed], dict(zip(placed.names, begin.tolist(), strict=True)))
@@ -191,8 +192,8 @@ def _finest(search: Search, model: Judged) -> Judged:
     return trial if trial and search.judge.prefers(trial.runs, model.runs) else model
 
 
-def _curves(model: Judged) -> list[Placed]:
-    """Curves of signals that have none, each with the straight line that the model lacks.
+def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
+    """Curves of some signals that have none, each with the straight line that the model lacks.
 
     Of those that add to an output the ones of which a score test says most.
     """
@@ -204,8 +205,8 @@ def _curves(model: Judged) -> list[Placed]:
     for placed in placements(plant, [*_SHAPES, InputCurve(())]):
         effect, channel = placed.effect, placed.channel
         signal = _signal(runs.signal_statistics(placed), placed)
-        repeated = (effect.kind, channel) in present or placed.through is not None
-        if repeated or not np.ptp(signal) > 0.0:
+        passed_over = (effect.kind, channel) in present or effect.depends_on not in signals
+        if passed_over or placed.through is not None or not np.ptp(signal) > 0.0:
             continue
         knots = knots_of(signal, count)
         if isinstance(effect, InputCurve):

@@ -124,7 +124,7 @@ class DisplacementDamping(AbstractFriction):
 
     name = "displacement_damping"
     sentence = "damping that grows with the square of the displacement"
-    rarity = 1.0
+    rarity = 2.0  # in other than mechanics it is a mere product
     gains = (Parameter("", "{f/v}/({y})²"),)
     depends_on = "y"
     only_in_free_runs = True
