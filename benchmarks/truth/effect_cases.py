@@ -409,7 +409,7 @@ class _Draft:
         return size * self.unit_noise(lane, level)
 
     def _equivalent(self, inputs: Sequence[np.ndarray]) -> tuple[str, ...]:
-        """Dry friction with an offset is asymmetric friction; some outside are seen in free runs."""
+        """Dry friction with an offset is asymmetric friction; free runs show some outside."""
         in_free_runs = tuple(_IN_FREE_RUNS[name] for name in self.truth if name in _IN_FREE_RUNS)
         if in_free_runs:
             return in_free_runs

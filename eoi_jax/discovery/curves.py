@@ -49,7 +49,7 @@ class CurveRules:
     Attributes:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
         tried: curves that add to an output, of each model.
-        many: effects, an offset apart, in whose place a curve comes that is as good.
+        several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
         tie: difference of such shares at which the law with fewest parameters is named.
@@ -60,7 +60,7 @@ class CurveRules:
     fewest: int = 5
     samples: int = 50
     tried: int = 2
-    many: int = 3
+    several: int = 3
     as_good: float = 0.03
     likeness: float = 0.9
     tie: float = 0.05
@@ -81,8 +81,8 @@ def misses_a_law(discovery: Discovery) -> bool:
         return False
     answers = ("unexplained", "partial", "explained")
     left = beyond_noise(discovery.windows_after, discovery.held_out)
-    many = _laws(discovery.added) >= _RULES.many
-    return discovery.status.code in answers and (bool(left) or many)
+    crowded = _laws(discovery.added) >= _RULES.several
+    return discovery.status.code in answers and (bool(left) or crowded)
 
 
 def with_curves(
@@ -107,7 +107,7 @@ def with_curves(
         named = refined(discovery.plant, placed, fitted, judge)
         if named is None:
             return discovery
-        if not beyond_noise(named.runs[1], judging) and _laws(placed) < _RULES.many:
+        if not beyond_noise(named.runs[1], judging) and _laws(placed) < _RULES.several:
             return discovery
     search = Search.begun([declared.plant, declared.nominal], fitted, judging)
     if search is None:
@@ -156,7 +156,7 @@ def _replaces_sum(trial: Judged, rival: Judged) -> bool:
     )
     if len(trial.placed) > 1 or len(laws) < 2:
         return False
-    if len(laws) >= _RULES.many:
+    if len(laws) >= _RULES.several:
         return bool(trial.error < rival.error + _RULES.as_good)
     return bool(of_signal and trial.error < rival.error)
 
@@ -171,24 +171,24 @@ def _finest(search: Search, model: Judged, named: Judged) -> Judged:
 
     Tried where more than noise is left, or where a curve is to take the place of many effects.
     """
-    *others, last = model.placed
+    *earlier, last = model.placed
     effect = last.effect
     assert isinstance(effect, Curve | InputCurve)
-    many = _laws(named.placed) >= _RULES.many
-    if not (many or beyond_noise(model.runs[1], search.judge.records)):
+    crowded = _laws(named.placed) >= _RULES.several
+    if not (crowded or beyond_noise(model.runs[1], search.judge.records)):
         return model
     knots = np.array(effect.knots)
     knots = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
     fine = replace(effect, knots=tuple(knots.tolist()))
     values, declared = model.refinement.parameters, search.base.refinement.plant
     declared = declared.with_parameters({name: values[name] for name in declared.names})
-    plant = augmented(declared, others, values)
+    plant = augmented(declared, earlier, values)
     placed = place(plant, fine, last.channel)
     coarse = effect.curve(knots, [values[name] for name in last.names])
     units = np.stack([fine.points(unit) for unit in np.eye(len(placed.names))], axis=1)
     begin = np.linalg.lstsq(units, coarse, rcond=None)[0]
     plant = augmented(plant, [placed], dict(zip(placed.names, begin.tolist(), strict=True)))
-    trial = search.fitted(plant, (placed,), replace(model, placed=tuple(others)))
+    trial = search.fitted(plant, (placed,), replace(model, placed=tuple(earlier)))
     return trial if trial and search.judge.prefers(trial.runs, model.runs) else model
 
 

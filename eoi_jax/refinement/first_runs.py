@@ -65,8 +65,8 @@ def first_settled_runs(
             return size, residual, measured
 
     limit = finest_steps(records)
-    settled, enough = settled_steps(count, limit, change)
-    if not enough or settled == count:
+    settled, are_short = settled_steps(count, limit, change)
+    if not are_short or settled == count:
         return None
     for finer in (settled * 2**halvings for halvings in range(RULES.halvings + 1)):
         problem, unknowns, sensitivities = first_runs(nominal, records, spans, finer)

@@ -12,6 +12,7 @@ from eoi_jax.cli import summary as summaries
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import lead
 
+pytestmark = pytest.mark.slow
 PERIOD, FRICTION = 1e-2, 0.5
 TRUE = {"k": 20.0, "c": 0.8, "b": 2.0}
 
@@ -26,6 +27,7 @@ def rubbing(t, x, u, p):
 
 
 DECLARED = eoi.Plant(sprung, {"k": 26.0, "c": 0.6, "b": 1.6}, 2, ("force",), ("position",))
+TRIED = eoi.effects.standard()
 RIG = eoi.Plant(rubbing, TRUE, 2, ("force",), ("position",))
 
 
@@ -45,11 +47,11 @@ def measured(seed: int, push: float) -> eoi.Record:
 @pytest.fixture(scope="module")
 def found():
     """The held-out record has such a force too: its free runs hardly get better."""
-    return eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.15))
+    return eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.15), TRIED)
 
 
 def test_what_free_runs_on_a_quiet_record_confirm_is_an_answer():
-    answer = eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.0))
+    answer = eoi.discover(DECLARED, measured(1, 0.15), measured(2, 0.0), TRIED)
     assert answer.effects == ("coulomb_friction",)
     assert answer.status.code in ("partial", "explained")
     (value,) = answer.added[0].parameters.values()

@@ -321,12 +321,13 @@ def sprung(t, x, u, p):
 
 
 def slow(t, u, p):
-    """First-order lag of the inputs, by its exact response to held ones."""
-    decay = jnp.exp(-(t[1] - t[0]) / p.tau)
+    """First-order lag of the inputs: means over the steps of its exact response to held ones."""
+    step = t[1] - t[0]
+    decay = jnp.exp(-step / p.tau)
+    late = (1.0 - decay) * p.tau / step
 
     def body(state, now):
-        state = decay * state + (1.0 - decay) * now
-        return state, state
+        return decay * state + (1.0 - decay) * now, now + late * (state - now)
 
     return jax.lax.scan(body, jnp.zeros_like(u[0]), u)[1]
 
