@@ -10,6 +10,7 @@ curve is named beside it.
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +36,7 @@ from eoi_jax.models.effects.effect import (
     AbstractInputEffect,
     AbstractTerm,
     At,
+    Parameter,
     Seen,
 )
 from eoi_jax.models.placements import placements
@@ -48,7 +50,9 @@ class CurveRules:
 
     Attributes:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
-        tried: curves that add to an output, of each model.
+        tried: curves of each model, at most.
+        share: of the power of the errors that a curve must take in the score test to be tried.
+        left: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
@@ -59,7 +63,9 @@ class CurveRules:
     knots: int = 14
     fewest: int = 5
     samples: int = 50
-    tried: int = 2
+    tried: int = 3
+    share: float = 0.3
+    left: float = 5.0
     several: int = 3
     as_good: float = 0.03
     likeness: float = 0.9
@@ -195,13 +201,13 @@ def _finest(search: Search, model: Judged, named: Judged) -> Judged:
 def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
     """Curves of some signals that have none, each with the straight line that the model lacks.
 
-    Of those that add to an output the ones of which a score test says most.
+    Those of which a score test says most.
     """
     plant, runs = model.refinement.plant, _runs_of(model)
     present = {(placed.effect.kind, placed.channel) for placed in model.placed}
     longest = max(len(record) for record in runs.records)
     count = int(np.clip(longest // _RULES.samples, _RULES.fewest, _RULES.knots))
-    inputs, shares = [], {}
+    shares: dict[Placed, float] = {}
     for placed in placements(plant, [*_SHAPES, InputCurve(())]):
         effect, channel = placed.effect, placed.channel
         signal = _signal(runs.signal_statistics(placed), placed)
@@ -211,16 +217,46 @@ def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
         knots = knots_of(signal, count)
         if isinstance(effect, InputCurve):
             offset = bool(runs.tries(place(plant, ConstantOffset(), placed.output)))
-            inputs.append(place(plant, InputCurve(knots, offset), channel))
-            continue
-        assert isinstance(effect, Curve)
-        lines = (replace(effect, offset=not rises, slope=rises) for rises in (False, True))
-        offset, slope = (bool(runs.tries(place(plant, line, channel))) for line in lines)
-        curve = place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
-        tries = runs.tries(curve)
-        shares[curve] = (tries and runs.share(tries)) or 0.0
+            curve = place(plant, InputCurve(knots, offset), channel)
+            force = _InputForce(knots)
+            names = tuple(gain.name for gain in force.gains)
+            # The score test knows terms of the first input.
+            share = 1.0 if channel else _share(runs, Placed(force, 0, names, 0, None, channel))
+        else:
+            assert isinstance(effect, Curve)
+            lines = (replace(effect, offset=not rises, slope=rises) for rises in (False, True))
+            offset, slope = (bool(runs.tries(place(plant, line, channel))) for line in lines)
+            curve = place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
+            share = _share(runs, curve)
+        shares[curve] = share
+    most = max(shares.values(), default=0.0)
+    least = max(_RULES.share, 1.0 - _RULES.left * (1.0 - most))
     ranked = sorted(shares, key=lambda curve: -shares[curve])
-    return [*ranked[: _RULES.tried], *inputs]
+    return [curve for curve in ranked if shares[curve] >= least][: _RULES.tried]
+
+
+def _share(runs: LinearisedRuns, placed: Placed) -> float:
+    """Of the power of the errors, by the score test; 0 where the effect is nothing new."""
+    tries = runs.tries(placed)
+    return (runs.share(tries) or 0.0) if tries else 0.0
+
+
+@dataclass(frozen=True)
+class _InputForce(AbstractTerm):
+    """What a curve adds to an input, to first order: a force that shares its path."""
+
+    knots: tuple[float, ...]
+
+    name = "input_force"
+    sentence = "a force in the path of an input"
+
+    @property
+    def gains(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return InputCurve(self.knots, offset=False).shapes
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        del shape
+        return InputCurve(self.knots, offset=False).changed(at, gain) - at.u
 
 
 def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
