@@ -50,9 +50,9 @@ class CurveRules:
 
     Attributes:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
-        tried: curves of each model, at most.
+        trials: curves of each model, at most.
         share: of the power of the errors that a curve must take in the score test to be tried.
-        left: power that it may leave there, over that of the best one.
+        remainder: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
@@ -63,9 +63,9 @@ class CurveRules:
     knots: int = 14
     fewest: int = 5
     samples: int = 50
-    tried: int = 3
+    trials: int = 3
     share: float = 0.3
-    left: float = 5.0
+    remainder: float = 5.0
     several: int = 3
     as_good: float = 0.03
     likeness: float = 0.9
@@ -86,9 +86,9 @@ def misses_a_law(discovery: Discovery) -> bool:
     if discovery.in_sample or plant.has_algebraic or plant.sampled is not None:
         return False
     answers = ("unexplained", "partial", "explained")
-    left = beyond_noise(discovery.windows_after, discovery.held_out)
+    unexplained = beyond_noise(discovery.windows_after, discovery.held_out)
     crowded = _laws(discovery.added) >= _RULES.several
-    return discovery.status.code in answers and (bool(left) or crowded)
+    return discovery.status.code in answers and (bool(unexplained) or crowded)
 
 
 def with_curves(
@@ -229,10 +229,10 @@ def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
             curve = place(plant, replace(effect, knots=knots, offset=offset, slope=slope), channel)
             share = _share(runs, curve)
         shares[curve] = share
-    most = max(shares.values(), default=0.0)
-    least = max(_RULES.share, 1.0 - _RULES.left * (1.0 - most))
+    largest = max(shares.values(), default=0.0)
+    smallest = max(_RULES.share, 1.0 - _RULES.remainder * (1.0 - largest))
     ranked = sorted(shares, key=lambda curve: -shares[curve])
-    return [curve for curve in ranked if shares[curve] >= least][: _RULES.tried]
+    return [curve for curve in ranked if shares[curve] >= smallest][: _RULES.trials]
 
 
 def _share(runs: LinearisedRuns, placed: Placed) -> float:
