@@ -34,6 +34,7 @@ from eoi_jax.models.effects.curve import knots_of
 from eoi_jax.models.effects.effect import (
     AbstractEffect,
     AbstractInputEffect,
+    AbstractInternalEffect,
     AbstractTerm,
     At,
     Parameter,
@@ -80,10 +81,13 @@ _SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "
 def misses_a_law(discovery: Discovery) -> bool:
     """Whether curves are tried: more than noise is left, held out, or many effects have been added.
 
-    Many may stand for a single law.
+    Many may stand for a single law. What an effect does to an internal state no curve of a measured
+    signal does.
     """
     plant = discovery.declared.nominal
     if discovery.in_sample or plant.has_algebraic or plant.sampled is not None:
+        return False
+    if any(isinstance(item.effect, AbstractInternalEffect) for item in discovery.added):
         return False
     answers = ("unexplained", "partial", "explained")
     unexplained = beyond_noise(discovery.windows_after, discovery.held_out)

@@ -285,6 +285,7 @@ class _Question:
         window: length of runs; None: whole records, or what the growth of errors asks for.
         points: further starts. many_starts: whether the caller asked for any.
         from_passes: whether passes have estimated the start already.
+        is_trial: whether the fit is compared with others of the same steps, and none begins anew.
     """
 
     window: float | None
@@ -295,6 +296,7 @@ class _Question:
     rounds: int
     huber: float | None
     from_passes: bool = False
+    is_trial: bool = False
 
 
 def _with_best_hold(
@@ -315,7 +317,9 @@ def _with_best_hold(
         return result, False
     # The same runs for all, or their errors could not be compared.
     question = replace(question, window=result.window)
-    single = replace(question, points=question.points[:0], many_starts=False, rounds=1)
+    single = replace(
+        question, points=question.points[:0], many_starts=False, rounds=1, is_trial=True
+    )
     first, count = result, scored_samples(result)
 
     def error(hold: Hold) -> float:
@@ -435,7 +439,8 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     if substeps is None:
         finer = [_finer(fit, records, spans, effort, huber) for fit in fits]
         fits = [fit for fit, _ in finer]
-        if not question.many_starts and not finer[0][1]:
+        alone = not (question.many_starts or question.is_trial)
+        if alone and not finer[0][1]:
             fits = [_renewed(fits[0], nominal, records, spans, problem.substeps, effort, huber)]
     if not question.many_starts:
         fits += _search_around(fits[0], records, spans, effort, huber)
@@ -571,9 +576,9 @@ def _finer(
     $\sqrt{N}\,\mathrm{rms}(e) / \mathrm{rms}(r)$: noise averages out over N samples, e does not.
     The shorter steps stay whether they fit better or not: what long ones fit better is their own
     error. Steps are halved, or as short as the fastest mode at the estimate needs them. Also,
-    whether that came to an end.
+    whether runs agree in the end: what shows in an estimate without noise need not show in them.
     """
-    limit = finest_steps(records)
+    limit, settled = finest_steps(records), False
     for _ in range(RULES.halvings):
         old, unknowns = fit.problem, fit.outcome.unknowns
         estimate = old.kernel.plant.with_parameters(old.completed(unknowns.theta))
@@ -582,15 +587,18 @@ def _finer(
             break
         problem = stepped(old, records, spans, count)
         sensitivities = signals(unknowns, problem)
-        step_error = unweighed(problem, sensitivities) - fit.error
+        step_error = rms(unweighed(problem, sensitivities) - fit.error, fit.use)
         samples, size = np.sqrt(np.sum(fit.use, axis=(0, 1))), rms(fit.error, fit.use)
-        if np.all(samples * rms(step_error, fit.use) <= size):
+        measured = rms(np.where(fit.use, old.y, 0.0), fit.use)
+        visible = np.maximum(RULES.visible * size, RULES.resolution * measured)
+        settled = bool(np.all(step_error <= visible))
+        if np.all(samples * step_error <= size):
             return fit, True
         finer = fitted(problem, unknowns, sensitivities, fit.initial_error, effort, huber)
         if not finer.differentiable:
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
-    return fit, False
+    return fit, settled
 
 
 def _renewed(

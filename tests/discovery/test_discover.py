@@ -215,13 +215,6 @@ def test_effect_outside_those_that_are_asked_for_is_unexplained():
     assert answer.plant.names == MASS.names
 
 
-@pytest.mark.slow
-def test_law_that_is_tried_in_free_runs_alone_is_named():
-    answer = eoi.discover(MASS, *records("outside"))
-    assert answer.effects == ("displacement_damping",)
-    assert values(answer)["displacement_damping"] == pytest.approx(3.0, rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("law", "nearly"), [(swaying, "sinusoidal_disturbance"), (position_gain, "constant_offset")]
 )
