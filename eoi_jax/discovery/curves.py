@@ -144,8 +144,11 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
                   if (trial := _fitted(search, origin, placed)) is not None]  # fmt: skip
         if not trials:
             continue
-        best = _finest(search, plainest(trials), named)
+        best = plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(best, named)
+        if better or _laws(named.placed) >= _RULES.several:
+            best = _finest(search, best, named)
+            better = _is_far_better(best, named) or _replaces_sum(best, named)
         if better and search.judge.prefers(best.runs, origin.runs):
             return best
     return named

@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.discovery.curves import misses_a_law
-from eoi_jax.models.effects import Curve, InputCurve
+from eoi_jax.discovery.result import Added
+from eoi_jax.models.effects import Curve, InputCurve, InternalOverflow
 from eoi_jax.models.effects.effect import At
 
 PERIOD, COUNT, EACH = 0.05, 3000, 15
@@ -96,6 +97,8 @@ def test_curves_are_not_tried_where_nothing_is_left(soft):
     left = replace(soft, windows_after=soft.windows_before)
     assert misses_a_law(left)
     assert not misses_a_law(replace(left, in_sample=True))
+    spilled = Added(InternalOverflow(caught=False), "z", {}, {}, "")
+    assert not misses_a_law(replace(left, added=(spilled,)))
     assert not misses_a_law(replace(left, status=eoi.Status("nothing_missing", "")))
 
 
