@@ -1,6 +1,7 @@
 """Curves: natural cubic splines, with the straight line apart."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,8 @@ KNOTS = (-2.0, -1.1, -0.4, 0.3, 1.0, 1.7, 2.5, 4.0)
 PINNED = (2, 5)  # a quarter and three quarters of eight
 
 
-def at(y=0.0, v=0.0, u=0.0):
-    return At(*(jnp.asarray(value) for value in (0.0, y, v, u)), jnp.zeros(0))
+def at(y: Any = 0.0, v: Any = 0.0, u: Any = 0.0) -> At:
+    return At(jnp.zeros(()), jnp.asarray(y), jnp.asarray(v), jnp.asarray(u), jnp.zeros(0))
 
 
 def whole(values):
