@@ -24,13 +24,7 @@ from eoi_jax.compiler.jax_private import (
     solving_part,
 )
 from eoi_jax.compiler.linear_algebra import cholesky, lu, triangular_solve
-from eoi_jax.compiler.lookup import (
-    MOST_UNROLLED,
-    choose,
-    constants,
-    is_constant,
-    looked_up,
-)
+from eoi_jax.compiler.lookup import MOST_UNROLLED, choose, constants, is_constant, looked_up
 
 
 def constant_nodes(graph: Graph, value: Any) -> np.ndarray:
@@ -446,9 +440,8 @@ def _finite(graph: Graph, equation: Any, node: Node) -> Node:
 _COMPONENTS: dict[str, Callable] = {
     **dict.fromkeys(set(OPERATIONS) - {"select", "trunc", "round_even"}, _plain),
     "add_any": lambda graph, _, a, b: graph.make("add", a, b),
-    "lt_to": lambda graph, _, a, b: graph.make(
-        "lt", a, b
-    ),  # total order: another one for NaN alone
+    # Total order, which differs for NaN alone.
+    "lt_to": lambda graph, _, a, b: graph.make("lt", a, b),
     "le_to": lambda graph, _, a, b: graph.make("le", a, b),
     "gt": _swapped("lt"),
     "ge": _swapped("le"),

@@ -18,13 +18,7 @@ from jaxtyping import Float
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
-from eoi_jax.discovery.free_run_search import (
-    Judge,
-    Judged,
-    Search,
-    plainest,
-    refined,
-)
+from eoi_jax.discovery.free_run_search import Judge, Judged, Search, plainest, refined
 from eoi_jax.discovery.in_free_runs import answered
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.estimation.lowpass import LowPass
@@ -81,7 +75,7 @@ _SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "
 def misses_a_law(discovery: Discovery) -> bool:
     """Whether curves are tried: more than noise is left, held out, or many effects have been added.
 
-    Many may stand for a single law. What an effect does to an internal state no curve of a measured
+    What an effect does to an internal state no curve of a measured
     signal does.
     """
     plant = discovery.declared.nominal
@@ -91,8 +85,7 @@ def misses_a_law(discovery: Discovery) -> bool:
         return False
     answers = ("unexplained", "partial", "explained")
     unexplained = beyond_noise(discovery.windows_after, discovery.held_out)
-    crowded = _laws(discovery.added) >= _RULES.several
-    return discovery.status.code in answers and (bool(unexplained) or crowded)
+    return discovery.status.code in answers and (bool(unexplained) or _crowded(discovery.added))
 
 
 def with_curves(
@@ -117,7 +110,7 @@ def with_curves(
         named = refined(discovery.plant, placed, fitted, judge)
         if named is None:
             return discovery
-        if not beyond_noise(named.runs[1], judging) and _laws(placed) < _RULES.several:
+        if not (beyond_noise(named.runs[1], judging) or _crowded(placed)):
             return discovery
     search = Search.begun([declared.plant, declared.nominal], fitted, judging)
     if search is None:
@@ -146,8 +139,9 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
             continue
         best = plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(best, named)
-        if better or _laws(named.placed) >= _RULES.several:
-            best = _finest(search, best, named)
+        left = beyond_noise(best.runs[1], search.judge.records)
+        if _crowded(named.placed) or (better and left):
+            best = _finest(search, best)
             better = _is_far_better(best, named) or _replaces_sum(best, named)
         if better and search.judge.prefers(best.runs, origin.runs):
             return best
@@ -162,34 +156,27 @@ def _is_far_better(trial: Judged, rival: Judged) -> bool:
 def _replaces_sum(trial: Judged, rival: Judged) -> bool:
     """Whether a single curve does as well as many laws, or better than several of its signal."""
     laws = [law for law in rival.placed if not isinstance(law.effect, ConstantOffset)]
-    curve = trial.placed[-1]
-    of_signal = all(
-        (law.effect.depends_on, law.channel) == (curve.effect.depends_on, curve.channel)
-        for law in laws
-    )
-    if len(trial.placed) > 1 or len(laws) < 2:
+    if len(trial.placed) != 1 or len(laws) < 2:
         return False
-    if len(laws) >= _RULES.several:
+    if _crowded(laws):
         return bool(trial.error < rival.error + _RULES.as_good)
+    curve = trial.placed[0]
+    signal = curve.effect.depends_on, curve.channel
+    of_signal = all((law.effect.depends_on, law.channel) == signal for law in laws)
     return bool(of_signal and trial.error < rival.error)
 
 
-def _laws(effects: Sequence[Placed | Added]) -> int:
-    """Number of effects, an offset apart."""
-    return sum(not isinstance(item.effect, ConstantOffset) for item in effects)
+def _crowded(effects: Sequence[Placed | Added]) -> bool:
+    """Whether there are so many effects, an offset apart, that they may stand for a single law."""
+    laws = sum(not isinstance(item.effect, ConstantOffset) for item in effects)
+    return laws >= _RULES.several
 
 
-def _finest(search: Search, model: Judged, named: Judged) -> Judged:
-    """The model, or that with points between those of its curve if it predicts better.
-
-    Tried where more than noise is left, or where a curve is to take the place of many effects.
-    """
+def _finest(search: Search, model: Judged) -> Judged:
+    """The model, or that with points between those of its curve if it predicts better."""
     *earlier, last = model.placed
     effect = last.effect
     assert isinstance(effect, Curve | InputCurve)
-    crowded = _laws(named.placed) >= _RULES.several
-    if not (crowded or beyond_noise(model.runs[1], search.judge.records)):
-        return model
     knots = np.array(effect.knots)
     knots = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
     fine = replace(effect, knots=tuple(knots.tolist()))
@@ -198,7 +185,7 @@ def _finest(search: Search, model: Judged, named: Judged) -> Judged:
     plant = augmented(declared, earlier, values)
     placed = place(plant, fine, last.channel)
     coarse = effect.curve(knots, [values[name] for name in last.names])
-    units = np.stack([fine.points(unit) for unit in np.eye(len(placed.names))], axis=1)
+    units = np.stack([fine.curve(knots, unit) for unit in np.eye(len(placed.names))], axis=1)
     begin = np.linalg.lstsq(units, coarse, rcond=None)[0]
     plant = augmented(plant, [placed], dict(zip(placed.names, begin.tolist(), strict=True)))
     trial = search.fitted(plant, (placed,), replace(model, placed=tuple(earlier)))
@@ -217,9 +204,11 @@ def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
     shares: dict[Placed, float] = {}
     for placed in placements(plant, [*_SHAPES, InputCurve(())]):
         effect, channel = placed.effect, placed.channel
-        signal = _signal(runs.signal_statistics(placed), placed)
         passed_over = (effect.kind, channel) in present or effect.depends_on not in signals
-        if passed_over or placed.through is not None or not np.ptp(signal) > 0.0:
+        if passed_over or placed.through is not None:
+            continue
+        signal = _signal(runs.signal_statistics(placed), placed)
+        if not np.ptp(signal) > 0.0:
             continue
         knots = knots_of(signal, count)
         if isinstance(effect, InputCurve):

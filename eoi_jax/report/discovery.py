@@ -236,13 +236,14 @@ def curve_rows(discovery: Discovery) -> list[list[tuple[str, ...]]]:
         if not isinstance(added.effect, Curve | InputCurve):
             continue
         certainty = uncertainty(discovery.found)
-        parameters = list(added.parameters.values())
-        slopes = np.stack([added.effect.points(unit) for unit in np.eye(len(parameters))], axis=1)
+        parameters, knots = list(added.parameters.values()), np.array(added.effect.knots)
+        units = np.eye(len(parameters))
+        slopes = np.stack([added.effect.curve(knots, unit) for unit in units], axis=1)
         places = [names.index(name) for name in added.parameters]
         covariance = certainty.covariance[np.ix_(places, places)]
         errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, covariance, slopes))
         signal = added.output + ("'" if added.effect.depends_on == "v" else "")
-        points = zip(added.effect.knots, slopes @ np.array(parameters), errors, strict=True)
+        points = zip(knots, slopes @ np.array(parameters), errors, strict=True)
         rows = [(signal, f"curve({signal})", "± std. error")]
         tables.append([*rows, *((f"{x:.6g}", f"{y:.6g}", f"{e:.2g}") for x, y, e in points)])
     return tables

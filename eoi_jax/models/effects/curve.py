@@ -98,10 +98,6 @@ class Curve(AbstractTerm):
         """The curve at these x, without the factor, for these parameters."""
         return np.asarray(value(x, self.knots, list(values), self.offset, self.slope))
 
-    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
-        """The same at the knots."""
-        return self.curve(np.array(self.knots), values)
-
 
 @dataclass(frozen=True)
 class InputCurve(AbstractInputEffect):
@@ -142,17 +138,13 @@ class InputCurve(AbstractInputEffect):
         """What is added to the input at these x, for these parameters."""
         return np.asarray(value(x, self.knots, list(values), self.offset))
 
-    def points(self, values: Sequence[float] | np.ndarray) -> Float[np.ndarray, " knots"]:
-        """The same at the knots."""
-        return self.curve(np.array(self.knots), values)
-
 
 def knots_of(values: Float[np.ndarray, " samples"], count: int) -> tuple[float, ...]:
     """Knots for a curve of a signal: half way between equal distances and equal shares of samples.
 
     Args:
         values: of the signal, not all equal.
-        count: of the knots, at least 3.
+        count: of the knots, at least 4.
     """
     shares = np.linspace(0.0, 1.0, count)
     low, high = np.min(values), np.max(values)
