@@ -10,7 +10,6 @@ curve is named beside it.
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +30,6 @@ from eoi_jax.models.effects.effect import (
     AbstractInternalEffect,
     AbstractTerm,
     At,
-    Parameter,
     Seen,
 )
 from eoi_jax.models.placements import placements
@@ -214,10 +212,9 @@ def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
         if isinstance(effect, InputCurve):
             offset = bool(runs.tries(place(plant, ConstantOffset(), placed.output)))
             curve = place(plant, InputCurve(knots, offset), channel)
-            force = _InputForce(knots)
-            names = tuple(gain.name for gain in force.gains)
-            # The score test knows terms of the first input.
-            share = 1.0 if channel else _share(runs, Placed(force, 0, names, 0, None, channel))
+            # The score test knows terms of the first input: to first order a force in its path.
+            force = place(plant, Curve("u", knots, offset=False), 0, through=channel)
+            share = 1.0 if channel else _share(runs, force)
         else:
             assert isinstance(effect, Curve)
             lines = (replace(effect, offset=not rises, slope=rises) for rises in (False, True))
@@ -235,24 +232,6 @@ def _share(runs: LinearisedRuns, placed: Placed) -> float:
     """Of the power of the errors, by the score test; 0 where the effect is nothing new."""
     tries = runs.tries(placed)
     return (runs.share(tries) or 0.0) if tries else 0.0
-
-
-@dataclass(frozen=True)
-class _InputForce(AbstractTerm):
-    """What a curve adds to an input, to first order: a force that shares its path."""
-
-    knots: tuple[float, ...]
-
-    name = "input_force"
-    sentence = "a force in the path of an input"
-
-    @property
-    def gains(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return InputCurve(self.knots, offset=False).shapes
-
-    def term(self, at: At, gain: Any, shape: Any) -> Any:
-        del shape
-        return InputCurve(self.knots, offset=False).changed(at, gain) - at.u
 
 
 def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:

@@ -242,7 +242,9 @@ def curve_rows(discovery: Discovery) -> list[list[tuple[str, ...]]]:
         places = [names.index(name) for name in added.parameters]
         covariance = certainty.covariance[np.ix_(places, places)]
         errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, covariance, slopes))
-        signal = added.output + ("'" if added.effect.depends_on == "v" else "")
+        drive = added.through or (*discovery.plant.inputs, "u")[0]
+        over = "" if isinstance(added.effect, InputCurve) else added.effect.over
+        signal = {"v": f"{added.output}'", "u": drive}.get(over, added.output)
         points = zip(knots, slopes @ np.array(parameters), errors, strict=True)
         rows = [(signal, f"curve({signal})", "± std. error")]
         tables.append([*rows, *((f"{x:.6g}", f"{y:.6g}", f"{e:.2g}") for x, y, e in points)])

@@ -28,10 +28,10 @@ _PINNED = (0.25, 0.75)  # where on the range of its knots a curve is zero
 
 @dataclass(frozen=True)
 class Curve(AbstractTerm):
-    """(offset + slope (x - k₀) + s(x)) w, added to y^(r): x = y or ẏ; w = 1, ẏ or u.
+    """(offset + slope (x - k₀) + s(x)) w, added to y^(r): x = y, ẏ or u; w = 1, ẏ or u.
 
     Attributes:
-        over: x, "y" or "v".
+        over: x, "y", "v" or "u".
         knots: k, rising [unit of x]; none for a straight line.
         times: w, "", "v" or "u".
         offset, slope: whether these are parameters.
@@ -50,7 +50,7 @@ class Curve(AbstractTerm):
     only_in_free_runs = True
 
     def __post_init__(self) -> None:
-        check_choice("over", self.over, ("y", "v"))
+        check_choice("over", self.over, ("y", "v", "u"))
         check_choice("times", self.times, ("", "v", "u"))
         _check_knots(self.knots)
 
@@ -58,7 +58,7 @@ class Curve(AbstractTerm):
     def sentence(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Completes "the model lacks …"."""
         factor = {"": "a", "v": "the velocity times a", "u": "the input times a"}[self.times]
-        signal = {"y": "output", "v": "velocity"}[self.over]
+        signal = {"y": "output", "v": "velocity", "u": "input"}[self.over]
         return f"{factor} function of the {signal} (a curve, no law of the library)"
 
     @property
@@ -81,9 +81,10 @@ class Curve(AbstractTerm):
         return (*line, *(Parameter(f"{self.over}_{i}", unit) for i in _free(len(self.knots))))
 
     def fits(self, plant: Plant, output: int) -> bool:
-        """Whether the output has the state that the curve depends on."""
-        return plant.degrees[output] > ("v" in (self.over, self.times)) and (
-            self.times != "u" or bool(plant.inputs)
+        """Whether the output has the states that the curve depends on, the plant an input."""
+        signals = self.over, self.times
+        return plant.degrees[output] > ("v" in signals) and (
+            "u" not in signals or bool(plant.inputs)
         )
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:

@@ -226,11 +226,10 @@ class _EffectFormulas:
         assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
         if isinstance(effect, Curve):
             output = self._plant.outputs[self.placed.output]
-            rate = Symbol(output, self.placed.row)
-            curve = Call("curve", (rate if effect.over == "v" else Symbol(output),))
-            factors = {"v": rate, "u": Symbol((*self._plant.inputs, "u")[0])}
-            factor = factors.get(effect.times)
-            return curve if factor is None else Operation("*", curve, factor)
+            signals = {"y": Symbol(output), "v": Symbol(output, self.placed.row)}
+            signals["u"] = Symbol((*self._plant.inputs, "u")[self.placed.through or 0])
+            curve = Call("curve", (signals[effect.over],))
+            return Operation("*", curve, signals[effect.times]) if effect.times else curve
         return self._formulas(effect.term)[0]
 
     def change(self) -> Expression:

@@ -96,10 +96,16 @@ def test_knots_that_do_not_rise_are_refused(knots):
 
 
 def test_signals_are_checked():
-    with pytest.raises(ValueError, match=r"over.*u"):
-        Curve("u", KNOTS)
+    with pytest.raises(ValueError, match=r"over.*w"):
+        Curve("w", KNOTS)
     with pytest.raises(ValueError, match=r"times.*y"):
         Curve("y", KNOTS, "y")
+
+
+def test_curve_of_an_input_needs_one():
+    released = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, 2, inputs=())
+    assert not Curve("u", KNOTS).fits(released, 0)
+    assert Curve("y", KNOTS).fits(released, 0)
 
 
 def sprung(t, x, u, p):
@@ -113,6 +119,7 @@ def sprung(t, x, u, p):
         (Curve("v", KNOTS), "y'' = u - k·y + curve(y')"),
         (Curve("y", KNOTS, "v"), "y'' = u - k·y + curve(y)·y'"),
         (Curve("y", KNOTS, "u"), "y'' = u - k·y + curve(y)·u"),
+        (Curve("u", KNOTS), "y'' = u - k·y + curve(u)"),
         (InputCurve(KNOTS), "y'' = u - k·y\nwith u → u + curve(u)"),
     ],
 )
