@@ -34,7 +34,7 @@ from eoi_jax.discovery.additions import (
 from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.hold_choice import with_best_hold
+from eoi_jax.discovery.hold_choice import Searched, with_best_hold
 from eoi_jax.discovery.in_free_runs import leaves_open, with_free_runs
 from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ranking
@@ -151,18 +151,20 @@ def discover(
     )  # fmt: skip
     indices = hold_indices(plant, fit_records, declared_index, lowpass)
     if indices is None:
-        discovery = search.on(fit_records, held_out)
+        searched = search.on(fit_records, held_out)
     else:
         search = replace(search, lowpass=indices.lowpass)
-        discovery = with_best_hold(search.on, fit_records, held_out, indices)
+        searched = with_best_hold(search.on, fit_records, held_out, indices)
+    discovery = searched.discovery
     if leaves_open(discovery):
         progress("searching in free runs", 2 + _ROUNDS, _STAGES)
         first = min(float(record.time[0]) for record in fit_records)
         tried = tried_effects if effects is not None else (*tried_effects, *wider())
         timed = [effect.since(first) for effect in tried]
         discovery = with_free_runs(
-            discovery, fit_records, held_out, timed, search.lowpass, search.alpha
+            discovery, fit_records, held_out, timed, searched.partial, search.lowpass, search.alpha
         )
+    discovery = replace(searched, discovery=discovery).with_lead
     if effects is None and misses_a_law(discovery):
         progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
         discovery = with_curves(discovery, fit_records, search.lowpass)
@@ -197,8 +199,8 @@ class _Search:
     named: bool
     progress: Progress
 
-    def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
-        """The answer on these records.
+    def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Searched:
+        """What is found on these records.
 
         Args:
             records: to fit and to search.
@@ -213,20 +215,23 @@ class _Search:
         )
         declared = estimate(self.plant, prepared, passes=_PASSES)
         if declared.status.code in ("no_data", "diverged"):
-            return _failed(declared, held_out, records)
+            return Searched(_failed(declared, held_out, records))
         determined = without_common_factors(self.plant, declared.common_factors)
         if determined is not self.plant:
-            discovery = replace(self, plant=determined).on(records, held_out)
-            return replace(discovery, common_factors=declared.common_factors)
+            searched = replace(self, plant=determined).on(records, held_out)
+            factors = declared.common_factors
+            discovery = replace(searched.discovery, common_factors=factors)
+            return replace(searched, discovery=discovery)
         task = Task(
             self.plant, prepared, records, held_out, effects, declared, self.alpha, self.most,
             self.window,
         )  # fmt: skip
         resolved = declared.status.code != "undersampled"
         if resolved:
-            discovery = _run(task, rare_effects, self.progress)
+            searched = _run(task, rare_effects, self.progress)
         else:
-            discovery = _without_search(task, self.progress)
+            searched = Searched(_without_search(task, self.progress))
+        discovery = searched.discovery
         answered_so_far = discovery.status.code in ("explained", "nothing_missing")
         if answered_so_far and (self.refine or not resolved):
             self.progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
@@ -234,7 +239,8 @@ class _Search:
         if not resolved:
             discovery = _judged_by_free_runs(task, discovery)
         discovery = _with_doubts(task, discovery, self.refine)
-        return replace(discovery, notes=(*short_notes, *discovery.notes))
+        discovery = replace(discovery, notes=(*short_notes, *discovery.notes))
+        return replace(searched, discovery=discovery)
 
 
 def _informative_records(
@@ -264,7 +270,7 @@ def _no_progress(stage: str, done: int, stages: int) -> None:
     del stage, done, stages
 
 
-def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress) -> Discovery:
+def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress) -> Searched:
     """Rounds of search and refit, then the free runs.
 
     Rare effects would only make an answer ambiguous. They are tried if there is no answer without
@@ -277,11 +283,11 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
             message = _NO_SAMPLE if len(rounds[0].base.target) else _NO_MODE
             reason = message.format(task.declared.lowpass.cutoff)
             no_data = replace(task.declared, status=Status("no_data", reason))
-            return _failed(no_data, task.held_out, task.records)
+            return Searched(_failed(no_data, task.held_out, task.records))
         progress("fitting again, free runs", 1 + _ROUNDS, _STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
     if discovery.status.code != "unexplained":
-        return discovery
+        return Searched(discovery)
     if placements(task.plant, rare_effects):
         wider = replace(task, effects=(*task.effects, *rare_effects))
         rare_discovery = _answer(wider, *_searched(wider, progress, rounds[0]), runs_before())
@@ -290,13 +296,14 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
             and len(rare_discovery.added) <= _MAX_RARE
         )
         if named and rare_discovery.explained >= _RARE_SHARE:
-            return rare_discovery
-    return replace(discovery, lead=_lead(task, steps, rounds, runs_before()))
+            return Searched(rare_discovery)
+    partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step[0]))
+    return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
 
 
 def _without_search(task: Task, progress: Progress) -> Discovery:
     """The declared model alone, whose injection is no evidence: the passes do not resolve it."""
-    discovery = _run(replace(task, effects=()), (), progress)
+    discovery = _run(replace(task, effects=()), (), progress).discovery
     if discovery.status.code == "no_data":
         return discovery
     return replace(discovery, status=Status("nothing_missing", _UNRESOLVED), lead=None)

@@ -62,6 +62,7 @@ class FreeRunRules:
 _RULES = FreeRunRules()
 
 Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
+Sites = tuple[tuple[str, int], ...]  # kinds of effects with their channels
 RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
 
 
@@ -140,12 +141,11 @@ def search_free_runs(
     best = search.base
     for number in range(_RULES.most):
         # What short runs do not show a whole one may, and the other way about.
-        origins = search.bases if number == 0 else (best,)
-        models = [
-            (*candidate, origin)
-            for origin in origins
-            for candidate in search.candidates(origin, tried, level)
-        ]
+        nominated: dict[Sites, tuple[Plant, tuple[Placed, ...], Judged]] = {}
+        for origin in search.bases if number == 0 else (best,):
+            for plant, placed in search.candidates(origin, tried, level):
+                nominated.setdefault(_sites_of(placed), (plant, placed, origin))
+        models = list(nominated.values())
         if number == 0:
             models += [(*candidate, best) for candidate in further]
             models += [
@@ -300,10 +300,9 @@ class Search:
         ]
         sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
         fresh = [item for item in sets if not _repeated(best.placed, item[0])]
-        first: dict[tuple, Model] = {}
+        first: dict[Sites, Model] = {}
         for placed, values in fresh:
-            key = tuple(sorted(_place_of(item)[:2] for item in placed))
-            first.setdefault(key, (augmented(plant, placed, values), placed))
+            first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
         return list(first.values())[: _RULES.tried]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
@@ -442,6 +441,11 @@ def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is in the model already, at the same place."""
     places = {_place_of(item) for item in present}
     return any(_place_of(item) in places for item in placed)
+
+
+def _sites_of(placed: Sequence[Placed]) -> Sites:
+    """Kinds of effects and their channels, in any order."""
+    return tuple(sorted(_place_of(item)[:2] for item in placed))
 
 
 def _place_of(placed: Placed) -> tuple:

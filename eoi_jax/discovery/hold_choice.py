@@ -13,10 +13,12 @@ from jaxtyping import Bool, Float
 from eoi_jax.data.holds import SETTINGS, HoldChoice, with_hold
 from eoi_jax.data.input_holds import Hold, held_inputs, hold_of_each, hold_text, shared
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew
 from eoi_jax.estimation.identify import Identification, declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.plant import Plant
 
 Records = tuple[Record, ...]
 
@@ -50,28 +52,59 @@ _RULES = HoldRules()
 
 
 @dataclass(frozen=True)
+class Searched:
+    """What a search in the injection came to.
+
+    Attributes:
+        discovery: its answer.
+        partial: models with the sets that the residual justifies, each with its effects, the last
+            one first, where none explains enough of it; with the values of the search.
+        lead: the first of these, fitted again, that improves free runs; None without one.
+    """
+
+    discovery: Discovery
+    partial: tuple[tuple[Plant, tuple[Placed, ...]], ...] = ()
+    lead: Callable[[], PartialExplanation | None] = lambda: None
+
+    @property
+    def with_lead(self) -> Discovery:
+        """The answer, with the set that comes nearest where there is none."""
+        lead = self.discovery.lead
+        if lead is None and self.discovery.status.code == "unexplained":
+            lead = self.lead()
+        return replace(self.discovery, lead=lead)
+
+
+@dataclass(frozen=True)
 class _Trial:
-    """A search, or only a fit of another one's final model, under a hold and a skew.
+    """A search under a hold and a skew.
 
     Attributes:
         hold: zero, linear or smooth, of all inputs or of each.
-        fit: of the final model.
-        answer: of the search; None for a fit alone.
+        search: what it came to.
         skew: of the inputs; None: they are where they were logged.
     """
 
     hold: Hold
-    fit: Identification
-    answer: Discovery
+    search: Searched
     skew: Skew | None = None
+
+    @property
+    def answer(self) -> Discovery:
+        return self.search.discovery
+
+    @property
+    def fit(self) -> Identification:
+        """Of the final model."""
+        return self.answer.found
 
 
 def with_best_hold(
-    search: Callable[[Records, Records], Discovery],
+    search: Callable[[Records, Records], Searched],
     records: Records,
     held_out: Records,
     indices: HoldIndices,
-) -> Discovery:
+) -> Searched:
     """The answer with the hold under which the final model fits best, and a note on the evidence.
 
     The search runs with the hold that the declared model fits best. It runs with another one that
@@ -89,13 +122,13 @@ def with_best_hold(
 
     def searched(hold: Hold, skew: Skew | None = None) -> _Trial:
         delays = None if skew is None else skew.delays
-        answer = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
-        return _Trial(hold, answer.found, answer, skew)
+        found = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
+        return _Trial(hold, found, skew)
 
     first, *alternatives = indices.possible
     best = searched(first)
     if not best.fit.status.ok:  # with any hold
-        return best.answer
+        return best.search
     fits = {first: best.fit}
     for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
@@ -119,7 +152,8 @@ def with_best_hold(
             notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
             break
-    return replace(best.answer, notes=(*notes, *best.answer.notes))
+    answer = replace(best.answer, notes=(*notes, *best.answer.notes))
+    return replace(best.search, discovery=answer)
 
 
 def _worth_a_search(

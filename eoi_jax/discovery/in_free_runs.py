@@ -12,7 +12,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, search_free_runs
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, Model, search_free_runs
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
@@ -47,6 +47,7 @@ def with_free_runs(
     records: tuple[Record, ...],
     held_out: tuple[Record, ...],
     effects: Sequence[AbstractEffect],
+    partial: Sequence[Model],
     lowpass: LowPass | None,
     alpha: float,
 ) -> Discovery:
@@ -57,6 +58,7 @@ def with_free_runs(
         records: to fit, as given.
         held_out: that judge, as given.
         effects: to try.
+        partial: models with effects that do not explain enough of the injection.
         lowpass: F of the fits; None: chosen from the records.
         alpha: level of significance of the score test.
     """
@@ -70,9 +72,9 @@ def with_free_runs(
         (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in made
     ]
     rival = discovery.plant if discovery.added else None
-    lead = None if discovery.lead is None else discovery.lead.found.plant
-    count = len(added_effects(plant))
-    further = [(model, added_effects(model)[count:]) for model in (lead, rival) if model]
+    further = list(partial)
+    if rival is not None:
+        further.append((rival, added_effects(rival)[len(added_effects(plant)) :]))
     starts = [discovery.declared.plant, plant]
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
     return discovery if answer is None else answered(discovery, answer, lowpass)
@@ -105,7 +107,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
         found = replace(discovery, status=Status(*verdict), lead=lead)
         return _with_model(found, answer, base, lowpass)
-    return replace(discovery, lead=discovery.lead or lead)
+    return replace(discovery, lead=lead)
 
 
 def _with_model(

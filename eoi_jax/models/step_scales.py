@@ -26,15 +26,18 @@ too: there e_j = -1, and a' changes its sign with θ_j.
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
+
+Host = Array | np.ndarray
 
 LINEAR, LOGARITHMIC, RECIPROCAL, SIGNED_RECIPROCAL = 0, 1, 2, 3
 
@@ -70,12 +73,47 @@ class StepScales:
     @property
     def trivial(self) -> bool:
         """Whether every parameter is moved by the step itself."""
-        return not any(self.scales) and not any(map(any, self.exponents))
+        return not any(self.scales) and not self.coupled
 
     def of(self, places: Sequence[int]) -> "StepScales":
         """Those of some of the parameters."""
         rows = tuple(tuple(self.exponents[i][j] for j in places) for i in places)
         return StepScales(tuple(self.scales[i] for i in places), rows)
+
+    @property
+    def signed(self) -> bool:
+        """Whether a divisor may change its sign."""
+        return SIGNED_RECIPROCAL in self.scales
+
+    @property
+    def coupled(self) -> bool:
+        """Whether a parameter is multiplied by powers of others."""
+        return any(map(any, self.exponents))
+
+    @property
+    def as_arguments(self) -> "StepScales | ScaleArrays":
+        """For a compiled program that serves all models: as arrays, where any is not trivial."""
+        if self.trivial:
+            return StepScales((), ())
+        return ScaleArrays(np.asarray(self.scales), np.asarray(self.exponents, dtype=float))
+
+
+class ScaleArrays(eqx.Module):
+    """`StepScales` whose values a compiled program is given, and does not depend on.
+
+    Attributes:
+        scales, exponents: as of `StepScales`.
+    """
+
+    scales: Int[Host, " np"]
+    exponents: Float[Host, "np np"]
+
+    trivial: ClassVar[bool] = False
+    signed: ClassVar[bool] = True
+    coupled: ClassVar[bool] = True
+
+
+Scales = StepScales | ScaleArrays
 
 
 def step_scales(plant: Plant) -> StepScales:
@@ -226,7 +264,7 @@ def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolera
     return bool(np.any(finite) and np.all(bend <= tolerance * size))
 
 
-def coordinates(theta: Any, scales: StepScales, xp: Any = np) -> Any:
+def coordinates(theta: Any, scales: Scales, xp: Any = np) -> Any:
     """∂Δ/∂x, of steps x with κ in the place of Δ of what is multiplied; shape (…, np, np).
 
     Args:
@@ -239,7 +277,7 @@ def coordinates(theta: Any, scales: StepScales, xp: Any = np) -> Any:
     return xp.eye(theta.shape[-1]) - coupled
 
 
-def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
+def scaled_step(theta: Any, step: Any, scales: Scales, xp: Any = np) -> Any:
     """The change of the parameters by a step of the linearised model, each on its scale.
 
     Args:
@@ -252,7 +290,7 @@ def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
         return step
     kinds = xp.asarray(scales.scales)
     moved = theta + _alone(theta, step, kinds, xp)
-    if not any(map(any, scales.exponents)):
+    if not scales.coupled:
         return moved - theta
     exponents = xp.asarray(scales.exponents)
     ratio = moved / xp.where(theta != 0, theta, 1.0)
@@ -278,7 +316,7 @@ def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
     return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
 
 
-def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
+def shortened(theta: Any, step: Any, scales: Scales, xp: Any = np) -> Any:
     """A step so short that the reciprocal of no divisor without bounds grows beyond the factor.
 
     Near its zero that is little of a step, and the rest of it, taken in full, would belong to a
@@ -290,7 +328,7 @@ def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
         scales: of `step_scales`.
         xp: `numpy` or `jax.numpy`.
     """
-    if SIGNED_RECIPROCAL not in scales.scales:
+    if not scales.signed:
         return step
     most, kinds = _SETTINGS.max_factor, xp.asarray(scales.scales)
     relative = step / xp.where(theta != 0, theta, 1.0)
@@ -299,7 +337,7 @@ def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
     return step * xp.min(xp.where(kinds == SIGNED_RECIPROCAL, share, 1.0))
 
 
-def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> Any:
+def linear_step(theta: Any, change: Any, scales: Scales, xp: Any = np) -> Any:
     """The step of the linearised model of which a change is the scaled one: `scaled_step` undone.
 
     It says what the linearised model expects of a change, where a bound or the largest factor has
@@ -319,7 +357,7 @@ def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> An
     logarithm = xp.log(xp.abs(ratio))
     scaled = theta * xp.where(kinds >= RECIPROCAL, 1.0 - 1.0 / ratio, logarithm)
     uncoupled = xp.where((kinds == LINEAR) | (theta == 0), change, scaled)
-    if not any(map(any, scales.exponents)):
+    if not scales.coupled:
         return uncoupled
     exponents = xp.asarray(scales.exponents)
     flipped = (kinds == SIGNED_RECIPROCAL) & (ratio < 0)
@@ -336,9 +374,7 @@ def _sign(flipped: Any, exponents: Any, xp: Any) -> Any:
     return xp.prod(xp.where(flipped[..., None, :] & (exponents == -1.0), -1.0, 1.0), axis=-1)
 
 
-def step_room(
-    theta: Any, lower: Any, upper: Any, scales: StepScales
-) -> tuple[np.ndarray, np.ndarray]:
+def step_room(theta: Any, lower: Any, upper: Any, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest steps that `scaled_step` keeps in the bounds, κ where it takes κ.
 
     For κ only if the bound is zero, or the others stay.

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from eoi_jax.compiler.callback import borrowed, on_host
 from eoi_jax.compiler.programs import jit
 from eoi_jax.refinement.driven_inputs import DrivenInputs
-from eoi_jax.refinement.problem import HostRuns, Problem, Unknowns, driven
+from eoi_jax.refinement.problem import HostRuns, Problem, Unknowns, driven, widened_sums
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import Drive
@@ -50,12 +50,15 @@ def _compiled_sums(theta: np.ndarray, starts: np.ndarray, number: np.ndarray) ->
     Of one lane, or of several: then all has a leading axis, of length one if it is shared.
     """
     problem: Problem = borrowed(np.ravel(number)[0])
+    count = len(problem.free)  # behind these are some that do nothing
+    theta, spare = theta[..., :count], theta.shape[-1] - count
     if theta.ndim == 1:
-        return _summed(problem, theta[None], starts[None])[0]
+        return widened_sums(_summed(problem, theta[None], starts[None])[0], spare)
     if problem.places is None:
-        return _summed(problem, theta, starts)
+        return widened_sums(_summed(problem, theta, starts), spare)
     lanes = zip(theta, np.broadcast_to(starts, (len(theta), *starts.shape[1:])), strict=True)
-    return np.concatenate([_summed(problem, *(part[None] for part in lane)) for lane in lanes])
+    parts = [_summed(problem, *(part[None] for part in lane)) for lane in lanes]
+    return widened_sums(np.concatenate(parts), spare)
 
 
 def _summed(

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.callback import lent
 from eoi_jax.compiler.programs import jit
-from eoi_jax.models.step_scales import StepScales, coordinates, linear_step, scaled_step, shortened
+from eoi_jax.models.step_scales import Scales, coordinates, linear_step, scaled_step, shortened
 from eoi_jax.refinement.free_run_sums import errors, signals
 from eoi_jax.refinement.problem import (
     CONVERGED,
@@ -50,6 +50,9 @@ class LevenbergMarquardtSettings:
     poor_reduction: float = 3e-4  # of the cost
     poor_ratio: float = 0.1  # of the predicted reduction
     max_poor_steps: int = 3  # in a row; they end the search
+    # Unknown parameters are filled up to a multiple of it by some that do nothing: models with one
+    # parameter more or less share a compiled program, which takes a second.
+    grain: int = 4
 
 
 _SETTINGS = LevenbergMarquardtSettings()
@@ -90,7 +93,7 @@ class _Arrow(optx.AbstractDescent):
     upper: Float[Host, " free"]
     faintest: Float[Host, " states"]
     scored: Scalar
-    scales: StepScales = eqx.field(static=True)
+    scales: Scales
 
     def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
         """Anything of the right shape."""
@@ -265,8 +268,12 @@ def solve(
     """
     start = replace(problem, start_sums=(unknowns, _sums(sensitivities, problem)))
     with lent(problem) as number:
-        runs = HostRuns.of(start, number) if problem.compiled else start
-        outcome = jax.block_until_ready(_solve(runs, unknowns, np.asarray(max_steps), watch))
+        runs, begun = start, unknowns
+        if problem.compiled:
+            spare = -len(unknowns.theta) % _SETTINGS.grain
+            runs, begun = HostRuns.of(start, number).widened(spare), unknowns.widened(spare)
+        outcome = jax.block_until_ready(_solve(runs, begun, np.asarray(max_steps), watch))
+    outcome = outcome.narrowed(len(unknowns.theta))
     if float(outcome.predicted_reduction) < CONVERGED:
         further = signals(outcome.further, problem)
         cost = np.sum(_sums(further, problem)[:, -1, -1])

@@ -19,7 +19,7 @@ from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.step_scales import StepScales, step_scales
+from eoi_jax.models.step_scales import ScaleArrays, Scales, StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
 from eoi_jax.refinement.spans import Span, starts_record
 from eoi_jax.simulation import compiled_runs
@@ -36,6 +36,16 @@ class Unknowns(eqx.Module):
 
     theta: Float[Host, "*lanes free"]
     starts: Float[Host, "*lanes runs unknowns"]
+
+    def widened(self, spare: int) -> "Unknowns":
+        """With zeros for so many parameters more."""
+        theta = np.asarray(self.theta)
+        zeros = np.zeros((*theta.shape[:-1], spare), theta.dtype)
+        return replace(self, theta=np.concatenate([theta, zeros], axis=-1))
+
+    def narrowed(self, count: int) -> "Unknowns":
+        """With the first parameters alone."""
+        return replace(self, theta=self.theta[..., :count])
 
 
 class Problem(eqx.Module):
@@ -136,15 +146,47 @@ class HostRuns(eqx.Module):
     upper: Float[Host, " free"]
     faintest: Float[Host, " own"]
     start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
-    scales: StepScales = eqx.field(static=True)
+    scales: Scales
 
     @classmethod
     def of(cls, problem: Problem, number: np.ndarray) -> "HostRuns":
         """Of a problem that was lent under this number."""
         return cls(
             number, np.asarray(float(np.sum(problem.use))), problem.power, problem.lower,
-            problem.upper, problem.faintest, problem.start_sums, problem.scales,
+            problem.upper, problem.faintest, problem.start_sums, problem.scales.as_arguments,
         )  # fmt: skip
+
+    def widened(self, spare: int) -> "HostRuns":
+        """With so many unknown parameters more, without bounds, that do nothing."""
+        start_sums = self.start_sums
+        if start_sums is not None:
+            start_sums = start_sums[0].widened(spare), widened_sums(start_sums[1], spare)
+        return replace(
+            self,
+            lower=np.pad(self.lower, (0, spare), constant_values=-np.inf),
+            upper=np.pad(self.upper, (0, spare), constant_values=np.inf),
+            start_sums=start_sums,
+            scales=_widened_scales(self.scales, spare),
+        )
+
+
+def _widened_scales(scales: Scales, spare: int) -> Scales:
+    """With so many parameters more, each moved by the step itself."""
+    if isinstance(scales, StepScales):  # as are all
+        return scales
+    exponents = np.pad(np.asarray(scales.exponents), (0, spare))
+    return ScaleArrays(np.pad(np.asarray(scales.scales), (0, spare)), exponents)
+
+
+def widened_sums(
+    sums: Float[Host, "*lanes size size"], spare: int
+) -> Float[np.ndarray, "*lanes wider wider"]:
+    """Sums with zeros for so many unknown parameters more, before the error."""
+    size = sums.shape[-1]
+    wider = np.zeros((*sums.shape[:-2], size + spare, size + spare), sums.dtype)
+    places = np.append(np.arange(size - 1), size - 1 + spare)
+    wider[..., places[:, None], places] = sums
+    return wider
 
 
 def scored_values(problem: Problem | HostRuns) -> Any:
@@ -413,3 +455,8 @@ class Outcome(eqx.Module):
     predicted_reduction: Float[Array, "*lanes"]
     steps: Int[Array, "*lanes"]
     exhausted: Bool[Array, "*lanes"]
+
+    def narrowed(self, count: int) -> "Outcome":
+        """With the first parameters alone."""
+        unknowns, further = (part.narrowed(count) for part in (self.unknowns, self.further))
+        return replace(self, unknowns=unknowns, further=further)

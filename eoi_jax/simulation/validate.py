@@ -37,7 +37,7 @@ from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.closed_loop import closed_loop
 from eoi_jax.simulation.contradicted_start import contradicted_start
 from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
-from eoi_jax.simulation.initial_state import Run, initial_states, states_of, with_past
+from eoi_jax.simulation.initial_state import Run, Starts, initial_states, states_of, with_past
 from eoi_jax.simulation.integrator import Drive, frictional
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
 from eoi_jax.simulation.start_error import sufficient_starts
@@ -377,29 +377,38 @@ class _Prediction:
     Attributes:
         outputs: of each record, shape (N, ny). scored: which samples count, shape (N,).
         simulated: which were simulated, shape (N,). notes: on runs that diverge.
+        starts: initial values of the runs of each piece.
     """
 
     outputs: tuple[np.ndarray, ...]
     scored: tuple[np.ndarray, ...]
     simulated: tuple[np.ndarray, ...]
     notes: tuple[str, ...]
+    starts: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]) -> "_Prediction":
-        """The runs of these records."""
+    def of(
+        cls,
+        run: Run,
+        records: Sequence[Record],
+        pieces: Sequence[_Piece],
+        starts: Sequence[Starts | None] | None = None,
+    ) -> "_Prediction":
+        """The runs of these records, from given initial values or from estimated ones."""
         outputs = [np.full(record.outputs.shape, np.nan) for record in records]
         scored = [np.zeros(len(record), dtype=bool) for record in records]
         simulated = [np.zeros(len(record), dtype=bool) for record in records]
-        notes = []
-        for piece in pieces:
+        notes, begun = [], []
+        for piece, values in zip(pieces, starts or [None] * len(pieces), strict=True):
             samples = slice(piece.first, piece.first + len(piece.part))
-            prediction, note = _predict(run, piece)
+            prediction, values, note = _predict(run, piece, values)
+            begun.append(values)
             outputs[piece.owner][samples] = prediction
             scored[piece.owner][samples] = piece.plan.score
             simulated[piece.owner][samples] = True
             notes += note
         outputs = [joined(*arrays) for arrays in zip(outputs, simulated, strict=True)]
-        return cls(tuple(outputs), tuple(scored), tuple(simulated), tuple(notes))
+        return cls(tuple(outputs), tuple(scored), tuple(simulated), tuple(notes), tuple(begun))
 
     def samples(
         self, records: Sequence[Record]
@@ -427,18 +436,24 @@ class _Prediction:
 def _halved(
     prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
 ) -> _Prediction:
-    """The runs with the longest steps that half as long ones agree with."""
+    """The runs with the longest steps that half as long ones, from the same states, agree with."""
     predictions = {run.substeps: prediction}
 
+    def with_steps(count: int) -> _Prediction:
+        if count not in predictions:
+            predictions[count] = _Prediction.of(replace(run, substeps=count), records, pieces)
+        return predictions[count]
+
     def change(count: int) -> StepChange:
-        predictions[2 * count] = _Prediction.of(replace(run, substeps=2 * count), records, pieces)
-        return predictions[count].change_to(predictions[2 * count], records)
+        coarse, halved = with_steps(count), replace(run, substeps=2 * count)
+        fine = _Prediction.of(halved, records, pieces, coarse.starts)
+        return coarse.change_to(fine, records)
 
-    return predictions[settled_steps(run.substeps, finest_steps(records), change)[0]]
+    return with_steps(settled_steps(run.substeps, finest_steps(records), change)[0])
 
 
-def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
-    """Free runs along a part of a record: prediction, and a note if one diverges."""
+def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, Starts, list[str]]:
+    """Free runs along a part of a record: prediction, initial values, a note if one diverges."""
     record, runs, diverged = piece.part, piece.plan, None
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
@@ -446,7 +461,9 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
     past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
     begins = np.asarray(runs.starts) + piece.first == 0
     begins &= not record.continues
-    free_runs, notes = _free_runs(run, record, acted(run.plant, driven_by), runs, past, begins)
+    free_runs, values, notes = _free_runs(
+        run, record, acted(run.plant, driven_by), runs, past, begins, values
+    )
     for start, sample_range, y_hat in zip(runs.starts, runs.predicted, free_runs, strict=True):
         bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
         if bad.any() and diverged is None:
@@ -460,7 +477,7 @@ def _predict(run: Run, piece: _Piece) -> tuple[Samples, list[str]]:
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
-    return joined(prediction, predicted), notes
+    return joined(prediction, predicted), values, notes
 
 
 def _free_runs(
@@ -470,26 +487,29 @@ def _free_runs(
     runs: Plan,
     past: np.ndarray | None,
     begins: Bool[np.ndarray, " runs"],
-) -> tuple[Float[np.ndarray, "runs time ny"], list[str]]:
-    """The runs of a plan, each from its own estimated initial state; notes on known starts.
+    values: Starts | None,
+) -> tuple[Float[np.ndarray, "runs time ny"], Starts, list[str]]:
+    """The runs of a plan, each from its own initial state, and that; notes on known starts.
 
     `past`: how the inputs of all steps change with their levels before the record. `begins`: which
-    runs begin with it.
+    runs begin with it. `values`: initial ones; None: they are estimated.
     """
     if not runs.starts:
-        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), []
+        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
     first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
     head = _parts(record_drive, runs.starts, runs.head - 1)
     y, valid = record.outputs[first_samples], record.output_valid[first_samples]
     head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
-    values = initial_states(run, head, y, valid, head_past, begins)
+    if values is None:
+        values = initial_states(run, head, y, valid, head_past, begins)
     drives = _parts(record_drive, runs.starts, runs.steps)
     if past is not None:
         whole = past[_steps(record_drive, runs.starts, runs.steps)]
         drives = with_past(drives, whole, values)
     declared = values if past is None else None  # without levels before the record
     notes = contradicted_start(run, head, y, valid, declared, begins, record.name)
-    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction), notes
+    outputs = outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+    return outputs, values, notes
 
 
 def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:
