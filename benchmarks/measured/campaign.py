@@ -88,13 +88,15 @@ def answered(rig: Rig, refine: bool = False) -> Answer:
         rig,
         found.status.code,
         tuple(added.effect.name for added in found.added),
-        errors(found.declared.plant, records, rig.scale),
-        errors(found.plant, records, rig.scale),
+        errors(found.declared, records, rig.scale),
+        errors(found, records, rig.scale),
         seconds,
     )
 
 
-def errors(plant: eoi.Plant, records: Sequence[eoi.Record], scale: float) -> tuple[Errors, ...]:
+def errors(
+    model: eoi.Identification | eoi.Discovery, records: Sequence[eoi.Record], scale: float
+) -> tuple[Errors, ...]:
     """Root mean squares by output: whole free runs; runs that start again ten times a record."""
 
     def pooled(windows: int) -> np.ndarray:
@@ -103,7 +105,7 @@ def errors(plant: eoi.Plant, records: Sequence[eoi.Record], scale: float) -> tup
             count = len(record) // windows
             window = count * record.sample_period if windows > 1 else np.inf
             run = eoi.validate(
-                plant, record, initial_samples=min(_START, count // 3), window=window
+                model, record, initial_samples=min(_START, count // 3), window=window
             )
             squares = squares + np.asarray(run.rmse) ** 2 * run.scored
             counts += run.scored

@@ -45,6 +45,7 @@ class CurveRules:
         knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
         trials: curves of each model, at most.
         share: of the power of the errors that a curve must take in the score test to be tried.
+        linear: factor of an error within which the score test says what a fit will come to.
         remainder: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
@@ -58,6 +59,7 @@ class CurveRules:
     samples: int = 50
     trials: int = 3
     share: float = 0.3
+    linear: float = 2.0
     remainder: float = 5.0
     several: int = 3
     as_good: float = 0.03
@@ -131,7 +133,8 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
     """
     signals = {law.effect.depends_on for law in named.placed} if explained else {*"yvu"}
     for origin in [search.base] if explained or not named.placed else [search.base, named]:
-        trials = [trial for placed in _curves(origin, signals)
+        least = max(_RULES.share, _share_to_reach(named, origin))
+        trials = [trial for placed in _curves(origin, signals, least)
                   if (trial := _fitted(search, origin, placed)) is not None]  # fmt: skip
         if not trials:
             continue
@@ -146,6 +149,16 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
     return named
 
 
+def _share_to_reach(named: Judged, origin: Judged) -> float:
+    """Share that a curve takes of the power of the errors at least, to get near what decides.
+
+    A score test is linear, and says so within a factor.
+    """
+    decides = _RULES.as_good if len(_laws(named)) > 1 else np.log(CONFIRMED)
+    fall = origin.error - named.error - decides - np.log(_RULES.linear)
+    return float(1.0 - np.exp(-2.0 * fall))
+
+
 def _is_far_better(trial: Judged, rival: Judged) -> bool:
     """Whether the errors fall by as much as what confirms an effect elsewhere."""
     return bool(trial.error < rival.error + np.log(CONFIRMED))
@@ -153,7 +166,7 @@ def _is_far_better(trial: Judged, rival: Judged) -> bool:
 
 def _replaces_sum(trial: Judged, rival: Judged) -> bool:
     """Whether a single curve does as well as many laws, or better than several of its signal."""
-    laws = [law for law in rival.placed if not isinstance(law.effect, ConstantOffset)]
+    laws = _laws(rival)
     if len(trial.placed) != 1 or len(laws) < 2:
         return False
     if _crowded(laws):
@@ -162,6 +175,11 @@ def _replaces_sum(trial: Judged, rival: Judged) -> bool:
     signal = curve.effect.depends_on, curve.channel
     of_signal = all((law.effect.depends_on, law.channel) == signal for law in laws)
     return bool(of_signal and trial.error < rival.error)
+
+
+def _laws(model: Judged) -> list[Placed]:
+    """Effects of a model, an offset apart."""
+    return [law for law in model.placed if not isinstance(law.effect, ConstantOffset)]
 
 
 def _crowded(effects: Sequence[Placed | Added]) -> bool:
@@ -190,10 +208,10 @@ def _finest(search: Search, model: Judged) -> Judged:
     return trial if trial and search.judge.prefers(trial.runs, model.runs) else model
 
 
-def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
+def _curves(model: Judged, signals: Container[str], least: float) -> list[Placed]:
     """Curves of some signals that have none, each with the straight line that the model lacks.
 
-    Those of which a score test says most.
+    Those of which a score test says most, and which take at least a share of the errors' power.
     """
     plant, runs = model.refinement.plant, _runs_of(model)
     present = {(placed.effect.kind, placed.channel) for placed in model.placed}
@@ -223,7 +241,7 @@ def _curves(model: Judged, signals: Container[str]) -> list[Placed]:
             share = _share(runs, curve)
         shares[curve] = share
     largest = max(shares.values(), default=0.0)
-    smallest = max(_RULES.share, 1.0 - _RULES.remainder * (1.0 - largest))
+    smallest = max(least, 1.0 - _RULES.remainder * (1.0 - largest))
     ranked = sorted(shares, key=lambda curve: -shares[curve])
     return [curve for curve in ranked if shares[curve] >= smallest][: _RULES.trials]
 

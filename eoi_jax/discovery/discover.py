@@ -35,7 +35,12 @@ from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold
-from eoi_jax.discovery.in_free_runs import leaves_open, with_free_runs
+from eoi_jax.discovery.in_free_runs import (
+    leaves_more,
+    leaves_open,
+    with_free_runs,
+    with_further_effects,
+)
 from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import polished
@@ -156,13 +161,18 @@ def discover(
         search = replace(search, lowpass=indices.lowpass)
         searched = with_best_hold(search.on, fit_records, held_out, indices)
     discovery = searched.discovery
+    first = min(float(record.time[0]) for record in fit_records)
+    tried = tried_effects if effects is not None else (*tried_effects, *wider())
+    timed = [effect.since(first) for effect in tried]
     if leaves_open(discovery):
         progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-        first = min(float(record.time[0]) for record in fit_records)
-        tried = tried_effects if effects is not None else (*tried_effects, *wider())
-        timed = [effect.since(first) for effect in tried]
         discovery = with_free_runs(
             discovery, fit_records, held_out, timed, searched.partial, search.lowpass, search.alpha
+        )
+    elif leaves_more(discovery):
+        progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+        discovery = with_further_effects(
+            discovery, fit_records, timed, search.lowpass, search.alpha
         )
     discovery = replace(searched, discovery=discovery).with_lead
     if effects is None and misses_a_law(discovery):

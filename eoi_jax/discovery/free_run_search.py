@@ -55,6 +55,12 @@ class FreeRunRules:
     blocks: int = 10  # of each record; as many windows
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
     min_window: int = 12  # samples
+    # Share of the power of the errors, in the score test, from which on a candidate is tried beside
+    # what explains the injection: a third of the error is 0.56 of its power, less what is linear.
+    share: float = 0.45
+    # Power of the errors that a candidate may leave in the score test, over that which the best one
+    # leaves: of an effect that is missing alone it takes 98 % and more.
+    remainder: float = 5.0
     same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
     largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
 
@@ -113,40 +119,42 @@ def search_free_runs(
     further: Sequence[Model] = (),
     rival: Plant | None = None,
     level: float = 0.01,
+    present: tuple[Placed, ...] = (),
 ) -> FreeRunAnswer | None:
-    """Search from the declared model.
+    """Search from the declared model, or from one that explains the injection.
 
     Args:
-        starts: the declared model at the values to refine it from, nominal ones last.
+        starts: the model at the values to refine it from, nominal ones last.
         variants: records to fit, and records that the fit does not see, once for each way in which
             they may have been made (the hold of their inputs); as they were taken so far first.
         effects: to try.
         further: models that have effects already; they are tried in the first round.
         rival: another answer, which must predict worse.
         level: of significance of the score test, for all tries together.
+        present: effects in the model that explain the injection, and stay.
 
     Returns:
-        None where the declared model has no fit, the records are too short to judge, or the rival
+        None where the model has no fit, the records are too short to judge, or the rival
         is as good.
     """
     tried = [effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)]
     searches = [
         search
         for records, judging in variants
-        if (search := Search.begun(starts, records, judging)) is not None
+        if (search := Search.begun(starts, records, judging, present)) is not None
     ]
     if not searches:
         return None
     search = _most_likely(searches)
     best = search.base
-    for number in range(_RULES.most):
+    for number in range(1 if present else _RULES.most):
         # What short runs do not show a whole one may, and the other way about.
         nominated: dict[Sites, tuple[Plant, tuple[Placed, ...], Judged]] = {}
-        for origin in search.bases if number == 0 else (best,):
+        for origin in search.bases if number == 0 and not present else (best,):
             for plant, placed in search.candidates(origin, tried, level):
                 nominated.setdefault(_sites_of(placed), (plant, placed, origin))
         models = list(nominated.values())
-        if number == 0:
+        if number == 0 and not present:
             models += [(*candidate, best) for candidate in further]
             models += [
                 (plant.with_parameters(starts[-1].parameters), placed, best)
@@ -266,7 +274,11 @@ class Search:
 
     @classmethod
     def begun(
-        cls, starts: Sequence[Plant], records: tuple[Record, ...], judging: tuple[Record, ...]
+        cls,
+        starts: Sequence[Plant],
+        records: tuple[Record, ...],
+        judging: tuple[Record, ...],
+        present: tuple[Placed, ...] = (),
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit or with short records."""
         judge, bases = Judge.of(judging), []
@@ -274,7 +286,7 @@ class Search:
             return None
         searched = _portion(records)
         for window in (None, judge.window):
-            fits = [_fitted(start, (), searched, window, judge) for start in starts]
+            fits = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in fits if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error)] if fits else []
         ordered = sorted(bases, key=lambda fit: fit.error)
@@ -283,10 +295,14 @@ class Search:
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""
         base = self.base if self.searched is self.records else self.settled(self.base)
-        best = best if best.placed else base
+        best = best if self.further(best) else base
         better = self.judge.prefers(base.runs, self.judge.runs(start))
         share = _count(self.searched) / _count(self.records)
         return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
+
+    def further(self, model: Judged) -> tuple[Placed, ...]:
+        """Effects of a model that the base has not."""
+        return tuple(placed for placed in model.placed if placed not in self.base.placed)
 
     def candidates(
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
@@ -294,11 +310,13 @@ class Search:
         """Models with the effects that a score test says most of, then with an offset."""
         plant = best.refinement.plant
         offsets = placements(plant, [e for e in effects if isinstance(e, ConstantOffset)])
-        sets = [
-            (item.placed, item.values)
-            for item in remaining(best.refinement, effects, level=level).significant
-        ]
-        sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
+        items = remaining(best.refinement, effects, level=level).significant
+        largest = max((item.share for item in items), default=0.0)
+        least = 1.0 - _RULES.remainder * (1.0 - largest)
+        least = max(least, _RULES.share if self.base.placed else 0.0)
+        sets = [(item.placed, item.values) for item in items if item.share >= least]
+        if not self.base.placed:
+            sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
         fresh = [item for item in sets if not _repeated(best.placed, item[0])]
         first: dict[Sites, Model] = {}
         for placed, values in fresh:
@@ -323,14 +341,15 @@ class Search:
 
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without, largest ones first."""
-        if len(best.placed) < 2:
+        base, further = self.base, self.further(best)
+        if len(further) < 2:
             return best
-        declared, values = self.base.refinement.plant, best.refinement.parameters
+        declared, values = base.refinement.plant, best.refinement.parameters
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         leaner = []
-        for effect in best.placed:
-            placed = tuple(item for item in best.placed if item is not effect)
-            plant = augmented(declared, placed, values)
+        for effect in further:
+            others = tuple(item for item in further if item is not effect)
+            plant, placed = augmented(declared, others, values), (*base.placed, *others)
             fit = _fitted(plant, placed, self.searched, best.refinement.window, self.judge)
             if fit is not None and fit.error < best.error + _RULES.min_fall:
                 leaner.append(fit)

@@ -22,6 +22,9 @@ from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import added_effects
 from eoi_jax.models.effects import Drift, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.simulation.validate import judged_runs
+
+_MOTION = 0.7  # error over the noise that is read off a record, below which that is motion as well
 
 
 def leaves_open(discovery: Discovery) -> bool:
@@ -80,6 +83,66 @@ def with_free_runs(
     return discovery if answer is None else answered(discovery, answer, lowpass)
 
 
+def leaves_more(discovery: Discovery) -> bool:
+    """Whether an answer that explains the injection misses held-out records by more than noise."""
+    if discovery.in_sample or not discovery.added or discovery.plant.has_algebraic:
+        return False
+    if discovery.status.code != "explained" or discovery.windows_after is None:
+        return False
+    # An error below what was taken for noise: that was fast motion, and tells nothing.
+    noise = np.max([record.noise for record in discovery.held_out], axis=0)
+    motion = np.any(discovery.windows_after.rmse < _MOTION * noise)
+    return bool(motion) or bool(beyond_noise(discovery.windows_after, discovery.held_out))
+
+
+def with_further_effects(
+    discovery: Discovery,
+    records: tuple[Record, ...],
+    effects: Sequence[AbstractEffect],
+    lowpass: LowPass | None,
+    alpha: float,
+) -> Discovery:
+    """The discovery refined, with effects that only free runs show beside its own.
+
+    Effects are added where they lower the errors of the refined answer as much as what confirms an
+    effect elsewhere; the answer is refined where that lowers them by more than chance.
+
+    Args:
+        discovery: the answer so far, which explains the injection.
+        records: to fit, as given.
+        effects: to try.
+        lowpass: F of the fits; None: chosen from the records.
+        alpha: level of significance of the score test.
+    """
+    plant, judging = discovery.plant, discovery.held_out
+    skew = judging[0].skew if np.any(judging[0].skew) else None
+    variants = [(with_hold(records, judging[0].hold, skew), judging)]
+    present = added_effects(plant)[len(added_effects(discovery.declared.nominal)) :]
+    answer = search_free_runs([plant], variants, effects, (), plant, alpha, present)
+    if answer is None:
+        return discovery
+    model, ratio = answer.best, float(np.exp(answer.best.error - answer.base.error))
+    further = model.placed[len(present) :]
+    if further and not ratio < CONFIRMED:
+        model, further = answer.base, ()
+    if not further and not answer.better_base:
+        return discovery
+    fit = _fit_of(discovery, answer, model, lowpass)
+    windows, added = discovery.windows_after, _added(discovery, fit, model)
+    assert windows is not None
+    notes = _lasting(discovery)
+    notes.append(_FURTHER.format(" and ".join(names_of(further)), ratio) if further else _BETTER)
+    declared = discovery.declared.nominal
+    return replace(
+        discovery, effects=names_of(model.placed), added=added,
+        after=judged_runs(fit.plant, judging),
+        windows_after=judged_runs(fit.plant, judging, window=windows.window),
+        found=fit, plant=fit.plant,
+        notes=(*notes, *_portion_note(answer), *on_bounds(declared, fit.plant),
+               *uncertain_effects(added)),
+    )  # fmt: skip
+
+
 def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
     """The discovery with the model that the search came to, where that is an answer.
 
@@ -117,14 +180,11 @@ def _with_model(
     base, plant = answer.base, discovery.declared.nominal
     fit = _fit_of(discovery, answer, model, lowpass)
     added = _added(discovery, fit, model)
-    settled, stale = discovery.held_out[0], ["hold ", *on_bounds(plant, discovery.plant)]
+    settled, stale = discovery.held_out[0], ["hold "]
     if np.any(settled.skew) and not np.any(answer.records[0].skew):
         stale.append(skew_text(settled, settled.skew))
-    notes = [
-        note for note in discovery.notes if not (note.startswith(tuple(stale)) or is_on_fit(note))
-    ]
-    notes += [_REFINED, _HOLD.format(answer.records[0].hold)]
-    notes += [] if answer.share == 1.0 else [_PORTION.format(100.0 * answer.share)]
+    notes = [note for note in _lasting(discovery) if not note.startswith(tuple(stale))]
+    notes += [_REFINED, _HOLD.format(answer.records[0].hold), *_portion_note(answer)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
@@ -133,6 +193,16 @@ def _with_model(
         found=fit, plant=fit.plant, held_out=answer.judging,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
+
+
+def _lasting(discovery: Discovery) -> list[str]:
+    """Notes that hold for another fit as well."""
+    stale = tuple(on_bounds(discovery.declared.nominal, discovery.plant))
+    return [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+
+
+def _portion_note(answer: FreeRunAnswer) -> list[str]:
+    return [] if answer.share == 1.0 else [_PORTION.format(100.0 * answer.share)]
 
 
 def _fit_of(
@@ -158,6 +228,14 @@ _HOLD = "hold {}: of those that are possible the one with the smallest errors on
 _REFINED = (
     "the declared model was refined by the error of its free runs, and effects were searched in "
     "these; errors before are those of the refined declared model"
+)
+_FURTHER = (
+    "{} found in free runs, beside what explains the injection: with it the errors on the held-out "
+    "records have {:.3g} of those of the answer without it, refined"
+)
+_BETTER = (
+    "the answer was refined by the error of its free runs: on the held-out records they are "
+    "smaller by more than chance"
 )
 _PORTION = (
     "effects were searched in {:.3g} % of the samples, to save time; all of them refined the model"

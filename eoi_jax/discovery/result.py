@@ -157,6 +157,11 @@ class Discovery(Result):
     common_factors: tuple[CommonFactor, ...] = ()
 
     @property
+    def records(self) -> tuple[Record, ...]:
+        """The records of the fit, as it used them."""
+        return self.found.records
+
+    @property
     def engine(self) -> EngineUsed:
         """The engine of the iterations of `found`, and the reason if it was not the fast one."""
         return self.found.engine

@@ -8,6 +8,7 @@ lags were before the record) is part of no model: it is estimated from the first
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +18,13 @@ from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._display import Result
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
-from eoi_jax.data.holds import chosen_hold, clearly_smaller, undeclared_hold, with_hold
+from eoi_jax.data.holds import (
+    chosen_hold,
+    clearly_smaller,
+    made_alike,
+    undeclared_hold,
+    with_hold,
+)
 from eoi_jax.data.input_holds import Hold
 from eoi_jax.data.masks import scored_samples, transient_samples
 from eoi_jax.data.record import Record
@@ -86,9 +93,24 @@ class Validation(Result):
     in_loop: bool = field(default=False, metadata=WHERE_SET)
 
 
+@runtime_checkable
+class FittedModel(Protocol):
+    """A result with a model in it: of `identify`, `refine` or `discover`."""
+
+    @property
+    def plant(self) -> Plant:
+        """The model with the estimate."""
+        ...
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """Records of the fit, as it used them."""
+        ...
+
+
 @one_thread()
 def validate(
-    plant: Plant,
+    plant: Plant | FittedModel,
     records: Record | Sequence[Record],
     *,
     initial_samples: int | None = None,
@@ -112,7 +134,9 @@ def validate(
     are valid. All of it stands in the notes.
 
     Args:
-        plant: the model with the parameters to judge.
+        plant: the model with the parameters to judge; or a result of `identify`, `refine` or
+            `discover`: its model, and records that do not declare the hold of their inputs are
+            then taken as made like those of its fit, with the same hold and skew.
         records: one or several; a record's burn-in is not scored.
         initial_samples: samples at the start of each run from which its initial state is estimated;
             they are not scored. None: fifty, a third of a record of less than 150 samples; more
@@ -136,6 +160,10 @@ def validate(
             window not longer than the initial samples, a controller that does not reproduce the
             recorded input, or that plant or records cannot be simulated with.
     """
+    if isinstance(plant, FittedModel):
+        fitted = plant.records
+        records = made_alike(check_records(plant.plant, records), fitted, fitted)
+        plant = plant.plant
     if controller is not None:
         loop = closed_loop(plant, records, controller)
         closed_runs = validate(loop.plant, loop.records, initial_samples=initial_samples,
