@@ -160,24 +160,7 @@ def discover(
     else:
         search = replace(search, lowpass=indices.lowpass)
         searched = with_best_hold(search.on, fit_records, held_out, indices)
-    discovery = searched.discovery
-    first = min(float(record.time[0]) for record in fit_records)
-    tried = tried_effects if effects is not None else (*tried_effects, *wider())
-    timed = [effect.since(first) for effect in tried]
-    if leaves_open(discovery):
-        progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-        discovery = with_free_runs(
-            discovery, fit_records, held_out, timed, searched.partial, search.lowpass, search.alpha
-        )
-    elif leaves_more(discovery):
-        progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-        discovery = with_further_effects(
-            discovery, fit_records, timed, search.lowpass, search.alpha
-        )
-    discovery = replace(searched, discovery=discovery).with_lead
-    if effects is None and misses_a_law(discovery):
-        progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
-        discovery = with_curves(discovery, fit_records, search.lowpass)
+    discovery = search.in_free_runs(searched, fit_records, held_out)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -208,6 +191,33 @@ class _Search:
     refine: bool
     named: bool
     progress: Progress
+
+    def in_free_runs(
+        self, searched: Searched, records: tuple[Record, ...], held_out: tuple[Record, ...]
+    ) -> Discovery:
+        """The answer, with what free runs show where the injection leaves it open, and curves.
+
+        Args:
+            searched: what a search in the injection came to.
+            records: to fit, as given.
+            held_out: that judge, as given.
+        """
+        discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
+        effects = self.effects if self.named else (*self.effects, *wider())
+        effects = [effect.since(start) for effect in effects]
+        if leaves_open(discovery):
+            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+            discovery = with_free_runs(
+                discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
+            )
+        elif leaves_more(discovery):
+            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+            discovery = with_further_effects(discovery, records, effects, self.lowpass, self.alpha)
+        discovery = replace(searched, discovery=discovery).with_lead
+        if not self.named and misses_a_law(discovery):
+            self.progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
+            discovery = with_curves(discovery, records, self.lowpass)
+        return discovery
 
     def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Searched:
         """What is found on these records.
@@ -414,7 +424,7 @@ def _plainest(
 
 
 def _answer(
-    task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
+    task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns
 ) -> Discovery:
     """The discovery from the rounds of the search; the last steps may be refused."""
     notes = _notes(task)
@@ -422,7 +432,7 @@ def _answer(
     share, residual_ratio, quiet = explained(rounds)
     unrivalled_effect = bool(task.held_out) and unrivalled(rounds[0])
     status = unless_denied(judged(placed, share, residual_ratio, quiet), rounds[0])
-    fit, after = task.declared, before
+    fit, after = task.declared, prior
     for model, placed, step_rounds in reversed(steps):
         share, residual_ratio, quiet = explained(rounds if placed is steps[-1][1] else step_rounds)
         verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
@@ -438,9 +448,9 @@ def _answer(
         if not refit.status.ok:
             notes.append(f"{REFIT_STATUS} {refit.status}")
         runs = free_runs(task, refit.plant)
-        if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(before, runs):
+        if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(prior, runs):
             break
-        if holds(before, runs):
+        if holds(prior, runs):
             status, wide_set = verdict, placed
             placed, fit, after = _plainest(task, placed, refit, runs, rounds[0])
             if placed != wide_set:
@@ -460,9 +470,9 @@ def _answer(
         ambiguous_with=rivals,
         advice=advice(rounds[0], rivals),
         explained=share if accepted else 0.0,
-        before=before[0],
+        before=prior[0],
         after=after[0],
-        windows_before=before[1],
+        windows_before=prior[1],
         windows_after=after[1],
         declared=task.declared,
         found=fit,
@@ -477,7 +487,7 @@ def _answer(
 
 
 def _lead(
-    task: Task, steps: Sequence[Step], rounds: Sequence[Round], before: FreeRuns
+    task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns
 ) -> PartialExplanation | None:
     """The last set that improves the free runs, though it explains too little to be an answer."""
     for model, placed, step_rounds in reversed(steps):
@@ -485,7 +495,7 @@ def _lead(
             continue
         refit = refitted(task, model, [])
         runs = free_runs(task, refit.plant)
-        if refit.status.ok and holds(before, runs):
+        if refit.status.ok and holds(prior, runs):
             share, _, _ = explained(rounds if placed is steps[-1][1] else step_rounds)
             added = tuple(added_effect(task.plant, refit, location) for location in placed)
             return PartialExplanation(added, share, refit, *runs)

@@ -348,8 +348,8 @@ class Search:
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         leaner = []
         for effect in further:
-            others = tuple(item for item in further if item is not effect)
-            plant, placed = augmented(declared, others, values), (*base.placed, *others)
+            fewer = tuple(item for item in further if item is not effect)
+            plant, placed = augmented(declared, fewer, values), (*base.placed, *fewer)
             fit = _fitted(plant, placed, self.searched, best.refinement.window, self.judge)
             if fit is not None and fit.error < best.error + _RULES.min_fall:
                 leaner.append(fit)
