@@ -3,6 +3,7 @@
 Importing the library changes nothing. The CLI, the benchmarks and the tests call `configure`.
 """
 
+import gc
 import os
 import warnings
 from pathlib import Path
@@ -25,6 +26,8 @@ _OLD_FUSIONS = "--xla_cpu_use_fusion_emitters=false"
 # in one way, by itself.
 _HAS_OPTIONS = ((0, 7), (0, 12))
 
+_OBJECTS = 50_000  # new ones after which Python collects garbage
+
 
 def configure(
     float64: bool = True,
@@ -33,6 +36,9 @@ def configure(
     programs: int | None = None,
 ) -> None:
     """Set up JAX for estimation; call it before anything else uses JAX.
+
+    Python's garbage collector is made to run after 50 000 new objects, not after 700 or 2000: the
+    traces of JAX are millions that stay, and to look through them takes a sixth of a discovery.
 
     Args:
         float64: switch on double precision. Second differences of a finely sampled record lose
@@ -53,6 +59,9 @@ def configure(
     """
     if _HAS_OPTIONS[0] <= jax.__version_info__ < _HAS_OPTIONS[1]:
         _set_options()
+    first, *later = gc.get_threshold()
+    if 0 < first < _OBJECTS:  # zero: somebody has switched it off
+        gc.set_threshold(_OBJECTS, *later)
     if programs is not None:
         limit(programs)
     if devices is not None:

@@ -1,11 +1,14 @@
 """Importing changes nothing; `configure` sets up JAX, each in a fresh process."""
 
+import gc
 import os
 import subprocess
 import sys
 
 import jax
 import pytest
+
+import eoi_jax
 
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 GIVEN = int(jax.__version_info__ < (0, 12))  # from then on XLA needs no option
@@ -65,6 +68,17 @@ print(jnp.ones(1).dtype, jax.config.jax_compilation_cache_dir)
 """
     shown, _ = fresh(code, EOI_CACHE=str(tmp_path))
     assert shown.split() == ["float64", str(tmp_path)]
+
+
+def test_configure_lets_python_collect_garbage_less_often():
+    usual, later = gc.get_threshold()[0], gc.get_threshold()[1:]
+    try:
+        for before, after in ((700, 50_000), (2000, 50_000), (80_000, 80_000), (0, 0)):
+            gc.set_threshold(before, *later)
+            eoi_jax.configure(cache=False)
+            assert gc.get_threshold() == (after, *later)
+    finally:
+        gc.set_threshold(usual, *later)
 
 
 def test_configure_keeps_flags_that_are_set_already():
