@@ -26,14 +26,14 @@ PLANT = eoi.Plant(oscillating, {"gain": 1.2, "damping": 0.5, "stiffness": 9.0}, 
 EFFECTS = [effects.CubicStiffness(), effects.QuadraticDrag()]
 
 
-def record(hidden, seed):
+def record(hidden, seed, relative=NOISE):
     draw = np.random.default_rng(seed)
     force = np.repeat(draw.normal(size=150), 41)[: len(TIME)] + np.sin(2.0 * TIME)
     placed = [place(PLANT, one, 0) for one in EFFECTS if one.name in hidden]
     plant = augmented(PLANT.with_parameters(TRUTH), placed, hidden)
     made = eoi.simulate(plant, TIME, force, hold="zero", substeps=2)
     spread = float(np.std(made.outputs))
-    noise = NOISE * spread * draw.standard_normal(made.outputs.shape)
+    noise = relative * spread * draw.standard_normal(made.outputs.shape)
     return eoi.Record(TIME, force, made.outputs + noise, f"run {seed}", hold="zero"), spread
 
 
@@ -86,6 +86,32 @@ def test_what_is_refined_is_saved_and_read_back(refined, tmp_path):
     again = eoi.load(tmp_path / "found.npz")
     assert again.effects == refined.effects
     assert again.found.parameters == refined.found.parameters
+
+
+@pytest.mark.slow
+def test_free_runs_extend_what_explains_the_injection_where_more_than_noise_is_left():
+    hidden = {"cubic_stiffness": 8.0, "quadratic_drag": 0.02}
+    (fit, _), (held, spread) = record(hidden, 1, 1e-3), record(hidden, 2, 1e-3)
+    found = eoi.discover(PLANT, fit, validation=held)
+    assert (found.status.code, found.effects) == (
+        "explained",
+        ("cubic_stiffness", "quadratic_drag"),
+    )
+    assert any(note.startswith("quadratic_drag found in free runs") for note in found.notes)
+    assert error(found.after) < 1.5e-3 * spread
+    assert error(found.windows_after) < 1.5e-3 * spread
+    drag = found.plant.parameters["quadratic_drag"]
+    assert abs(drag - 0.02) < 4.0 * found.found.standard_errors["quadratic_drag"]
+    assert found.before.window is found.after.window is None
+    assert found.windows_before.window == found.windows_after.window
+
+
+def test_what_explains_down_to_the_noise_is_not_extended():
+    hidden = {"cubic_stiffness": 8.0}
+    (fit, _), (held, _) = record(hidden, 1, 1e-3), record(hidden, 2, 1e-3)
+    found = eoi.discover(PLANT, fit, validation=held)
+    assert found.effects == ("cubic_stiffness",)
+    assert not any("free runs" in note for note in found.notes)
 
 
 def test_nothing_is_added_where_nothing_else_is_missing():

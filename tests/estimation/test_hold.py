@@ -160,6 +160,15 @@ def test_inputs_and_outputs_that_are_logged_apart_do_not_bias_the_estimate(sampl
     assert any(f"u {told}" in reason for reason in found.reasons) == bool(told)
 
 
+def test_a_result_is_validated_on_records_made_like_those_of_its_fit():
+    found, third = eoi.identify(MASS, apart(-0.5)), apart(-0.5, seed=2)
+    noise = 1e-3 * np.std(third.outputs)
+    made_alike, as_read = eoi.validate(found, third), eoi.validate(found.plant, third)
+    assert made_alike.rmse[0] == pytest.approx(noise, rel=0.1)
+    assert as_read.rmse[0] > 3.0 * noise
+    assert made_alike.records[0].skew[0] == pytest.approx(0.5 * PERIOD, rel=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("samples", [0.5, -0.5])
 def test_a_skew_of_the_channels_is_no_effect(samples):
