@@ -1,11 +1,12 @@
 """Measured sets that were fitted by hand first: what discovery answers with nothing set.
 
-    python benchmarks/measured/campaign.py [--only NAME …] [--write]
+    python benchmarks/measured/campaign.py [--found | --aside] [--only NAME …] [--write]
 
-The sets stand in `campaign_cases.py`. Discovery sees the estimation records and, as `validation`,
-the held-out ones; the untouched ones chose nothing, and count. Needs the folder of measured records
-(EOI_DATA, by default ../shared/data beside the repository); a set that is absent is skipped, and
-the report says so.
+The sets stand in `campaign_cases.py`, public ones in `found_cases.py`: `--found` runs those that
+are not set aside, `--aside` those that are. Discovery sees the estimation records and, as
+`validation`, the held-out ones; the untouched ones chose nothing, and count. Needs the folder of
+measured records (EOI_DATA, by default ../shared/data beside the repository), or of found sets
+(EOI_SETS, by default ../sets); a set that is absent is skipped, and the report says so.
 """
 
 import argparse
@@ -13,7 +14,7 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import eoi_jax as eoi
 from benchmarks.common import Report, data_directory, table
 from benchmarks.measured.campaign_cases import RIGS, Errors, Rig
+from benchmarks.measured.found_cases import FOUND, sets_directory
 
-_WINDOWS = 10  # free runs in a record, as in the hand fits
 _START = 50  # samples that give the initial state, not scored; a third of shorter runs
 _SERVED = 1.15  # of the expert's error, geometric mean of whole runs and windows
 _WRONG = 1.1  # of the declared model's error, effects having been added
@@ -60,22 +61,45 @@ class Answer:
 def main() -> None:
     """Every set that is there, one after another."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--only", nargs="+", default=list(RIGS), metavar="NAME")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--found", action="store_true", help="public sets that are not set aside")
+    which.add_argument("--aside", action="store_true", help="public sets that are set aside")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these sets of the list")
     parser.add_argument("--write", action="store_true", help="update the file in results/")
     options = parser.parse_args()
     eoi.configure()
     warnings.simplefilter("ignore", eoi.RecordWarning)
     report = Report("Measured sets fitted by hand first")
-    answers = {}
-    for name in options.only:
-        folder = data_directory() / name.split(",")[0]
-        if not folder.is_dir():
-            report.add(f"{name} is skipped: {folder} is absent; set EOI_DATA.")
+    script = Path(__file__)
+    if options.found or options.aside:
+        script = script.with_stem("campaign_aside" if options.aside else "campaign_found")
+        cases = {name: case for name, case in FOUND.items() if case.aside == options.aside}
+        rigs = {name: case.rig for name, case in cases.items()}
+        sources = {name: case.source for name, case in cases.items()}
+        report.add(*_answers(rigs, sets_directory(), "EOI_SETS", options.only, sources))
+    else:
+        report.add(*_answers(RIGS, data_directory(), "EOI_DATA", options.only))
+    report.close(str(script), options.write)
+
+
+def _answers(
+    rigs: Mapping[str, Callable[[Path], Rig]],
+    folder: Path,
+    variable: str,
+    only: Sequence[str] | None,
+    sources: Mapping[str, str] | None = None,
+) -> list[str]:
+    """One set after another; what is absent, and the table of the others."""
+    absent, answers = [], {}
+    for name in only or rigs:
+        place = folder / name.split(",")[0]
+        if not place.is_dir():
+            source = f" Its source: {sources[name]}." if sources else ""
+            absent.append(f"{name} is skipped: no folder {place.name}; set {variable}.{source}")
             continue
-        answers[name] = answered(RIGS[name](data_directory()))
+        answers[name] = answered(rigs[name](folder))
         print(_line(name, answers[name]), flush=True)
-    report.add(*_tables(answers))
-    report.close(__file__, options.write)
+    return [*absent, *_tables(answers)]
 
 
 def answered(rig: Rig, refine: bool = False) -> Answer:
@@ -88,22 +112,25 @@ def answered(rig: Rig, refine: bool = False) -> Answer:
         rig,
         found.status.code,
         tuple(added.effect.name for added in found.added),
-        errors(found.declared, records, rig.scale),
-        errors(found, records, rig.scale),
+        errors(found.declared, records, rig.scale, rig.windows),
+        errors(found, records, rig.scale, rig.windows),
         seconds,
     )
 
 
 def errors(
-    model: eoi.Identification | eoi.Discovery, records: Sequence[eoi.Record], scale: float
+    model: eoi.Identification | eoi.Discovery,
+    records: Sequence[eoi.Record],
+    scale: float,
+    windows: int = 10,
 ) -> tuple[Errors, ...]:
-    """Root mean squares by output: whole free runs; runs that start again ten times a record."""
+    """Root mean squares by output: whole free runs; `windows` runs a record."""
 
-    def pooled(windows: int) -> np.ndarray:
+    def pooled(runs: int) -> np.ndarray:
         squares, counts = 0.0, 0
         for record in records:
-            count = len(record) // windows
-            window = count * record.sample_period if windows > 1 else np.inf
+            count = len(record) // runs
+            window = count * record.sample_period if runs > 1 else np.inf
             run = eoi.validate(
                 model, record, initial_samples=min(_START, count // 3), window=window
             )
@@ -111,7 +138,7 @@ def errors(
             counts += run.scored
         return scale * np.sqrt(squares / counts)
 
-    return tuple(zip(pooled(1).tolist(), pooled(_WINDOWS).tolist(), strict=True))
+    return tuple(zip(pooled(1).tolist(), pooled(windows).tolist(), strict=True))
 
 
 def _over(reached: Sequence[Errors], best: Sequence[Errors]) -> float:

@@ -33,6 +33,7 @@ class Rig:
             that counts, by output, in `unit`.
         added: what the hand fit added and calls certain; alternatives in one entry by "|".
         scale, unit: of the errors.
+        windows: free runs in a record, as in the hand fits; 1 where records are too short.
     """
 
     plant: eoi.Plant
@@ -43,6 +44,7 @@ class Rig:
     unit: str
     scale: float = 1.0
     remark: str = ""
+    windows: int = 10
 
     @property
     def estimation(self) -> tuple[eoi.Record, ...]:

@@ -1,5 +1,6 @@
 """Rigs with published numbers: their models, and a slice of what `measured.py` reports of them."""
 
+import random
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,8 +10,10 @@ import pytest
 from scipy.special import wrightomega
 
 import eoi_jax as eoi
+from benchmarks.measured import campaign
 from benchmarks.measured import measured_rigs as rigs
 from benchmarks.measured import wiener_hammerstein as circuit
+from benchmarks.measured.found_cases import FOUND, sets_directory
 
 # Stamps that jitter and gaps of the sensors: kept in the records' notes.
 pytestmark = pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")
@@ -71,3 +74,30 @@ def test_published_parameters_come_back_from_elsewhere(
         start, known = rig.case.plant.parameters[key], rig.reference[key]
         assert abs(start / known - 1.0) > 2.0 * share
         assert result.parameters[key] == pytest.approx(known, rel=share), key
+
+
+def test_a_seed_sets_half_of_the_found_cases_aside():
+    drawn = random.Random(20261127).sample(sorted(FOUND), len(FOUND) // 2)
+    assert sorted(drawn) == sorted(name for name, case in FOUND.items() if case.aside)
+
+
+def test_an_absent_set_is_skipped_with_its_source(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("EOI_SETS", str(tmp_path))
+    monkeypatch.setattr("sys.argv", ["campaign.py", "--found"])
+    campaign.main()
+    printed = capsys.readouterr().out
+    assert all(
+        (f"{name} is skipped" in printed) is not case.aside and "https://" in case.source
+        for name, case in FOUND.items()
+    )
+    assert str(tmp_path) not in printed
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_a_found_set_has_its_three_parts(name):
+    if not (sets_directory() / name.split(",")[0]).is_dir():
+        pytest.skip("the set is absent; set EOI_SETS to the folder of the sets")
+    rig = FOUND[name].rig(sets_directory())
+    assert all(rig.parts)
+    assert set(rig.declared) == set(rig.expert) == set(rig.plant.outputs)
+    assert all(np.prod(rig.expert[key]) <= np.prod(rig.declared[key]) for key in rig.declared)
