@@ -129,7 +129,7 @@ def made_alike(
     undeclared = [fitted for original, fitted in zip(read, used, strict=True)
                   if not original.hold_declared]  # fmt: skip
     example = (*undeclared, used[0])[0]
-    return with_hold(records, example.hold, example.skew)
+    return with_hold(records, example.logged_hold, example.skew)
 
 
 def least_of_parabola(values: Sequence[float]) -> float | None:

@@ -148,6 +148,8 @@ class Record(Result):
     _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
     # Whether it is the later part of another record; None: it is not.
     _continues: bool | None = field(default=None, metadata=WHERE_SET)
+    # Hold of the inputs before they were smoothed; None: `hold`.
+    _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -322,7 +324,8 @@ class Record(Result):
             return self
         new = self._changed(None)
         middle = self._middle if hold == self.hold else None
-        new._assign({"hold": hold, "hold_declared": True, "_middle": middle})
+        declared = {"hold": hold, "hold_declared": True, "_middle": middle, "_logged_hold": None}
+        new._assign(declared)
         return new
 
     def with_delayed_inputs(self, delays: Any) -> "Record":
@@ -531,7 +534,8 @@ class Record(Result):
         masks = self.valid, self.input_valid, measured
         new._set(inputs, outputs, masks, self.time, self.sample_period)
         new._assign(self._of_the_samples)
-        new._assign({"hold": "smooth", "smoothed": (*self.smoothed, float(cutoff))})
+        new._assign({"hold": "smooth", "_logged_hold": self.logged_hold})
+        new._assign({"smoothed": (*self.smoothed, float(cutoff))})
         noise = self.noise / self.noise_left * new.noise_left
         new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
         return new
@@ -550,6 +554,11 @@ class Record(Result):
         if self._input_valid is None:
             return self.valid if self.inputs.shape[1] else np.ones(len(self), dtype=bool)
         return self._input_valid
+
+    @property
+    def logged_hold(self) -> Hold:
+        """The hold of the inputs as they were logged: what `smooth` makes is smooth."""
+        return self.hold if self._logged_hold is None else self._logged_hold
 
     @property
     def holds(self) -> tuple[str, ...]:
