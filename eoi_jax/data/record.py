@@ -148,7 +148,6 @@ class Record(Result):
     _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
     # Whether it is the later part of another record; None: it is not.
     _continues: bool | None = field(default=None, metadata=WHERE_SET)
-    # Hold of the inputs before they were smoothed; None: `hold`.
     _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
@@ -267,13 +266,9 @@ class Record(Result):
         """Samples `start` to `stop`, however few or masked; otherwise as a slice."""
         part = slice(start, stop)
         new = self._changed(None)
-        new._set(
-            self.inputs[part],
-            self.outputs[part],
-            (self.valid[part], self.input_valid[part], self.output_valid[part]),
-            self.time[part],
-            self.sample_period,
-        )
+        masks = self.valid[part], self.input_valid[part], self.output_valid[part]
+        signals = self.inputs[part], self.outputs[part]
+        new._set(*signals, masks, self.time[part], self.sample_period)
         burn_in = max(self.burn_in - start * self.sample_period, 0.0)
         new._assign({"burn_in": burn_in})
         return new
@@ -324,8 +319,7 @@ class Record(Result):
             return self
         new = self._changed(None)
         middle = self._middle if hold == self.hold else None
-        declared = {"hold": hold, "hold_declared": True, "_middle": middle, "_logged_hold": None}
-        new._assign(declared)
+        new._assign({"hold": hold, "hold_declared": True, "_middle": middle, "_logged_hold": None})
         return new
 
     def with_delayed_inputs(self, delays: Any) -> "Record":
@@ -421,8 +415,7 @@ class Record(Result):
         new = self._changed(None)
         masks = self.input_valid & valid.all(axis=1), self.input_valid, valid
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)
-        new._assign(self._of_the_samples)
-        new._assign({"_middle": self._middle})
+        new._assign({**self._of_the_samples, "_middle": self._middle})
         return new
 
     @property
@@ -473,8 +466,7 @@ class Record(Result):
         time = self.time[0] + sample_period * np.arange(count)
         masks = covered(position, self.segments(), query), known, np.stack(valid, axis=1)
         new._set(inputs, outputs, masks, time, sample_period)
-        new._assign(self._of_the_samples)
-        new._assign({"_middle": middle, "_skew": None})
+        new._assign({**self._of_the_samples, "_middle": middle, "_skew": None})
         return new
 
     def _between(
@@ -533,9 +525,9 @@ class Record(Result):
         )
         masks = self.valid, self.input_valid, measured
         new._set(inputs, outputs, masks, self.time, self.sample_period)
-        new._assign(self._of_the_samples)
-        new._assign({"hold": "smooth", "_logged_hold": self.logged_hold})
-        new._assign({"smoothed": (*self.smoothed, float(cutoff))})
+        cutoffs, logged = (*self.smoothed, float(cutoff)), self.logged_hold
+        made = {"hold": "smooth", "_logged_hold": logged, "smoothed": cutoffs}
+        new._assign({**self._of_the_samples, **made})
         noise = self.noise / self.noise_left * new.noise_left
         new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
         return new
