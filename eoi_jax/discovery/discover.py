@@ -195,7 +195,7 @@ class _Search:
     def in_free_runs(
         self, searched: Searched, records: tuple[Record, ...], held_out: tuple[Record, ...]
     ) -> Discovery:
-        """The answer, with what free runs show where the injection leaves it open, and curves.
+        """The answer, with what free runs show where the injection leaves it open, or in part.
 
         Args:
             searched: what a search in the injection came to.
@@ -205,18 +205,21 @@ class _Search:
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
         effects = self.effects if self.named else (*self.effects, *wider())
         effects = [effect.since(start) for effect in effects]
-        if leaves_open(discovery):
+        is_open = leaves_open(discovery)
+        if is_open:
             self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
             )
-        elif leaves_more(discovery):
-            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-            discovery = with_further_effects(discovery, records, effects, self.lowpass, self.alpha)
-        discovery = replace(searched, discovery=discovery).with_lead
+        discovery = named = replace(searched, discovery=discovery).with_lead
         if not self.named and misses_a_law(discovery):
             self.progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
             discovery = with_curves(discovery, records, self.lowpass)
+        if not is_open and discovery is named and leaves_more(discovery):
+            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+            discovery = with_further_effects(
+                discovery, records, held_out, effects, self.lowpass, self.alpha
+            )
         return discovery
 
     def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Searched:

@@ -336,7 +336,8 @@ class Search:
         if trial is None:
             return None
         values, errors = trial.refinement.parameters, trial.refinement.standard_errors
-        determined = all(size_is_known(added.names, values, errors) for added in trial.placed)
+        further = self.further(trial)
+        determined = all(size_is_known(added.names, values, errors) for added in further)
         return trial if determined else None
 
     def leanest(self, best: Judged) -> Judged:

@@ -7,12 +7,18 @@ import numpy as np
 
 from eoi_jax._status import Status
 from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
-from eoi_jax.data.input_holds import HOLDS
+from eoi_jax.data.input_holds import HOLDS, hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, Judged, Model, search_free_runs
+from eoi_jax.discovery.free_run_search import (
+    FreeRunAnswer,
+    Judged,
+    Model,
+    RecordPair,
+    search_free_runs,
+)
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
@@ -65,15 +71,7 @@ def with_free_runs(
         lowpass: F of the fits; None: chosen from the records.
         alpha: level of significance of the score test.
     """
-    plant, settled = discovery.declared.nominal, discovery.held_out[0]
-    # A skew belongs to the hold that it was found with: zero, to others, is half a sample of delay.
-    made = [(settled.hold, settled.skew)]
-    if undeclared_hold(records) is not None:
-        skewed = np.any(settled.skew)
-        made += [(hold, None) for hold in HOLDS if skewed or hold != settled.hold]
-    variants = [
-        (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in made
-    ]
+    plant, variants = discovery.declared.nominal, _variants(discovery, records, held_out)
     rival = discovery.plant if discovery.added else None
     further = list(partial)
     if rival is not None:
@@ -81,6 +79,21 @@ def with_free_runs(
     starts = [discovery.declared.plant, plant]
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
     return discovery if answer is None else answered(discovery, answer, lowpass)
+
+
+def _variants(
+    discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
+) -> list[RecordPair]:
+    """Records to fit and to judge, made as the answer so far has it, then in each other way."""
+    settled = discovery.held_out[0]
+    # A skew belongs to the hold that it was found with: zero, to others, is half a sample of delay.
+    made = [(settled.hold, settled.skew)]
+    if undeclared_hold(records) is not None:
+        skewed = np.any(settled.skew)
+        made += [(hold, None) for hold in HOLDS if skewed or hold != settled.hold]
+    return [
+        (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in made
+    ]
 
 
 def leaves_more(discovery: Discovery) -> bool:
@@ -98,6 +111,7 @@ def leaves_more(discovery: Discovery) -> bool:
 def with_further_effects(
     discovery: Discovery,
     records: tuple[Record, ...],
+    held_out: tuple[Record, ...],
     effects: Sequence[AbstractEffect],
     lowpass: LowPass | None,
     alpha: float,
@@ -105,40 +119,46 @@ def with_further_effects(
     """The discovery refined, with effects that only free runs show beside its own.
 
     Effects are added where they lower the errors of the refined answer as much as what confirms an
-    effect elsewhere; the answer is refined where that lowers them by more than chance.
+    effect elsewhere; the answer is refined where that lowers them by more than chance. A skew of
+    the inputs may stand for a lag: then records are also taken as they were logged.
 
     Args:
         discovery: the answer so far, which explains the injection.
         records: to fit, as given.
+        held_out: that judge, as given.
         effects: to try.
         lowpass: F of the fits; None: chosen from the records.
         alpha: level of significance of the score test.
     """
-    plant, judging = discovery.plant, discovery.held_out
-    skew = judging[0].skew if np.any(judging[0].skew) else None
-    variants = [(with_hold(records, judging[0].hold, skew), judging)]
+    plant, variants = discovery.plant, _variants(discovery, records, held_out)
+    if not np.any(discovery.held_out[0].skew):
+        variants = variants[:1]
     present = added_effects(plant)[len(added_effects(discovery.declared.nominal)) :]
-    answer = search_free_runs([plant], variants, effects, (), plant, alpha, present)
-    if answer is None:
+    answers = [search_free_runs([plant], [variant], effects, (), None, alpha, present)
+               for variant in variants]  # fmt: skip
+    answers = [answer for answer in answers if answer is not None]
+    if not answers:
         return discovery
-    model, ratio = answer.best, float(np.exp(answer.best.error - answer.base.error))
+    base = min((answer.base for answer in answers), key=lambda model: model.error)
+    answer = min(answers, key=lambda answer: answer.best.error)
+    model, ratio = answer.best, float(np.exp(answer.best.error - base.error))
     further = model.placed[len(present) :]
-    if further and not ratio < CONFIRMED:
+    if not (further and ratio < CONFIRMED):
+        answer = answers[0]
         model, further = answer.base, ()
-    if not further and not answer.better_base:
-        return discovery
+        if not answer.better_base:
+            return discovery
     fit = _fit_of(discovery, answer, model, lowpass)
     windows, added = discovery.windows_after, _added(discovery, fit, model)
     assert windows is not None
-    notes = _lasting(discovery)
+    notes = _lasting(discovery, answer)
     notes.append(_FURTHER.format(" and ".join(names_of(further)), ratio) if further else _BETTER)
-    declared = discovery.declared.nominal
     return replace(
         discovery, effects=names_of(model.placed), added=added,
-        after=judged_runs(fit.plant, judging),
-        windows_after=judged_runs(fit.plant, judging, window=windows.window),
-        found=fit, plant=fit.plant,
-        notes=(*notes, *_portion_note(answer), *on_bounds(declared, fit.plant),
+        after=judged_runs(fit.plant, answer.judging),
+        windows_after=judged_runs(fit.plant, answer.judging, window=windows.window),
+        found=fit, plant=fit.plant, held_out=answer.judging,
+        notes=(*notes, *_portion_note(answer), *on_bounds(discovery.declared.nominal, fit.plant),
                *uncertain_effects(added)),
     )  # fmt: skip
 
@@ -180,11 +200,7 @@ def _with_model(
     base, plant = answer.base, discovery.declared.nominal
     fit = _fit_of(discovery, answer, model, lowpass)
     added = _added(discovery, fit, model)
-    settled, stale = discovery.held_out[0], ["hold "]
-    if np.any(settled.skew) and not np.any(answer.records[0].skew):
-        stale.append(skew_text(settled, settled.skew))
-    notes = [note for note in _lasting(discovery) if not note.startswith(tuple(stale))]
-    notes += [_REFINED, _HOLD.format(answer.records[0].hold), *_portion_note(answer)]
+    notes = [*_lasting(discovery, answer), _REFINED, *_portion_note(answer)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
@@ -195,10 +211,16 @@ def _with_model(
     )  # fmt: skip
 
 
-def _lasting(discovery: Discovery) -> list[str]:
-    """Notes that hold for another fit as well."""
-    stale = tuple(on_bounds(discovery.declared.nominal, discovery.plant))
-    return [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+def _lasting(discovery: Discovery, answer: FreeRunAnswer) -> list[str]:
+    """Notes that hold for another fit as well, and how its records were made if that differs."""
+    settled, made = discovery.held_out[0], answer.judging[0]
+    same_hold = settled.hold == made.hold and np.array_equal(settled.skew, made.skew)
+    stale = list(on_bounds(discovery.declared.nominal, discovery.plant))
+    if not same_hold:
+        stale += ["hold ", skew_text(settled, settled.skew)]
+    notes = [note for note in discovery.notes
+             if not (note.startswith(tuple(stale)) or is_on_fit(note))]  # fmt: skip
+    return notes if same_hold else [*notes, _HOLD.format(hold_text(made.hold, made.input_names))]
 
 
 def _portion_note(answer: FreeRunAnswer) -> list[str]:
