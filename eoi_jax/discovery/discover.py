@@ -38,6 +38,7 @@ from eoi_jax.discovery.hold_choice import Searched, with_best_hold
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
+    unless_refined_is_as_good,
     with_free_runs,
     with_further_effects,
 )
@@ -205,6 +206,8 @@ class _Search:
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
         effects = self.effects if self.named else (*self.effects, *wider())
         effects = [effect.since(start) for effect in effects]
+        if leaves_more(discovery):
+            discovery = unless_refined_is_as_good(discovery, records)
         is_open = leaves_open(discovery)
         if is_open:
             self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)

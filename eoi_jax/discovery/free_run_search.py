@@ -52,6 +52,7 @@ class FreeRunRules:
     # and `same_cost`; none of these was varied.
     min_fall: float = 0.03
     min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
+    same_error: float = 0.01  # difference of mean errors that counts as none
     blocks: int = 10  # of each record; as many windows
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
     min_window: int = 12  # samples
@@ -89,7 +90,7 @@ class Judged:
     @cached_property
     def error(self) -> float:
         """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
-        return _mean_error(self.runs)
+        return mean_error(self.runs)
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,8 @@ class FreeRunAnswer:
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
         share: of the samples, in which effects were searched.
-        better_base: whether it predicts better than before it was refined, by more than chance.
+        better_base: whether it predicts otherwise than before it was refined, and not worse by more
+            than chance: it is what fits the records of the fit best.
     """
 
     base: Judged
@@ -206,7 +208,7 @@ class Judge:
 
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""
-        if _mean_error(best) - _mean_error(trial) < _RULES.min_fall:
+        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
             return False
         pairs = zip(best, trial, strict=True)
         deviations = [self._deviations(before, after) for before, after in pairs]
@@ -239,7 +241,7 @@ class Judge:
         return np.asarray(means)
 
 
-def _mean_error(runs: FreeRuns) -> float:
+def mean_error(runs: FreeRuns) -> float:
     """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
     sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
     return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
@@ -296,7 +298,9 @@ class Search:
         """What the search came to, from this declared model."""
         base = self.base if self.searched is self.records else self.settled(self.base)
         best = best if self.further(best) else base
-        better = self.judge.prefers(base.runs, self.judge.runs(start))
+        passes = self.judge.runs(start)
+        differs = abs(mean_error(passes) - base.error) > _RULES.same_error
+        better = differs and not self.judge.prefers(passes, base.runs)
         share = _count(self.searched) / _count(self.records)
         return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
 

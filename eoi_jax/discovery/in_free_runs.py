@@ -12,11 +12,16 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
 from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
+from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
+    Judge,
     Judged,
     Model,
     RecordPair,
+    Search,
+    mean_error,
+    refined,
     search_free_runs,
 )
 from eoi_jax.discovery.refit import on_bounds
@@ -106,6 +111,38 @@ def leaves_more(discovery: Discovery) -> bool:
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
     motion = np.any(discovery.windows_after.rmse < _MOTION * noise)
     return bool(motion) or bool(beyond_noise(discovery.windows_after, discovery.held_out))
+
+
+def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
+    """The discovery without its effects, where the declared model predicts as well when refined.
+
+    The injection of a model whose parameters are biased may be explained by an effect that makes up
+    for the bias.
+
+    Args:
+        discovery: the answer so far, which explains the injection.
+        records: to fit, as given.
+    """
+    declared, judging = discovery.declared, discovery.held_out
+    fitted, judge = with_hold(records, judging[0].hold, judging[0].skew), Judge.of(judging)
+    search = Search.begun([declared.plant, declared.nominal], fitted, judging)
+    if search is None or judge is None:
+        return discovery
+    placed = added_effects(discovery.plant)[len(added_effects(declared.nominal)) :]
+    named = refined(discovery.plant, placed, fitted, judge)
+    errors = [mean_error(judge.runs(discovery.plant))] + ([named.error] if named else [])
+    if search.base.error > min(errors):
+        return discovery
+    stale = tuple(on_bounds(declared.nominal, discovery.plant))
+    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+    names = " and ".join(discovery.effects)
+    return replace(
+        discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
+        after=discovery.before, windows_after=discovery.windows_before,
+        found=declared, plant=declared.plant, status=Status("unexplained", _AS_GOOD.format(names)),
+        notes=(*notes, f"refused: {_AS_GOOD.format(names)}"),
+        diagnosis=diagnose(declared, records),
+    )  # fmt: skip
 
 
 def with_further_effects(
@@ -250,6 +287,10 @@ _HOLD = "hold {}: of those that are possible the one with the smallest errors on
 _REFINED = (
     "the declared model was refined by the error of its free runs, and effects were searched in "
     "these; errors before are those of the refined declared model"
+)
+_AS_GOOD = (
+    "{} explains the injection, but without it the declared model, refined, predicts the held-out "
+    "records as well"
 )
 _FURTHER = (
     "{} found in free runs, beside what explains the injection: with it the errors on the held-out "
