@@ -46,6 +46,7 @@ class CurveRules:
         trials: curves of each model, at most.
         share: of the power of the errors that a curve must take in the score test to be tried.
         linear: factor of an error within which the score test says what a fit will come to.
+        sure: share that is enough in any case: of errors that are far from small, linear says less.
         remainder: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
@@ -60,6 +61,7 @@ class CurveRules:
     trials: int = 3
     share: float = 0.3
     linear: float = 2.0
+    sure: float = 0.6
     remainder: float = 5.0
     several: int = 3
     as_good: float = 0.03
@@ -156,7 +158,7 @@ def _share_to_reach(named: Judged, origin: Judged) -> float:
     """
     decides = _RULES.as_good if len(_laws(named)) > 1 else np.log(CONFIRMED)
     fall = origin.error - named.error - decides - np.log(_RULES.linear)
-    return float(1.0 - np.exp(-2.0 * fall))
+    return float(min(1.0 - np.exp(-2.0 * fall), _RULES.sure))
 
 
 def _is_far_better(trial: Judged, rival: Judged) -> bool:

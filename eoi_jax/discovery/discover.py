@@ -214,16 +214,21 @@ class _Search:
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
             )
-        discovery = named = replace(searched, discovery=discovery).with_lead
-        if not self.named and misses_a_law(discovery):
-            self.progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
-            discovery = with_curves(discovery, records, self.lowpass)
-        if not is_open and discovery is named and leaves_more(discovery):
+        discovery = self._with_curves(replace(searched, discovery=discovery).with_lead, records)
+        if not is_open and leaves_more(discovery):
             self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
-            discovery = with_further_effects(
-                discovery, records, held_out, effects, self.lowpass, self.alpha
-            )
+            named, settings = discovery, (effects, self.lowpass, self.alpha)
+            discovery = with_further_effects(named, records, held_out, *settings)
+            if len(discovery.added) > len(named.added):
+                discovery = self._with_curves(discovery, records)
         return discovery
+
+    def _with_curves(self, discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
+        """The answer, with curves where these predict far better, or as well as many laws."""
+        if self.named or not misses_a_law(discovery):
+            return discovery
+        self.progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
+        return with_curves(discovery, records, self.lowpass)
 
     def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Searched:
         """What is found on these records.

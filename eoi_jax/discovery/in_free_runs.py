@@ -31,7 +31,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import added_effects
-from eoi_jax.models.effects import Drift, Product, SinusoidalDisturbance
+from eoi_jax.models.effects import Curve, Drift, InputCurve, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.simulation.validate import judged_runs
 
@@ -92,12 +92,12 @@ def _variants(
     """Records to fit and to judge, made as the answer so far has it, then in each other way."""
     settled = discovery.held_out[0]
     # A skew belongs to the hold that it was found with: zero, to others, is half a sample of delay.
-    made = [(settled.hold, settled.skew)]
+    makings = [(settled.hold, settled.skew)]
     if undeclared_hold(records) is not None:
         skewed = np.any(settled.skew)
-        made += [(hold, None) for hold in HOLDS if skewed or hold != settled.hold]
+        makings += [(hold, None) for hold in HOLDS if skewed or hold != settled.hold]
     return [
-        (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in made
+        (with_hold(records, hold, skew), with_hold(held_out, hold, skew)) for hold, skew in makings
     ]
 
 
@@ -106,6 +106,8 @@ def leaves_more(discovery: Discovery) -> bool:
     if discovery.in_sample or not discovery.added or discovery.plant.has_algebraic:
         return False
     if discovery.status.code != "explained" or discovery.windows_after is None:
+        return False
+    if any(isinstance(addition.effect, Curve | InputCurve) for addition in discovery.added):
         return False
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
@@ -250,14 +252,16 @@ def _with_model(
 
 def _lasting(discovery: Discovery, answer: FreeRunAnswer) -> list[str]:
     """Notes that hold for another fit as well, and how its records were made if that differs."""
-    settled, made = discovery.held_out[0], answer.judging[0]
-    same_hold = settled.hold == made.hold and np.array_equal(settled.skew, made.skew)
+    settled, judging = discovery.held_out[0], answer.judging[0]
+    same_hold = settled.hold == judging.hold and np.array_equal(settled.skew, judging.skew)
     stale = list(on_bounds(discovery.declared.nominal, discovery.plant))
     if not same_hold:
         stale += ["hold ", skew_text(settled, settled.skew)]
     notes = [note for note in discovery.notes
              if not (note.startswith(tuple(stale)) or is_on_fit(note))]  # fmt: skip
-    return notes if same_hold else [*notes, _HOLD.format(hold_text(made.hold, made.input_names))]
+    return (
+        notes if same_hold else [*notes, _HOLD.format(hold_text(judging.hold, judging.input_names))]
+    )
 
 
 def _portion_note(answer: FreeRunAnswer) -> list[str]:
