@@ -208,6 +208,7 @@ def test_nothing_is_added_to_a_model_that_lacks_nothing():
     assert answer.after is answer.before
 
 
+@pytest.mark.slow
 def test_effect_outside_those_that_are_asked_for_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
@@ -417,6 +418,7 @@ def test_effect_that_makes_the_free_run_worse_is_refused():
     assert answer.after is answer.before
 
 
+@pytest.mark.slow
 def test_effect_that_the_held_out_records_contradict_is_refused():
     """A spring that hardens in one record and softens in the other."""
     fit, held = (

@@ -117,6 +117,7 @@ def found(fit, held_out) -> eoi.Discovery:
     return eoi.discover(PLANT, fit, held_out, FEW)
 
 
+@pytest.mark.slow
 def test_friction_of_the_trolley_acts_on_the_load_too(found, held_out):
     assert found.effects == ("coulomb_friction",)
     (one,) = found.added

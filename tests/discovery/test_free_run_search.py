@@ -69,6 +69,7 @@ def found():
     return searched(measured(1), measured(2), [effects.SecondNode(), effects.ConstantOffset()])
 
 
+@pytest.mark.slow
 def test_a_store_that_is_not_measured_is_found_with_its_size(found):
     assert [placed.effect.name for placed in found.best.placed] == ["second_node"]
     values = found.best.refinement.parameters

@@ -57,6 +57,7 @@ def refined(fit, held):
     return eoi.discover(PLANT, fit, validation=held[0], refine=True)
 
 
+@pytest.mark.slow
 def test_a_drag_that_the_injection_does_not_show_is_found_in_the_free_run(fit, held, refined):
     alone = eoi.discover(PLANT, fit, validation=held[0])
     assert alone.effects == ("cubic_stiffness",)
@@ -69,6 +70,7 @@ def test_a_drag_that_the_injection_does_not_show_is_found_in_the_free_run(fit, h
     assert error(refined.before) == error(alone.before)
 
 
+@pytest.mark.slow
 def test_parameters_and_errors_are_those_of_the_refinement(refined):
     for name, value in (TRUTH | HIDDEN).items():
         spread = refined.found.standard_errors[name]
@@ -81,6 +83,7 @@ def test_parameters_and_errors_are_those_of_the_refinement(refined):
     assert "drag that grows with the square of the velocity" in str(refined)
 
 
+@pytest.mark.slow
 def test_what_is_refined_is_saved_and_read_back(refined, tmp_path):
     refined.save(tmp_path / "found.npz")
     again = eoi.load(tmp_path / "found.npz")

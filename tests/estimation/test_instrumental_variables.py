@@ -287,6 +287,7 @@ def braked(t, x, u, p):
     return p.gain * u - p.loss * x.y[0] - p.dry * jnp.sign(x.y[0])
 
 
+@pytest.mark.slow
 def test_a_speed_with_dry_friction_reaches_the_bound_though_it_stands_still():
     truth = Plant(braked, {"gain": 40.0, "loss": 2.0, "dry": 8.0}, 1)
     t = grid(4001, 2e-3)

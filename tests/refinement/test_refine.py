@@ -520,6 +520,7 @@ def test_the_window_that_was_used_cuts_records_alike(window):
         assert min(lengths) - PERIOD <= used <= max(lengths) + PERIOD
 
 
+@pytest.mark.slow
 def test_the_answer_has_the_window_that_was_used():
     record = run(MASS, noise=1e-4)
     few = refine(MASS, record, window=1e-3, max_steps=1)

@@ -76,6 +76,7 @@ def test_the_response_is_the_derivative_of_the_simulation(plant, output, substep
         assert np.max(np.abs(moved[..., i] - slope)) < 2e-4 * np.max(np.abs(slope))
 
 
+@pytest.mark.slow
 def test_many_forces_go_as_well_as_one():
     driven, y, z = run(RUBBING, np.zeros((len(TIME), 1)), 1)
     along = response(RUBBING, driven, y, z, 1)

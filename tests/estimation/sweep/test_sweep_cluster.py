@@ -97,6 +97,7 @@ eoi.sweep(**one.settings(), store={store!r})
 """
 
 
+@pytest.mark.slow
 def test_a_killed_client_resumes_and_computes_nothing_twice(local, tmp_path):
     store = tmp_path / "s"
     here = Path(__file__).resolve()
