@@ -10,7 +10,7 @@ from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS, hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
-from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
+from eoi_jax.discovery.additions import GRID_END, added_effect, as_fit, is_on_fit, uncertain_effects
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
@@ -30,12 +30,14 @@ from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
-from eoi_jax.models.augmented import added_effects
+from eoi_jax.models.augmented import Placed, added_effects
 from eoi_jax.models.effects import Curve, Drift, InputCurve, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import judged_runs
 
 _MOTION = 0.7  # error over the noise that is read off a record, below which that is motion as well
+_SMALL = 0.01  # error over the spread of the output that is not worth a search
 
 
 def leaves_open(discovery: Discovery) -> bool:
@@ -111,7 +113,8 @@ def leaves_more(discovery: Discovery) -> bool:
         return False
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
-    motion = np.any(discovery.windows_after.rmse < _MOTION * noise)
+    runs = discovery.windows_after
+    motion = np.any((runs.rmse < _MOTION * noise) & (runs.nrmse > _SMALL))
     return bool(motion) or bool(beyond_noise(discovery.windows_after, discovery.held_out))
 
 
@@ -182,15 +185,20 @@ def with_further_effects(
     answer = min(answers, key=lambda answer: answer.best.error)
     model, ratio = answer.best, float(np.exp(answer.best.error - base.error))
     further = model.placed[len(present) :]
-    if not (further and ratio < CONFIRMED):
+    hints = []
+    if further and ratio < CONFIRMED and any(isinstance(at.effect, Product) for at in further):
+        # It names no cause, and would take its share of those that are named.
+        hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
+    if hints or not (further and ratio < CONFIRMED):
         answer = answers[0]
         model, further = answer.base, ()
         if not answer.better_base:
-            return discovery
+            return replace(discovery, notes=(*discovery.notes, *hints))
     fit = _fit_of(discovery, answer, model, lowpass)
     windows, added = discovery.windows_after, _added(discovery, fit, model)
     assert windows is not None
-    notes = _lasting(discovery, answer)
+    searched = [note for note in discovery.notes if GRID_END in note]
+    notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(" and ".join(names_of(further)), ratio) if further else _BETTER)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
@@ -200,6 +208,15 @@ def with_further_effects(
         notes=(*notes, *_portion_note(answer), *on_bounds(discovery.declared.nominal, fit.plant),
                *uncertain_effects(added)),
     )  # fmt: skip
+
+
+def _signals_of(plant: Plant, placed: Placed) -> str:
+    """A product by its signals, any other effect by its name."""
+    if not isinstance(placed.effect, Product):
+        return placed.effect.name.replace("_", " ")
+    output = plant.outputs[placed.output]
+    signals = {"y": output, "v": f"{output}'", "u": (*plant.inputs, "u")[0]}
+    return "the product of " + " and ".join(signals[key] for key in placed.effect.factors)
 
 
 def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
@@ -295,6 +312,10 @@ _REFINED = (
 _AS_GOOD = (
     "{} explains the injection, but without it the declared model, refined, predicts the held-out "
     "records as well"
+)
+_HINT = (
+    "more than noise is left in free runs on the held-out records: with {} beside the answer their "
+    "errors would have {:.3g} of those of the refined answer; it names no cause, and is not added"
 )
 _FURTHER = (
     "{} found in free runs, beside what explains the injection: with it the errors on the held-out "
