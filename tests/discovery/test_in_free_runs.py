@@ -1,0 +1,106 @@
+"""Answers that explain the injection, questioned by free runs: a rival, a hint, an extension."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.discovery.in_free_runs import (
+    leaves_more,
+    unless_refined_is_as_good,
+    with_further_effects,
+)
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import Curve, Product
+
+TIME = np.arange(4001) * 5e-3
+TRUTH = {"gain": 1.0, "damping": 0.4, "stiffness": 10.0}
+
+
+def oscillating(t, x, u, p):
+    position, rate = x.y
+    return p.gain * u - p.damping * rate - p.stiffness * position
+
+
+PLANT = eoi.Plant(oscillating, {"gain": 1.2, "damping": 0.5, "stiffness": 9.0}, 2, ("u",), ("y",))
+SPRING = {effects.CubicStiffness(): 8.0}
+
+
+def record(hidden, seed):
+    draw = np.random.default_rng(seed)
+    force = np.repeat(draw.normal(size=100), 41)[: len(TIME)] + np.sin(2.0 * TIME)
+    placed = [place(PLANT, effect, 0) for effect in hidden]
+    values = {item.names[0]: hidden[item.effect] for item in placed}
+    made = eoi.simulate(augmented(PLANT.with_parameters(TRUTH), placed, values), TIME, force,
+                        hold="zero", substeps=2)  # fmt: skip
+    noise = 1e-3 * np.std(made.outputs) * draw.standard_normal(made.outputs.shape)
+    return eoi.Record(TIME, force, made.outputs + noise, f"run {seed}", hold="zero")
+
+
+def judged_on(found, held):
+    """The answer on other records that are held out."""
+    runs = [eoi.validate(found.plant, held, window=window) for window in (np.inf, 2.0)]
+    return replace(found, held_out=(held,), after=runs[0], windows_after=runs[1])
+
+
+@pytest.fixture(scope="module")
+def found():
+    answer = eoi.discover(PLANT, record(SPRING, 1), record(SPRING, 2), [*SPRING])
+    assert answer.effects == ("cubic_stiffness",)
+    return answer
+
+
+def test_an_effect_that_the_refined_model_does_not_need_gives_way(found):
+    """Records of a rig that lacks nothing: all that the spring could make up for is a bias."""
+    fit, held = record({}, 3), record({}, 4)
+    biased = judged_on(found, held)
+    answer = unless_refined_is_as_good(biased, (fit,))
+    assert (answer.effects, answer.added, answer.status.code) == ((), (), "unexplained")
+    assert answer.plant is found.declared.plant
+    assert answer.diagnosis is not None
+    assert any(note.startswith("refused: cubic_stiffness explains") for note in answer.notes)
+
+
+def test_an_effect_that_it_needs_stays(found):
+    assert unless_refined_is_as_good(found, (record(SPRING, 1),)) is found
+
+
+def test_a_product_beside_the_answer_is_a_hint_and_no_effect(found):
+    hidden = SPRING | {Product("y", "u"): 0.3}
+    fit, held = record(hidden, 1), record(hidden, 2)
+    left = judged_on(found, held)
+    assert leaves_more(left)
+    answer = with_further_effects(left, (fit,), (held,), [Product("y", "u")], None, 0.01)
+    assert answer.effects == ("cubic_stiffness",)
+    (hint,) = (note for note in answer.notes if "names no cause" in note)
+    assert "with the product of y and u beside the answer" in hint
+
+
+def test_a_law_beside_the_answer_is_added(found):
+    hidden = SPRING | {effects.QuadraticDrag(): 0.2}
+    fit, held = record(hidden, 1), record(hidden, 2)
+    answer = with_further_effects(
+        judged_on(found, held), (fit,), (held,), [effects.QuadraticDrag()], None, 0.01
+    )
+    assert answer.effects == ("cubic_stiffness", "quadratic_drag")
+    assert answer.plant.parameters["quadratic_drag"] == pytest.approx(0.2, rel=0.05)
+    assert answer.windows_after is not None
+    assert answer.windows_after.window == 2.0
+
+
+def test_what_is_questioned(found):
+    left = judged_on(found, record({}, 4))
+    assert leaves_more(left)
+    assert not leaves_more(found)
+    assert not leaves_more(replace(left, in_sample=True))
+    assert not leaves_more(replace(left, added=()))
+    assert not leaves_more(replace(left, windows_after=None))
+    curved = replace(left.added[0], effect=Curve("y", ()))
+    assert not leaves_more(replace(left, added=(curved,)))
+    # An error far below what was read as noise: that was motion, and worth a search.
+    runs = replace(found.windows_after, rmse=np.array([1e-9]), nrmse=np.array([0.02]))
+    assert leaves_more(replace(found, windows_after=runs))
+    small = replace(runs, nrmse=np.array([0.002]))
+    assert not leaves_more(replace(found, windows_after=small))
