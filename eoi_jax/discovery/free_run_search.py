@@ -214,6 +214,10 @@ class Judge:
         deviations = [self._deviations(before, after) for before, after in pairs]
         return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
 
+    def is_as_good(self, trial: FreeRuns, best: FreeRuns) -> bool:
+        """Whether the errors of a model are no larger than another's."""
+        return mean_error(trial) < mean_error(best) + _RULES.same_error
+
     def _deviations(self, before: Validation | None, after: Validation | None) -> float:
         """Mean fall of the error over blocks, over its standard error.
 

@@ -10,7 +10,14 @@ from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS, hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import names_of
-from eoi_jax.discovery.additions import GRID_END, added_effect, as_fit, is_on_fit, uncertain_effects
+from eoi_jax.discovery.additions import (
+    GRID_END,
+    added_effect,
+    as_fit,
+    is_on_fit,
+    size_is_known,
+    uncertain_effects,
+)
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
@@ -119,10 +126,11 @@ def leaves_more(discovery: Discovery) -> bool:
 
 
 def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
-    """The discovery without its effects, where the declared model predicts as well when refined.
+    """The discovery without its effects, where the declared model predicts better when refined.
 
     The injection of a model whose parameters are biased may be explained by an effect that makes up
-    for the bias.
+    for the bias. Effects of which the refined answer does not tell the size give way to a model
+    that predicts as well.
 
     Args:
         discovery: the answer so far, which explains the injection.
@@ -135,8 +143,11 @@ def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...])
         return discovery
     placed = added_effects(discovery.plant)[len(added_effects(declared.nominal)) :]
     named = refined(discovery.plant, placed, fitted, judge)
-    errors = [mean_error(judge.runs(discovery.plant))] + ([named.error] if named else [])
-    if search.base.error > min(errors):
+    runs = [judge.runs(discovery.plant)] + ([named.runs] if named else [])
+    plain, rival = search.base.runs, min(runs, key=mean_error)
+    fit = named.refinement if named else discovery.found
+    known = all(size_is_known(at.names, fit.parameters, fit.standard_errors) for at in placed)
+    if not (judge.prefers(plain, rival) or (not known and judge.is_as_good(plain, rival))):
         return discovery
     stale = tuple(on_bounds(declared.nominal, discovery.plant))
     notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
@@ -224,7 +235,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
     effect that the library lacks can lower them a little, too. Else it is the lead, and the
-    declared model is refined where that lowers them by more than chance.
+    declared model is refined unless that raises them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
