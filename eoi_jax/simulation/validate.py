@@ -420,7 +420,7 @@ class _Prediction:
         run: Run,
         records: Sequence[Record],
         pieces: Sequence[_Piece],
-        starts: Sequence[Starts | None] | None = None,
+        starts: Sequence[np.ndarray | None] | None = None,
     ) -> "_Prediction":
         """The runs of these records, from given initial values or from estimated ones."""
         outputs = [np.full(record.outputs.shape, np.nan) for record in records]
