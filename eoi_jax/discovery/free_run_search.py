@@ -47,6 +47,7 @@ class FreeRunRules:
     samples: int = 40_000
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
+    beside: int = 3  # of them beside what explains the injection
     # Fall of the mean error from which on an effect stays, and below which it is left out again.
     # Set with the sets of `benchmarks/measured/campaign_cases.py` in view, as are `most`, `tried`
     # and `same_cost`; none of these was varied.
@@ -329,7 +330,8 @@ class Search:
         first: dict[Sites, Model] = {}
         for placed, values in fresh:
             first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        return list(first.values())[: _RULES.tried]
+        count = _RULES.beside if self.base.placed else _RULES.tried
+        return list(first.values())[:count]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.

@@ -38,7 +38,14 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import Placed, added_effects
-from eoi_jax.models.effects import Curve, Drift, InputCurve, Product, SinusoidalDisturbance
+from eoi_jax.models.effects import (
+    AbstractInternalEffect,
+    Curve,
+    Drift,
+    InputCurve,
+    Product,
+    SinusoidalDisturbance,
+)
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import judged_runs
@@ -116,7 +123,9 @@ def leaves_more(discovery: Discovery) -> bool:
         return False
     if discovery.status.code != "explained" or discovery.windows_after is None:
         return False
-    if any(isinstance(addition.effect, Curve | InputCurve) for addition in discovery.added):
+    # What an effect does to an internal state no other one of a measured signal does.
+    final = Curve | InputCurve | AbstractInternalEffect
+    if any(isinstance(addition.effect, final) for addition in discovery.added):
         return False
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
