@@ -148,6 +148,7 @@ class Record(Result):
     _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
     # Whether it is the later part of another record; None: it is not.
     _continues: bool | None = field(default=None, metadata=WHERE_SET)
+    # Of the inputs before they were smoothed; None: `hold`.
     _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked

@@ -18,10 +18,10 @@ from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.free_run_search import Judge, Judged, Search, plainest, refined
-from eoi_jax.discovery.in_free_runs import answered
+from eoi_jax.discovery.in_free_runs import answered, placed_effects
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.models.augmented import Placed, added_effects, augmented, place
+from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, Curve, InputCurve, standard, wider
 from eoi_jax.models.effects.curve import knots_of
 from eoi_jax.models.effects.effect import (
@@ -46,7 +46,7 @@ class CurveRules:
         trials: curves of each model, at most.
         share: of the power of the errors that a curve must take in the score test to be tried.
         linear: factor of an error within which the score test says what a fit will come to.
-        sure: share that is enough in any case: of errors that are far from small, linear says less.
+        sure: share that is enough in any case: where errors are large a linear test says little.
         remainder: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
         as_good: difference of mean logarithms of errors that counts as none.
@@ -107,8 +107,7 @@ def with_curves(
         return discovery
     named = None
     if discovery.added:
-        count = len(added_effects(declared.nominal))
-        placed = added_effects(discovery.plant)[count:]
+        placed = placed_effects(discovery)
         named = refined(discovery.plant, placed, fitted, judge)
         if named is None:
             return discovery

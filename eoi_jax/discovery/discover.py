@@ -10,7 +10,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
    that model until no further set is justified.
 6. Free runs on held-out records, before and after.
 7. Where that gives no answer, the declared model is refined and effects are searched in its free
-   runs (`free_run_search`).
+   runs (`free_run_search`); an answer that leaves more than noise there is questioned, refined and
+   extended (`in_free_runs`), and curves are tried (`curves`).
 8. On request, refinement by output error, with effects that only the free runs show (`refined`).
 """
 
@@ -38,7 +39,7 @@ from eoi_jax.discovery.hold_choice import Searched, with_best_hold
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
-    unless_refined_is_as_good,
+    unless_refined_is_better,
     with_free_runs,
     with_further_effects,
 )
@@ -207,7 +208,7 @@ class _Search:
         effects = self.effects if self.named else (*self.effects, *wider())
         effects = [effect.since(start) for effect in effects]
         if leaves_more(discovery):
-            discovery = unless_refined_is_as_good(discovery, records)
+            discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)
         if is_open:
             self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)

@@ -47,7 +47,6 @@ class FreeRunRules:
     samples: int = 40_000
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
-    beside: int = 3  # of them beside what explains the injection
     # Fall of the mean error from which on an effect stays, and below which it is left out again.
     # Set with the sets of `benchmarks/measured/campaign_cases.py` in view, as are `most`, `tried`
     # and `same_cost`; none of these was varied.
@@ -58,10 +57,11 @@ class FreeRunRules:
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
     min_window: int = 12  # samples
     # Share of the power of the errors, in the score test, from which on a candidate is tried beside
-    # what explains the injection: a third of the error is 0.56 of its power, less what is linear.
+    # what explains the injection. A fall of the errors by a third takes 0.56 of their power; the
+    # rest is room for what a linear test does not see. Set with levitator_coil in view.
     share: float = 0.45
     # Power of the errors that a candidate may leave in the score test, over that which the best one
-    # leaves: of an effect that is missing alone it takes 98 % and more.
+    # leaves: one that is missing alone takes 98 % and more. Set with `beyond_library` in view.
     remainder: float = 5.0
     same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
     largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
@@ -330,8 +330,7 @@ class Search:
         first: dict[Sites, Model] = {}
         for placed, values in fresh:
             first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        count = _RULES.beside if self.base.placed else _RULES.tried
-        return list(first.values())[:count]
+        return list(first.values())[: _RULES.tried]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.

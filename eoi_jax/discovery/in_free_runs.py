@@ -1,7 +1,7 @@
 """The discovery that follows from a search in free runs, where the injection leaves it open."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
-    Judge,
     Judged,
     Model,
     RecordPair,
@@ -50,8 +49,21 @@ from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import judged_runs
 
-_MOTION = 0.7  # error over the noise that is read off a record, below which that is motion as well
-_SMALL = 0.01  # error over the spread of the output that is not worth a search
+
+@dataclass(frozen=True)
+class QuestionRules:
+    """Which answers that explain the injection are questioned. Set with `levitator_coil` in view.
+
+    Attributes:
+        motion: error over the noise that is read off a record, below which that is motion as well.
+        small: error over the spread of the output that is not worth a search.
+    """
+
+    motion: float = 0.7
+    small: float = 0.01
+
+
+_RULES = QuestionRules()
 
 
 def leaves_open(discovery: Discovery) -> bool:
@@ -96,10 +108,15 @@ def with_free_runs(
     rival = discovery.plant if discovery.added else None
     further = list(partial)
     if rival is not None:
-        further.append((rival, added_effects(rival)[len(added_effects(plant)) :]))
+        further.append((rival, placed_effects(discovery)))
     starts = [discovery.declared.plant, plant]
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
     return discovery if answer is None else answered(discovery, answer, lowpass)
+
+
+def placed_effects(discovery: Discovery) -> tuple[Placed, ...]:
+    """The effects of an answer at their places in its plant; those that are declared apart."""
+    return added_effects(discovery.plant)[len(added_effects(discovery.declared.nominal)) :]
 
 
 def _variants(
@@ -130,11 +147,11 @@ def leaves_more(discovery: Discovery) -> bool:
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
     runs = discovery.windows_after
-    motion = np.any((runs.rmse < _MOTION * noise) & (runs.nrmse > _SMALL))
-    return bool(motion) or bool(beyond_noise(discovery.windows_after, discovery.held_out))
+    motion = np.any((runs.rmse < _RULES.motion * noise) & (runs.nrmse > _RULES.small))
+    return bool(motion) or bool(beyond_noise(runs, discovery.held_out))
 
 
-def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
+def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
     """The discovery without its effects, where the declared model predicts better when refined.
 
     The injection of a model whose parameters are biased may be explained by an effect that makes up
@@ -146,11 +163,11 @@ def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...])
         records: to fit, as given.
     """
     declared, judging = discovery.declared, discovery.held_out
-    fitted, judge = with_hold(records, judging[0].hold, judging[0].skew), Judge.of(judging)
+    fitted = with_hold(records, judging[0].hold, judging[0].skew)
     search = Search.begun([declared.plant, declared.nominal], fitted, judging)
-    if search is None or judge is None:
+    if search is None:
         return discovery
-    placed = added_effects(discovery.plant)[len(added_effects(declared.nominal)) :]
+    judge, placed = search.judge, placed_effects(discovery)
     named = refined(discovery.plant, placed, fitted, judge)
     runs = [judge.runs(discovery.plant)] + ([named.runs] if named else [])
     plain, rival = search.base.runs, min(runs, key=mean_error)
@@ -158,14 +175,12 @@ def unless_refined_is_as_good(discovery: Discovery, records: tuple[Record, ...])
     known = all(size_is_known(at.names, fit.parameters, fit.standard_errors) for at in placed)
     if not (judge.prefers(plain, rival) or (not known and judge.is_as_good(plain, rival))):
         return discovery
-    stale = tuple(on_bounds(declared.nominal, discovery.plant))
-    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
-    names = " and ".join(discovery.effects)
+    reason = _AS_GOOD.format(" and ".join(discovery.effects))
     return replace(
         discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
         after=discovery.before, windows_after=discovery.windows_before,
-        found=declared, plant=declared.plant, status=Status("unexplained", _AS_GOOD.format(names)),
-        notes=(*notes, f"refused: {_AS_GOOD.format(names)}"),
+        found=declared, plant=declared.plant, status=Status("unexplained", reason),
+        notes=(*_not_on_fit(discovery), f"refused: {reason}"),
         diagnosis=diagnose(declared, records),
     )  # fmt: skip
 
@@ -195,7 +210,7 @@ def with_further_effects(
     plant, variants = discovery.plant, _variants(discovery, records, held_out)
     if not np.any(discovery.held_out[0].skew):
         variants = variants[:1]
-    present = added_effects(plant)[len(added_effects(discovery.declared.nominal)) :]
+    present = placed_effects(discovery)
     answers = [search_free_runs([plant], [variant], effects, (), None, alpha, present)
                for variant in variants]  # fmt: skip
     answers = [answer for answer in answers if answer is not None]
@@ -291,14 +306,18 @@ def _lasting(discovery: Discovery, answer: FreeRunAnswer) -> list[str]:
     """Notes that hold for another fit as well, and how its records were made if that differs."""
     settled, judging = discovery.held_out[0], answer.judging[0]
     same_hold = settled.hold == judging.hold and np.array_equal(settled.skew, judging.skew)
-    stale = list(on_bounds(discovery.declared.nominal, discovery.plant))
-    if not same_hold:
-        stale += ["hold ", skew_text(settled, settled.skew)]
-    notes = [note for note in discovery.notes
-             if not (note.startswith(tuple(stale)) or is_on_fit(note))]  # fmt: skip
-    return (
-        notes if same_hold else [*notes, _HOLD.format(hold_text(judging.hold, judging.input_names))]
-    )
+    notes = _not_on_fit(discovery)
+    if same_hold:
+        return notes
+    stale = "hold ", skew_text(settled, settled.skew)
+    hold = _HOLD.format(hold_text(judging.hold, judging.input_names))
+    return [*(note for note in notes if not note.startswith(stale)), hold]
+
+
+def _not_on_fit(discovery: Discovery) -> list[str]:
+    """Notes that hold whatever the parameters are."""
+    stale = tuple(on_bounds(discovery.declared.nominal, discovery.plant))
+    return [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
 
 
 def _portion_note(answer: FreeRunAnswer) -> list[str]:

@@ -430,7 +430,6 @@ class _Problem(eqx.Module):
         return with_velocity(y, velocity, self.plant.degrees)
 
 
-@jit  # as `advanced`
 def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
     """dx/dt: a chain of integrators for each output, with f at its end."""
     f = plant.derivative(t, x, u, theta)

@@ -9,7 +9,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
-    unless_refined_is_as_good,
+    unless_refined_is_better,
     with_further_effects,
 )
 from eoi_jax.models.augmented import augmented, place
@@ -56,7 +56,7 @@ def test_an_effect_that_the_refined_model_does_not_need_gives_way(found):
     """Records of a rig that lacks nothing: all that the spring could make up for is a bias."""
     fit, held = record({}, 3), record({}, 4)
     biased = judged_on(found, held)
-    answer = unless_refined_is_as_good(biased, (fit,))
+    answer = unless_refined_is_better(biased, (fit,))
     assert (answer.effects, answer.added, answer.status.code) == ((), (), "unexplained")
     assert answer.plant is found.declared.plant
     assert answer.diagnosis is not None
@@ -64,7 +64,7 @@ def test_an_effect_that_the_refined_model_does_not_need_gives_way(found):
 
 
 def test_an_effect_that_it_needs_stays(found):
-    assert unless_refined_is_as_good(found, (record(SPRING, 1),)) is found
+    assert unless_refined_is_better(found, (record(SPRING, 1),)) is found
 
 
 def test_a_product_beside_the_answer_is_a_hint_and_no_effect(found):
