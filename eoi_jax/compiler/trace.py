@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from eoi_jax.compiler import indexing
+from eoi_jax.compiler.derivatives import JVP, derivatives
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
 from eoi_jax.compiler.jax_private import (
     ClosedJaxpr,
@@ -60,12 +61,15 @@ def translate(
 
 
 def _run(graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-    jaxpr = closed.jaxpr
-    values: dict[Any, np.ndarray] = dict(zip(jaxpr.invars, inputs, strict=True))
-    values |= {
-        var: constant_nodes(graph, value)
-        for var, value in zip(jaxpr.constvars, closed.consts, strict=True)
-    }
+    fixed = [constant_nodes(graph, value) for value in closed.consts]
+    return _evaluated(graph, closed.jaxpr, fixed, inputs)
+
+
+def _evaluated(
+    graph: Graph, jaxpr: Any, fixed: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    variables = (*jaxpr.constvars, *jaxpr.invars)
+    values: dict[Any, np.ndarray] = dict(zip(variables, (*fixed, *inputs), strict=True))
 
     def read(atom: Any) -> np.ndarray:
         return constant_nodes(graph, atom.val) if isinstance(atom, Literal) else values[atom]
@@ -171,7 +175,27 @@ def _linear_solve(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndar
     return _run(graph, *solving_part(params, args))
 
 
+def _jvp(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
+    """A function and its derivative, for which `derivatives.jvp` stands."""
+    jaxpr = params["jaxpr"]
+    first, second = np.cumsum([len(jaxpr.constvars), len(jaxpr.invars)])
+    fixed, primals, moved = args[:first], args[first:second], args[second:]
+    results = _evaluated(graph, jaxpr, fixed, primals)
+    pairs = zip(primals, moved, strict=True)
+    tangents = [pair for x, dx in pairs for pair in zip(x.ravel(), dx.ravel(), strict=True)]
+    flat = [node for array in results for node in array.ravel()]
+    known = [node for array in fixed for node in array.ravel()]
+    slopes, sizes = np.empty(len(flat), object), [array.size for array in results]
+    slopes[:] = derivatives(graph, flat, tangents, known)
+    parts = np.split(slopes, np.cumsum(sizes)[:-1])
+    return [
+        *results,
+        *(part.reshape(array.shape) for part, array in zip(parts, results, strict=True)),
+    ]
+
+
 _ARRAY_RULES: dict[str, Callable] = {
+    JVP.name: _jvp,
     "custom_linear_solve": _linear_solve,
     "lu": lu,
     "cholesky": cholesky,

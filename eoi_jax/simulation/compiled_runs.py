@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eoi_jax._status import NATIVE, EngineUsed
+from eoi_jax.compiler.derivatives import jvp
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, run_in_threads
@@ -73,10 +74,9 @@ class _OneRun(AbstractLoop):
     ) -> tuple[_StateAndSlope, Any]:
         """One step, and c of its start, for each output: the error, and the part of an unknown."""
         kernel, run, h = fixed
-        error_and_part = jnp.stack(kernel.scored(run, carry.x, carry.slope, lane, row), axis=1)
-        return _StateAndSlope(
-            *kernel.moved(run, carry.x, carry.slope, lane, row, h)
-        ), error_and_part
+        scored = kernel.scored(run, carry.x, carry.slope, lane, row, jvp)
+        moved = kernel.moved(run, carry.x, carry.slope, lane, row, h, jvp)
+        return _StateAndSlope(*moved), jnp.stack(scored, axis=1)
 
     def result(self, carry: _StateAndSlope) -> Any:
         """Nothing: all of it is shown."""

@@ -13,6 +13,7 @@ The weights are those of Huber's loss (P. J. Huber, *Robust Statistics*, section
 $w = 1$ up to $|r| = \kappa$, $\kappa/|r|$ beyond.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -163,9 +164,16 @@ class RunKernel(eqx.Module):
         return RunCarry(x, slopes, sums), c_rows
 
     def moved(
-        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow, h: Scalar
+        self,
+        lane: RunLane,
+        x: State,
+        slope: State,
+        direction: Direction,
+        row: RunRow,
+        h: Scalar,
+        jvp: Callable = jax.jvp,
     ) -> tuple[State, State]:
-        """State after a step, and its derivative in one direction."""
+        """State after a step, and its derivative in one direction, by `jvp`."""
         theta, time, u = (jnp.asarray(part) for part in (lane.theta, row.time, row.inputs))
 
         tangents = slope, jnp.asarray(direction.theta, theta.dtype)
@@ -174,8 +182,8 @@ class RunKernel(eqx.Module):
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
         if row.slope is None:
-            return jax.jvp(lambda x, moved: flow(x, moved, u), (x, theta), tangents)
-        return jax.jvp(flow, (x, theta, u), (*tangents, _input_change(row, direction)))
+            return jvp(lambda x, moved: flow(x, moved, u), (x, theta), tangents)
+        return jvp(flow, (x, theta, u), (*tangents, _input_change(row, direction)))
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
         """A whole run by `lax.scan`: the sums, and what each row shows."""
@@ -195,16 +203,28 @@ class RunKernel(eqx.Module):
         return jnp.concatenate([columns, error[:, None]], axis=1)
 
     def scored(
-        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow
+        self,
+        lane: RunLane,
+        x: State,
+        slope: State,
+        direction: Direction,
+        row: RunRow,
+        jvp: Callable = jax.jvp,
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
         """The error and the part of c in one direction, of each output; zero where not scored."""
         weight, used = jnp.asarray(lane.scale), row.use > 0
-        y_hat, moved = self._outputs(lane, x, slope, direction, row)
+        y_hat, moved = self._outputs(lane, x, slope, direction, row, jvp)
         error, part = weight * (row.y - y_hat), -weight * moved
         return jnp.where(used, error, 0.0), jnp.where(used, part, 0.0)
 
     def _outputs(
-        self, lane: RunLane, x: State, slope: State, direction: Direction, row: RunRow
+        self,
+        lane: RunLane,
+        x: State,
+        slope: State,
+        direction: Direction,
+        row: RunRow,
+        jvp: Callable,
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
         """Outputs at the start of a step, and their derivatives in one direction."""
         if not self.plant.has_algebraic:
@@ -218,8 +238,8 @@ class RunKernel(eqx.Module):
             return output_of(self.plant, moved, time, x, inputs, self.friction)
 
         if row.slope is None:
-            return jax.jvp(lambda x, moved: outputs(x, moved, u), (x, theta), tangents)
-        return jax.jvp(outputs, (x, theta, u), (*tangents, _input_change(row, direction)[0]))
+            return jvp(lambda x, moved: outputs(x, moved, u), (x, theta), tangents)
+        return jvp(outputs, (x, theta, u), (*tangents, _input_change(row, direction)[0]))
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
