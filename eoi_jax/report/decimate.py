@@ -1,7 +1,7 @@
 """Long signals reduced to the points that a plot can show, with their peaks."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 def decimate(
@@ -20,10 +20,23 @@ def decimate(
     size = -(-len(values) // columns)
     if size <= 2:
         return time, values
+    index = extremes(values, size)
+    return time[index], values[index]
+
+
+def extremes(values: Float[np.ndarray, " time"], size: int) -> Int[np.ndarray, " drawn"]:
+    """Where the smallest and the largest value of each interval of `size` samples are.
+
+    Args:
+        values: the signal; NaN is ignored in an interval that has other values.
+        size: samples of an interval; the last one may be shorter.
+
+    Returns:
+        Two indices for each interval, in time order.
+    """
     blocks = np.pad(values, (0, -len(values) % size), mode="edge").reshape(-1, size)
     low = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
     high = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
     offsets = np.arange(len(blocks)) * size
     index = np.sort(np.stack([offsets + low, offsets + high], axis=1), axis=1).ravel()
-    index = np.minimum(index, len(values) - 1)
-    return time[index], values[index]
+    return np.minimum(index, len(values) - 1)

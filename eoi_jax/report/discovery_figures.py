@@ -7,8 +7,7 @@ import numpy as np
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.models.units import derivative_unit
 from eoi_jax.models.velocities import velocity_rows
-from eoi_jax.report.decimate import decimate
-from eoi_jax.report.figures import draw_free_runs, free_run_height, simulated_outputs
+from eoi_jax.report.free_runs import FreeRuns, free_run_series, validation_runs
 from eoi_jax.report.style import (
     ACCENT,
     BASE,
@@ -16,12 +15,18 @@ from eoi_jax.report.style import (
     WIDTH,
     fix_theme,
     injection_label,
-    legend_above,
     new_figure,
     series,
     text_colour,
     themed,
     with_unit,
+)
+from eoi_jax.report.time_series import (
+    Panel,
+    Signal,
+    TimeSeries,
+    draw_time_series,
+    time_series_figure,
 )
 
 
@@ -35,18 +40,23 @@ def discovery_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    outputs, (rows, _) = len(discovery.plant.outputs), _layout(_maps(discovery))
-    heights = [1.0 + 1.4 * outputs, 0.5 + 2.5 * rows, free_run_height(outputs)]
+    rows, _ = _layout(_maps(discovery))
+    residual, runs = residual_series(discovery), free_runs(discovery)
+    comparison = None if runs is None else free_run_series(runs)
+    heights = [residual.height, 0.5 + 2.5 * rows, comparison.height if comparison else 1.0]
     figure = new_figure(WIDE, sum(heights))
     grid = figure.add_gridspec(3, 1, height_ratios=heights)
-    _draw_residuals(figure.add_subfigure(grid[0]), discovery)
+    draw_time_series(figure.add_subfigure(grid[0]), residual)
     _draw_maps(figure.add_subfigure(grid[1]), discovery)
-    _draw_free_run(figure.add_subfigure(grid[2]), discovery)
+    lowest = figure.add_subfigure(grid[2])
+    if comparison is None:
+        lowest.subplots().set_title("no free run")
+    else:
+        draw_time_series(lowest, comparison)
     figure.suptitle(f"{discovery.plant.name}: {_title(discovery)}")
     return fix_theme(figure)
 
 
-@themed()
 def residual_figure(discovery: Discovery) -> Any:
     """Residual before and after over time, a panel for each output.
 
@@ -56,9 +66,7 @@ def residual_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new_figure(WIDTH, 1.1 + 1.6 * len(discovery.plant.outputs))
-    _draw_residuals(figure, discovery)
-    return fix_theme(figure)
+    return time_series_figure(residual_series(discovery))
 
 
 @themed()
@@ -80,7 +88,6 @@ def effect_figure(discovery: Discovery) -> Any:
     return fix_theme(figure)
 
 
-@themed()
 def free_run_figure(discovery: Discovery) -> Any:
     """Free runs before and after on a held-out record against its measurement.
 
@@ -90,8 +97,14 @@ def free_run_figure(discovery: Discovery) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new_figure(WIDTH, free_run_height(len(discovery.plant.outputs)))
-    _draw_free_run(figure, discovery)
+    runs = free_runs(discovery)
+    return _without_runs() if runs is None else time_series_figure(free_run_series(runs))
+
+
+@themed()
+def _without_runs() -> Any:
+    figure = new_figure(WIDTH, 1.0)
+    figure.subplots().set_title("no free run")
     return fix_theme(figure)
 
 
@@ -117,26 +130,26 @@ def _title(discovery: Discovery) -> str:
     return " + ".join(names) or discovery.status.code.replace("_", " ")
 
 
-def _pair(discovery: Discovery, declared: Any, augmented: Any) -> list[tuple[Any, str, str]]:
-    """Curves with their colours and labels; a single one where the model is the declared one."""
-    if not discovery.changed:
-        return [(declared, series(BASE), "declared model")]
-    return [(declared, series(BASE), "before"), (augmented, series(ACCENT), "after")]
+def residual_series(discovery: Discovery, record: int = 0) -> TimeSeries:
+    """Residual before and after over time, a panel for each output.
 
-
-def _draw_residuals(figure: Any, discovery: Discovery, record: int = 0) -> None:
+    Args:
+        discovery: of `discover`.
+        record: which of the records of the fit.
+    """
     declared = discovery.declared
-    curves = _pair(discovery, declared, discovery.found)
-    panels = figure.subplots(len(declared.plant.outputs), 1, sharex=True, squeeze=False)[:, 0]
-    for j, axes in enumerate(panels):
-        for result, colour, label in curves:
-            time = np.asarray(result.records[record].time)
-            values = np.asarray(result.residual[record])[:, j]
-            points = decimate(time[: len(values)], values)
-            axes.plot(*points, color=colour, linewidth=0.8, label=label)
-        axes.set_ylabel(injection_label("residual", declared.plant, j))
-    legend_above(panels[0])
-    panels[-1].set_xlabel("time [s]")
+    fits = [(declared, BASE, "before"), (discovery.found, ACCENT, "after")]
+    if not discovery.changed:
+        fits = [(declared, BASE, "declared model")]
+    panels = []
+    for j in range(len(declared.plant.outputs)):
+        lines = [
+            Signal(label, np.asarray(fit.residual[record])[:, j], colour, 0.8)
+            for fit, colour, label in fits
+        ]
+        panels.append(Panel(injection_label("residual", declared.plant, j), tuple(lines), 1.6))
+    used = declared.records[record]
+    return TimeSeries(np.asarray(used.time), tuple(panels), used.data_hash)
 
 
 # -- the residual against variables -----------------------------------------------------------
@@ -261,17 +274,21 @@ def _derived(result: Any, j: int, name: str) -> bool:
 # -- the free run -----------------------------------------------------------------------------
 
 
-def _draw_free_run(figure: Any, discovery: Discovery, record: int = 0) -> None:
-    """Free runs before and after on a record against its measurement, and their errors."""
-    plant = discovery.plant
-    if discovery.before is None:
-        figure.subplots().set_title("no free run")
-        return
-    runs = [
-        (simulated_outputs(run.predictions[record]), colour, label)
-        for run, colour, label in _pair(discovery, discovery.before, discovery.after)
-    ]
-    measured = discovery.held_out[record]
+def free_runs(discovery: Discovery, record: int = 0) -> FreeRuns | None:
+    """Free runs before and after on a held-out record; None where none was possible.
+
+    Args:
+        discovery: of `discover`.
+        record: which of the held-out records.
+    """
+    if discovery.before is None or discovery.after is None:
+        return None
+    results = [(discovery.before, "before"), (discovery.after, "after")]
+    if not discovery.changed:
+        results = [(discovery.before, "declared model")]
+    runs = validation_runs(*results, record=record)
     data = "in-sample" if discovery.in_sample else "held-out"
+    measured = discovery.held_out[record]
     title = f"{data} record {measured.name}"
-    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, title)
+    plant = discovery.plant
+    return FreeRuns(measured, runs.runs, plant.outputs, plant.units, title)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report.figures import draw_free_runs, free_run_height
+from eoi_jax.report.free_runs import FreeRuns, Run, free_run_series
 from eoi_jax.report.style import (
     ACCENT,
     BASE,
@@ -21,6 +21,7 @@ from eoi_jax.report.style import (
     themed,
     with_unit,
 )
+from eoi_jax.report.time_series import draw_time_series
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
@@ -51,14 +52,14 @@ def refinement_figure(result: Refinement, record: int = 0, layout: EstimateLayou
     Returns:
         A `matplotlib.figure.Figure`; save it with ``figure.savefig(path)``.
     """
-    outputs = result.plant.outputs if result.records else ()
+    runs = free_run_series(refined_runs(result, record)) if result.records else None
     free = _free(result)
     rows = -(-len(free) // layout.per_row)
-    heights = [free_run_height(len(outputs)) if outputs else 1e-3, 0.4 + 1.9 * rows]
+    heights = [runs.height if runs else 1e-3, 0.4 + 1.9 * rows]
     figure = new_figure(WIDE, 0.4 + sum(heights))
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
-    if outputs:
-        _draw_refined_runs(figure.add_subfigure(grid[0]), result, record)
+    if runs:
+        draw_time_series(figure.add_subfigure(grid[0]), runs)
     lower = figure.add_subfigure(grid[1])
     _draw_intervals(lower, uncertainty(result), free, result.nominal.parameters, layout)
     lower.suptitle("parameters with 95 % intervals", x=0.01, ha="left", fontsize="medium")
@@ -66,34 +67,23 @@ def refinement_figure(result: Refinement, record: int = 0, layout: EstimateLayou
     return fix_theme(figure)
 
 
-@themed()
-def refined_runs_figure(result: Refinement, record: int = 0) -> Any:
-    """Measurement and free runs before and after.
-
-    Args:
-        result: of `refine`, with its records.
-        record: which of them is drawn.
-
-    Returns:
-        A `matplotlib.figure.Figure`.
-    """
-    figure = new_figure(WIDTH, free_run_height(len(result.plant.outputs)))
-    _draw_refined_runs(figure, result, record)
-    return fix_theme(figure)
-
-
 def _free(result: Any) -> list[str]:
     return [name for name in result.parameters if name not in result.plant.fixed]
 
 
-def _draw_refined_runs(figure: Any, result: Refinement, record: int) -> None:
+def refined_runs(result: Refinement, record: int = 0) -> FreeRuns:
+    """Free runs before and after on a record of the fit.
+
+    Args:
+        result: of `refine`, with its records.
+        record: which of them.
+    """
     measured, plant = result.records[record], result.plant
-    residuals = [(result.residual[record], series(ACCENT), "refined")]
+    residuals = [(result.residual[record], ACCENT, "refined")]
     if result.residual_before:
-        residuals.insert(0, (result.residual_before[record], series(BASE), "before"))
-    runs = [(measured.outputs - error, colour, label) for error, colour, label in residuals]
-    title = f"record {measured.name}"
-    draw_free_runs(figure, plant.outputs, plant.units, measured, runs, title)
+        residuals.insert(0, (result.residual_before[record], BASE, "before"))
+    runs = tuple(Run(measured.outputs - error, colour, label) for error, colour, label in residuals)
+    return FreeRuns(measured, runs, plant.outputs, plant.units, f"record {measured.name}")
 
 
 # -- intervals and correlation -----------------------------------------------------------------

@@ -1,0 +1,153 @@
+"""Free runs against the measurement, with their errors, and the detail where these are largest."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.cleaning import is_slow
+from eoi_jax.data.record import Record
+from eoi_jax.report.style import BASE, with_unit
+from eoi_jax.report.time_series import Panel, Signal, TimeSeries
+from eoi_jax.simulation.validate import Validation
+
+
+class Run(NamedTuple):
+    """A free run with its label and the number of its colour."""
+
+    outputs: Float[np.ndarray, "time ny"]
+    colour: int
+    label: str
+
+
+@dataclass(frozen=True)
+class FreeRuns:
+    """Free runs of one or several models along a record.
+
+    Attributes:
+        record: the measurement; of a result without its records the prediction.
+        runs: outputs (N, ny) of each, the answer last.
+        outputs: names.
+        units: by name.
+        title: label of the record.
+        measured: whether the outputs of the record are measurements.
+    """
+
+    record: Record
+    runs: tuple[Run, ...]
+    outputs: tuple[str, ...]
+    units: dict[str, str]
+    title: str
+    measured: bool = True
+
+
+def simulated_outputs(prediction: Record) -> Float[np.ndarray, "time ny"]:
+    """Outputs of a free run, NaN where an unknown input interrupts it, (N, ny)."""
+    return np.where(prediction.output_valid, prediction.outputs, np.nan)
+
+
+def validation_runs(*results: tuple[Validation, str], record: int = 0) -> FreeRuns:
+    """The free runs of one or several validations on the same records.
+
+    Args:
+        results: of `validate`, each with its label; the answer last.
+        record: which of the records.
+    """
+    last = results[-1][0]
+    runs = tuple(
+        Run(simulated_outputs(result.predictions[record]), BASE + i, label)
+        for i, (result, label) in enumerate(results)
+    )
+    measured = last.records[record] if last.records else None
+    reference = measured or last.predictions[record]
+    units = dict(zip(last.outputs, last.units, strict=True))
+    return FreeRuns(reference, runs, last.outputs, units, reference.name, measured is not None)
+
+
+def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
+    """Free runs over the measurement, and below each output their errors.
+
+    Args:
+        content: the runs.
+        max_range: half ranges of the measurement to which the panels are clipped: a run that
+            diverges must not flatten the other curves.
+    """
+    panels = []
+    for j, name in enumerate(content.outputs):
+        unit = content.units.get(name)
+        mask = content.record.output_valid[:, j] & content.measured
+        y = np.where(mask, content.record.outputs[:, j], np.nan)
+        slow = is_slow(mask)  # no line: few samples have a neighbour
+        runs = [Signal(run.label, run.outputs[:, j], run.colour, 1.0) for run in content.runs]
+        errors = [
+            Signal(run.label, y - run.outputs[:, j], run.colour, dots=slow) for run in content.runs
+        ]
+        upper_limits = lower_limits = None
+        if np.any(mask):
+            runs.insert(0, Signal("measured", y, None, 2.0, dots=slow))
+            mean = float(np.nanmean(y))
+            size = max_range * float(np.nanmax(np.abs(y - mean)))
+            upper_limits, lower_limits = (mean - size, mean + size), (-size, size)
+        panels += [
+            Panel(with_unit(name, unit), tuple(runs), 1.54, upper_limits),
+            Panel(with_unit("error", unit), tuple(errors), 0.96, lower_limits),
+        ]
+    time = np.asarray(content.record.time)
+    return TimeSeries(time, tuple(panels), content.record.data_hash, f"time [s], {content.title}")
+
+
+# -- detail -----------------------------------------------------------------------------------
+
+
+def worst_window(
+    content: FreeRuns, duration: float = 1.0, fewest: int = 50, most: int = 1000
+) -> slice | None:
+    """Samples of the window in which the error of the answer has most power.
+
+    Errors of several outputs are added as shares of the range of the measurement.
+
+    Args:
+        content: the runs, the answer last.
+        duration: of the window [s].
+        fewest: samples of the window, whatever its duration: enough to see a shape.
+        most: samples of the window, no more than a panel can show.
+
+    Returns:
+        None where no error is known, or where the window would be half of the record.
+    """
+    size = int(np.clip(round(duration / content.record.sample_period), fewest, most))
+    y = np.where(content.record.output_valid, content.record.outputs, np.nan)
+    if not content.measured or 2 * size > len(y):
+        return None
+    valid = content.record.output_valid
+    spread = np.array(
+        [
+            np.ptp(channel[mask]) if np.any(mask) else 0.0
+            for channel, mask in zip(content.record.outputs.T, valid.T, strict=True)
+        ]
+    )
+    relative = (y - content.runs[-1].outputs) / np.where(spread > 0, spread, 1.0)
+    finite = np.where(np.isfinite(relative), np.clip(relative, -1e6, 1e6), 0.0)
+    power = np.sum(finite**2, axis=1)
+    if not np.any(power):
+        return None
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    start = int(np.argmax(total[size:] - total[:-size]))
+    return slice(start, start + size)
+
+
+def worst_series(content: FreeRuns) -> TimeSeries | None:
+    """`free_run_series` of the `worst_window`, with every sample; None without such a window."""
+    window = worst_window(content)
+    if window is None:
+        return None
+    whole = free_run_series(content)
+    panels = tuple(
+        replace(
+            panel,
+            signals=tuple(replace(line, values=line.values[window]) for line in panel.signals),
+        )
+        for panel in whole.panels
+    )
+    return replace(whole, time=whole.time[window], panels=panels, record=f"{whole.record} detail")
