@@ -1,7 +1,7 @@
 """Contents of the report of a run, from the files of its folder: no numerical work."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,9 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report import discovery, discovery_figures, estimate_figures, figures
+from eoi_jax.report.free_runs import FreeRuns, free_run_series, validation_runs, worst_series
 from eoi_jax.report.health import Check, health
+from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.tables import (
     highest_derivative,
     parameter_rows,
@@ -21,6 +23,7 @@ from eoi_jax.report.tables import (
     refined_rows,
     validation_rows,
 )
+from eoi_jax.report.time_series import TimeSeries, time_series_figure
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
@@ -49,12 +52,19 @@ class Table:
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure with its title and a caption; `figure` draws it."""
+    """A figure with its title and a caption.
+
+    Attributes:
+        name, title, caption: of the figure; the name is unique in the page.
+        figure: draws it.
+        chart: signals over time that the page also shows as an interactive chart, if any.
+    """
 
     name: str
     title: str
     caption: str
     figure: Callable[[], Any]
+    chart: Callable[[], TimeSeries] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,7 @@ class Contents:
         final_tables: tables at the end of the page.
         notes: sentences.
         added: whether the equation contains terms that were added.
+        badge: the free-run error over the noise of the sensor; "" where one is unknown.
     """
 
     tiles: tuple[Tile, ...]
@@ -74,7 +85,8 @@ class Contents:
     final_tables: tuple[Table, ...] = ()
     checks: tuple[Check, ...] = ()
     notes: tuple[str, ...] = ()
-    added: bool = field(default=False)
+    added: bool = False
+    badge: str = ""
 
 
 def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
@@ -114,9 +126,10 @@ def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
         tuple(tables),
         (*_discovery_figures(result), *_maps(diagnosis)),
         final_tables,
-        health(diagnosis, searched=True),
+        health(diagnosis, searched=result.status.code, explained=result.explained),
         tuple(filter(None, [discovery.lead(result), *result.notes])),
         added=bool(result.added),
+        badge=_error_over_noise(discovery.compared_runs(result)[1], in_sample=result.in_sample),
     )
 
 
@@ -142,16 +155,18 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         for name, share in zip(result.plant.outputs, result.unexplained, strict=True)
     ]
     tiles = [*_fits(validation), *tiles][: 2 * _MAX_OUTPUTS]
-    report_figures = [_data(result.records), _injection(result), _index([(result, "")])]
+    report_figures = []
     if validation is not None:
-        report_figures.append(
-            _free_run(partial(figures.validation_figure, validation), "the estimate")
-        )
+        report_figures += _free_runs(validation_runs((validation, "free run")), "the estimate")
+    report_figures += [_data(result.records), _injection(result), _index([(result, "")])]
     report_figures += _estimates(uncertainty(result), result.nominal.parameters)
     report_figures += _maps(extra["diagnosis"])
     notes = (*result.reasons, *result.notes, *(validation.notes if validation is not None else ()))
     checks = health(extra["diagnosis"])
-    return Contents(tuple(tiles), tuple(tables), tuple(report_figures), (), checks, notes)
+    return Contents(
+        tuple(tiles), tuple(tables), tuple(report_figures), (), checks, notes,
+        badge=_error_over_noise(validation),
+    )  # fmt: skip
 
 
 def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Contents:
@@ -182,13 +197,16 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
         if validation is not None:
             title = f"Free run on held-out records, {label}"
             tables.append(_table(title, validation_rows(validation), (1, 2, 3)))
-    report_figures = [_data(start.records)]
+    report_figures = []
     if result.records:
-        runs = partial(estimate_figures.refined_runs_figure, result)
-        report_figures.append(_free_run(runs, "both estimates"))
-    if extra["after"] is not None:
-        held_out = partial(figures.validation_figure, extra["after"])
-        report_figures.append(_free_run(held_out, "the refined estimate", "held_out"))
+        runs = estimate_figures.refined_runs(result)
+        report_figures += _free_runs(runs, "both estimates")
+    held_out = [(run, label) for run, label in ((extra["before"], "before"),
+                (extra["after"], "refined")) if run is not None]  # fmt: skip
+    if held_out:
+        runs = validation_runs(*held_out)
+        report_figures += _free_runs(runs, "both estimates on held-out data", "held_out")
+    report_figures.append(_data(start.records))
     report_figures += _estimates(uncertainty(result), result.nominal.parameters)
     report_figures += [_index([(start, "")]), _injection(start)]
     return Contents(
@@ -198,6 +216,7 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
         (),
         health(extra["diagnosis"]),
         tuple(result.notes),
+        badge=_error_over_noise(extra["after"]),
     )
 
 
@@ -239,6 +258,25 @@ def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
+def _error_over_noise(
+    run: Validation | None, in_sample: bool = False, smallest: float = 1e-6
+) -> str:
+    """The largest ratio of a free-run error to the noise of its sensor, in words.
+
+    Noise below `smallest` of the signal is that of rounding, not of a sensor.
+    """
+    if run is None or not run.records or not np.all(np.isfinite(run.rmse)):
+        return ""
+    noise = np.max([record.noise for record in run.records], axis=0)
+    spread = run.rmse / np.maximum(run.nrmse, 1e-300)
+    if not np.all(noise > smallest * spread):
+        return ""
+    ratio = float(np.max(run.rmse / noise))
+    number = f"{ratio:.2g}" if ratio < 100 else f"{ratio:.0f}"
+    data = "in-sample" if in_sample else "held-out"
+    return f"{data} error {number} × sensor noise"
+
+
 def _fits(validation: Validation | None) -> list[Tile]:
     if validation is None:
         return []
@@ -265,19 +303,21 @@ def _discovery_figures(result: Discovery) -> list[ReportFigure]:
     variable = "the variable of the effect" if result.added else "all variables"
     against = f"Residual against {variable}"
     pair = [(declared, "before"), (final, "after")] if result.changed else [(declared, "")]
-    report_figures = [
-        ReportFigure("effect", against, effect,
-              partial(discovery_figures.effect_figure, result)),
-        ReportFigure("residual", "Residual over time",
-              "The equivalent injection less the part that other parameters could explain.",
-              partial(discovery_figures.residual_figure, result)),
-    ]  # fmt: skip
-    if result.before is not None:
+    report_figures = []
+    runs = discovery_figures.free_runs(result)
+    if runs is not None:
         final_model = "augmented" if result.added else "refined"
         models = (
             f"the declared and the {final_model} model" if result.changed else "the declared model"
         )
-        report_figures.append(_free_run(partial(discovery_figures.free_run_figure, result), models))
+        report_figures += _free_runs(runs, models)
+    report_figures += [
+        ReportFigure("effect", against, effect,
+              partial(discovery_figures.effect_figure, result)),
+        _over_time("residual", "Residual over time",
+              "The equivalent injection less the part that other parameters could explain.",
+              partial(discovery_figures.residual_series, result)),
+    ]  # fmt: skip
     report_figures += [_injection(declared), _index(pair)]
     report_figures += _estimates(uncertainty(final), declared.parameters if result.changed else {})
     report_figures.append(_data(declared.records))
@@ -290,13 +330,21 @@ def _data(records: Sequence[Any], name: str = "data", use: str = "fitted") -> Re
     count = f" The first of {len(records)} records." if len(records) > 1 else ""
     purpose = "As used by the fit" if use == "fitted" else "For validation of the fit"
     caption = f"{purpose}.{count}"
-    return ReportFigure(name, f"Data, {use}", caption, partial(figures.record_figure, records[0]))
+    content = partial(figures.record_series, records[0])
+    return _over_time(name, f"Data, {use}", caption, content)
+
+
+def _over_time(
+    name: str, title: str, caption: str, content: Callable[[], TimeSeries]
+) -> ReportFigure:
+    """Signals over time: a figure, and a chart in its place where the page runs its script."""
+    return ReportFigure(name, title, caption, lambda: time_series_figure(content()), content)
 
 
 def _injection(result: Identification) -> ReportFigure:
     caption = "The model error at the nominal parameters, and the remaining error in the best pass."
-    return ReportFigure("injection", "Injection of the first and best pass", caption,
-                 partial(figures.injection_figure, result))  # fmt: skip
+    content = partial(figures.injection_series, result)
+    return _over_time("injection", "Injection of the first and best pass", caption, content)
 
 
 def _index(results: Sequence[tuple[Identification, str]]) -> ReportFigure:
@@ -308,9 +356,28 @@ def _index(results: Sequence[tuple[Identification, str]]) -> ReportFigure:
     )
 
 
-def _free_run(figure: Callable[[], Any], subject: str, name: str = "free_run") -> ReportFigure:
+def _free_runs(runs: FreeRuns, subject: str, name: str = "free_run") -> list[ReportFigure]:
+    """The whole run, the window of its largest error, and the correlation of the errors."""
+    suffix = ", held out" if name == "held_out" else ""
     caption = f"Simulation of {subject} without feedback from the measurement, and its error."
-    return ReportFigure(name, "Free run against measurement", caption, figure)
+    title = f"Free run against measurement{suffix}"
+    report_figures = [_over_time(name, title, caption, partial(free_run_series, runs))]
+    detail = worst_series(runs)
+    if detail is not None:
+        seconds = f"{detail.time[-1] - detail.time[0] + runs.record.sample_period:.3g}"
+        title = f"The worst second{suffix}" if seconds == "1" else f"The worst {seconds} s{suffix}"
+        caption = f"Detail from {detail.time[0]:.5g} s, where the error of the answer is largest."
+        report_figures.append(_over_time(f"{name}_worst", title, caption, lambda: detail))
+    if runs.measured and len(runs.record) > 1:
+        caption = (
+            "Correlation of the error with itself and with each input, with 99 % bounds. Within "
+            "them the error is like white noise and independent of the input. A small error may "
+            "exceed them: they judge the form of the error, not its size."
+        )
+        title = f"Correlation of the free-run error{suffix}"
+        figure = partial(residual_correlation_figure, runs)
+        report_figures.append(ReportFigure(f"{name}_correlation", title, caption, figure))
+    return report_figures
 
 
 def _estimates(estimate: Uncertainty, initial: Mapping[str, float]) -> list[ReportFigure]:

@@ -16,15 +16,20 @@ class Check:
 
     Attributes:
         name: its subject.
-        good: whether nothing needs attention.
+        state: ``"good"``; ``"note"``, a finding that the answer accounts for; ``"attention"``.
         finding: sentences.
         advice: what to do next; "" if nothing.
     """
 
     name: str
-    good: bool
+    state: str
     finding: str
     advice: str
+
+    @property
+    def good(self) -> bool:
+        """Whether there is no finding."""
+        return self.state == "good"
 
 
 @dataclass(frozen=True)
@@ -74,18 +79,57 @@ _TIMING = _CheckRule(
 _RULES = (_EXCITATION, _SLIDING, _RESIDUAL, _NOISE, _SATURATION, _TIMING)
 
 
-_AFTER_SEARCH = (
-    "No effect of the library explains the residual. Its maps may suggest a term of your own; "
-    "`eoi refine` fits the free run itself."
+@dataclass(frozen=True)
+class _Verdict:
+    """What the answer of a discovery says about a residual that is more than white noise."""
+
+    state: str
+    finding: str
+    advice: str = ""
+
+
+_VERDICTS = {
+    "explained": _Verdict(
+        "note",
+        "The answer stands: the added effects explain {:.3g} % of what the declared model left. "
+        "This is about the rest.",
+        "Compare the free-run error with the noise of the sensor: at its level the rest does not "
+        "matter.",
+    ),
+    "nothing_missing": _Verdict(
+        "note",
+        "The answer stands: what exceeds the noise is too small a share of the signal to matter, "
+        "or does not show in free runs.",
+    ),
+    "partial": _Verdict(
+        "attention",
+        "As the answer says, more than noise is left after the added effects.",
+        "The maps of the residual show what the rest depends on; they may suggest a term of your "
+        "own.",
+    ),
+    "unexplained": _Verdict(
+        "attention",
+        "As the answer says, no effect of the library explains this.",
+        "The maps of the residual may suggest a term of your own; `eoi refine` fits the free run "
+        "itself.",
+    ),
+}
+_TIMING_AFTER_SEARCH = (
+    "Check the time stamps and how the input is held between samples (`hold`); the table of other "
+    "candidates shows what `input_delay` and `actuator_lag` explain. Under feedback compare with "
+    "`eoi refine`, whose simulated regressors contain no noise."
 )
 
 
-def health(diagnosis: Diagnosis, *, searched: bool = False) -> tuple[Check, ...]:
-    """Every check, in the order of the report.
+def health(
+    diagnosis: Diagnosis, *, searched: str = "", explained: float = 0.0
+) -> tuple[Check, ...]:
+    """Every check, in the order of the report, worded so that it agrees with the answer.
 
     Args:
         diagnosis: of `diagnose`.
-        searched: whether the library of effects has already been searched.
+        searched: status of the discovery that has searched the library of effects; "" if none has.
+        explained: share of the residual that its effects explain, 0 … 1.
 
     Returns:
         One for each subject, with or without a problem.
@@ -93,9 +137,17 @@ def health(diagnosis: Diagnosis, *, searched: bool = False) -> tuple[Check, ...]
     checks = []
     for rule in _RULES:
         problems = " ".join(line for finder in rule.finders for line in finder(diagnosis))
-        advice = _AFTER_SEARCH if searched and rule is _RESIDUAL else rule.advice
-        finding, advice = (problems, advice) if problems else (_passed(diagnosis, rule), "")
-        checks.append(Check(rule.name, not problems, finding, advice))
+        if not problems:
+            checks.append(Check(rule.name, "good", _passed(diagnosis, rule), ""))
+            continue
+        state, advice = "attention", rule.advice
+        if rule is _RESIDUAL and searched in _VERDICTS:
+            verdict = _VERDICTS[searched]
+            state, advice = verdict.state, verdict.advice
+            problems = f"{verdict.finding.format(100 * explained)} {problems}"
+        elif rule is _TIMING and searched:
+            advice = _TIMING_AFTER_SEARCH
+        checks.append(Check(rule.name, state, problems, advice))
     return tuple(checks)
 
 

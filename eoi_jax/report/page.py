@@ -2,15 +2,25 @@
 
 import base64
 import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
+from eoi_jax.report.charts import chart_data
 from eoi_jax.report.contents import Contents, ReportFigure
 from eoi_jax.report.drawing import draw_or_warn
 from eoi_jax.report.mathml import equation_mathml
 from eoi_jax.report.svg import inline, variables
 
+# What the status codes tell, and whether that is good; other codes need attention.
+_BADGES = {
+    "explained": ("good", "explained"),
+    "nothing_missing": ("good", "nothing missing"),
+    "partial": ("note", "partial: more than noise is left"),
+    "converged": ("good", "converged"),
+}
 # Colours besides those of the figures: cards, small text, badges of good and bad checks.
 _LIGHT = {"--card": "#f4f6f8", "--muted": "#5a636f", "--good": "#0b6b4b", "--attention": "#a94400"}
 _DARK = {"--card": "#1e232a", "--muted": "#a3abb7", "--good": "#5fd0a5", "--attention": "#f5a15f"}
@@ -36,19 +46,17 @@ def page(
 
     templates = Environment(loader=PackageLoader("eoi_jax.report"), autoescape=True)
     templates.filters["prose"] = _prose
-    loader = templates.loader
-    assert loader is not None
-    script, style = (loader.get_source(templates, f"page.{kind}")[0] for kind in ("js", "css"))
+    figures, failures = _figures(contents.figures)
+    charts = _charts(contents.figures, {figure["name"] for figure in figures})
+    script, style = _code(charts is not None)
     # Only the script of the page may run, whatever a name contains.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     equation = summary.get("equation")
-    figures, failures = _figures(contents.figures)
     values = {
         "name": summary["name"],
         "verb": verb,
-        "status": summary["status"]["code"].replace("_", " "),
-        "ok": summary["status"]["code"] != "unexplained",
-        "answer": summary["answer"],
+        **_outcome(summary),
+        "badge": contents.badge,
         "tiles": contents.tiles,
         "tables": contents.tables,
         "final_tables": contents.final_tables,
@@ -66,11 +74,38 @@ def page(
     return templates.get_template("page.html").render(
         page=values,
         style=Markup(style),
+        charts=Markup(_json(charts)) if charts else "",
         script=Markup(script),
         script_hash=f"sha256-{digest}",
         light=Markup(_rules({**variables(dark=False), **_LIGHT})),
         dark=Markup(_rules({**variables(dark=True), **_DARK})),
     )
+
+
+def _outcome(summary: Mapping[str, Any]) -> dict[str, str]:
+    """The answer, its badge, and what the status says beyond the answer."""
+    code, message = summary["status"]["code"], summary["status"].get("message", "")
+    state, label = _BADGES.get(code, ("attention", code.replace("_", " ")))
+    if message in summary["answer"]:
+        message = ""
+    message = message[:1].upper() + message[1:]
+    if message and not message.endswith("."):
+        message += "."
+    return {"answer": summary["answer"], "status": label, "state": state, "message": message}
+
+
+def _code(with_charts: bool) -> tuple[str, str]:
+    """The script and the style of the page, with uPlot where it has charts."""
+    templates = files("eoi_jax.report") / "templates"
+    library = files("eoi_jax.report") / "uplot"
+    scripts, styles = [templates / "page.js"], [templates / "page.css"]
+    if with_charts:
+        scripts += [library / "uPlot.iife.min.js", templates / "charts.js"]
+        styles.insert(0, library / "uPlot.min.css")
+    script, style = (
+        "\n".join(file.read_text(encoding="utf-8") for file in parts) for parts in (scripts, styles)
+    )
+    return script, style
 
 
 def _figures(items: Sequence[ReportFigure]) -> tuple[list[dict[str, Any]], list[str]]:
@@ -89,6 +124,23 @@ def _figures(items: Sequence[ReportFigure]) -> tuple[list[dict[str, Any]], list[
         texts = {"name": item.name, "title": item.title, "caption": item.caption}
         figures.append({**texts, "svg": Markup(svg)})
     return figures, failures
+
+
+def _charts(items: Sequence[ReportFigure], drawn: set[str]) -> dict[str, Any] | None:
+    """Data of the charts; a chart that fails leaves its figure."""
+    charts = {}
+    for item in items:
+        if item.chart is not None and item.name in drawn:
+            content = draw_or_warn(item.name, item.chart)
+            if content is not None:
+                charts[item.name] = content
+    return chart_data(charts)
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    """JSON within a `script` element, which no text in it can end."""
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
 
 
 def _prose(text: str) -> Any:

@@ -139,6 +139,34 @@ def test_what_is_wrong_fails_its_own_check_alone_which_says_what_to_do(fine, nam
 def test_a_search_that_was_made_is_not_advised_again(fine):
     bad = dataclasses.replace(fine, more_than_noise=np.array([True]))
     (before,) = [one for one in health(bad) if not one.good]
-    (after,) = [one for one in health(bad, searched=True) if not one.good]
+    (after,) = [one for one in health(bad, searched="unexplained") if not one.good]
     assert "Run `eoi discover`" in before.advice
     assert "Run `eoi discover`" not in after.advice
+
+
+ANSWERS = {
+    "explained": ("note", "The answer stands: the added effects explain 93 %"),
+    "nothing_missing": ("note", "The answer stands"),
+    "partial": ("attention", "As the answer says, more than noise is left"),
+    "unexplained": ("attention", "As the answer says, no effect of the library explains this"),
+}
+
+
+@pytest.mark.parametrize("code", ANSWERS)
+@pytest.mark.parametrize("changes", [{"more_than_noise": [True]}, {"white": [False]}])
+def test_what_is_left_of_the_residual_is_told_in_agreement_with_the_answer(fine, code, changes):
+    bad = dataclasses.replace(fine, **{key: np.array(value) for key, value in changes.items()})
+    (told,) = [one for one in health(bad, searched=code, explained=0.93) if not one.good]
+    state, said = ANSWERS[code]
+    assert told.state == state
+    assert told.finding.startswith(said)
+    assert "noise" in told.finding.removeprefix(said)  # the finding itself follows
+    assert "no effect of the library" not in told.finding or code == "unexplained"
+
+
+def test_after_a_search_a_delay_is_looked_up_among_the_candidates(fine):
+    late = dataclasses.replace(fine, cross=(LATE,))
+    (before,) = [one for one in health(late) if not one.good]
+    (after,) = [one for one in health(late, searched="explained") if not one.good]
+    assert "let `eoi discover` try" in before.advice
+    assert "table of other candidates" in after.advice
