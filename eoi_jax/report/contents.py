@@ -259,11 +259,15 @@ def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
 
 
 def _error_over_noise(
-    run: Validation | None, in_sample: bool = False, smallest: float = 1e-6
+    run: Validation | None,
+    in_sample: bool = False,
+    smallest: float = 1e-9,
+    largest: float = 1e4,
 ) -> str:
     """The largest ratio of a free-run error to the noise of its sensor, in words.
 
-    Noise below `smallest` of the signal is that of rounding, not of a sensor.
+    Noise below `smallest` of the signal is that of rounding, not of a sensor; above `largest` the
+    number tells nothing more.
     """
     if run is None or not run.records or not np.all(np.isfinite(run.rmse)):
         return ""
@@ -273,6 +277,8 @@ def _error_over_noise(
         return ""
     ratio = float(np.max(run.rmse / noise))
     number = f"{ratio:.2g}" if ratio < 100 else f"{ratio:.0f}"
+    if ratio > largest:
+        number = f"more than {largest:.0f}"
     data = "in-sample" if in_sample else "held-out"
     return f"{data} error {number} × sensor noise"
 

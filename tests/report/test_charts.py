@@ -3,13 +3,15 @@
 import base64
 import dataclasses
 import json
+import re
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from found import HELD_OUT, discovery
 
 import eoi_jax as eoi
-from eoi_jax.report import discovery_figures
+from eoi_jax.report import discovery_figures, page
 from eoi_jax.report.charts import ChartLimits, chart_data
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.figures import record_series
@@ -163,3 +165,46 @@ def test_the_badge_is_empty_where_the_noise_is_not_known():
     assert discovery_contents(dataclasses.replace(found, after=after), extra).badge == ""
     in_sample = dataclasses.replace(found, in_sample=True)
     assert discovery_contents(in_sample, extra).badge.startswith("in-sample error")
+
+
+# -- the page ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "state", "label"),
+    [
+        ("explained", "good", "explained"),
+        ("nothing_missing", "good", "nothing missing"),
+        ("partial", "note", "partial: more than noise is left"),
+        ("unexplained", "attention", "unexplained"),
+        ("converged", "good", "converged"),
+        ("diverged", "attention", "diverged"),
+        ("passes_exhausted", "attention", "passes exhausted"),
+    ],
+)
+def test_the_badge_tells_what_the_status_tells(code, state, label):
+    status = {"code": code, "message": "what is left is noise"}
+    shown = page._outcome({"status": status, "answer": "An answer."})
+    assert (shown["state"], shown["status"]) == (state, label)
+    assert shown["message"] == "What is left is noise."
+    repeated = page._outcome({"status": status, "answer": "No answer: what is left is noise."})
+    assert repeated["message"] == ""
+
+
+def test_the_library_of_the_charts_is_that_of_its_notice_with_its_licence():
+    folder = files("eoi_jax.report") / "uplot"
+    version = re.search(r"\(v([\d.]+)\)", (folder / "uPlot.iife.min.js").read_text())
+    assert version is not None
+    notice = (folder / "NOTICE").read_text()
+    assert f"uPlot {version[1]} (MIT" in notice
+    assert f"uplot-{version[1]}.tgz" in notice
+    assert (folder / "LICENSE").read_text().startswith("The MIT License")
+
+
+def test_no_text_in_the_data_of_the_charts_ends_their_element():
+    wicked = "</script><script>hacked=1</script>"
+    content = dataclasses.replace(chart(np.arange(10.0)), label=wicked)
+    data = chart_data({"one": content})
+    assert data is not None
+    assert "<" not in page._json(data)
+    assert json.loads(page._json(data))["charts"]["one"]["label"] == wicked

@@ -122,7 +122,7 @@ function options(panel, axis, axes, key, width, isLast) {
     series: [{ label: "time", value: (_, value) => (value == null ? "–" : `${value.toPrecision(6)} s`) }, ...panel.signals.map(seriesOptions)],
     axes: [
       { ...lines, values: isLast ? tickLabels : (_, splits) => splits.map(() => ""), size: isLast ? 36 : 8 },
-      { ...lines, values: tickLabels, size: 64 },
+      { ...lines, values: tickLabels, size: 64, space: 22 },
     ],
     padding: [8, 8, 0, 0],
     legend: { markers: { stroke: swatch, fill: swatch, width: 2 } },
