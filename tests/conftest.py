@@ -23,7 +23,7 @@ if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
 _REPOSITORY = Path(__file__).resolve().parents[1]
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
 # would take longer than all else.
-_SCALAR = {"graph", "trace", "loop", "llvm", "instructions"}
+_SCALAR = {"derivatives", "graph", "trace", "loop", "llvm", "instructions"}
 _MODULES = [
     ".".join(path.relative_to(_REPOSITORY).with_suffix("").parts)
     for path in (_REPOSITORY / "eoi_jax").rglob("*.py")

@@ -4,7 +4,7 @@ r"""Forward-mode derivatives of scalar programs (A. Griewank, A. Walther, *Evalu
 alone. Of a scalar program the derivative is found in a thousandth of that: each node is visited
 once, by the rules below, and where a tangent is zero nothing is made.
 
-    y, moved = jvp(function, (x, theta), (x_tangent, theta_tangent))
+    y, slopes = jvp(function, (x, theta), (x_tangent, theta_tangent))
 
 inside a function that becomes a scalar program (`trace.py`) says where a derivative is wanted.
 """
@@ -15,10 +15,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import Primitive
 
 from eoi_jax.compiler.graph import Graph, Node, Untranslatable, is_value, topological_order
-from eoi_jax.compiler.jax_private import jaxprs_within
+from eoi_jax.compiler.jax_private import Primitive, jaxprs_within
 
 # What the author of a function says of its derivative, and what JAX differentiates in fewer steps
 # than its scalar program has.
@@ -57,8 +56,8 @@ def jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple[Any, Any]:
     closed = jax.make_jaxpr(flat)(*leaves)
     if _names(closed.jaxpr) & _BY_JAX:
         return jax.jvp(function, primals, tangents)
-    moved = jax.tree.leaves(tangents)
-    values = JVP.bind(*closed.consts, *leaves, *moved, jaxpr=closed.jaxpr)
+    slopes = jax.tree.leaves(tangents)
+    values = JVP.bind(*closed.consts, *leaves, *slopes, jaxpr=closed.jaxpr)
     count = len(values) // 2
     return tuple(jax.tree.unflatten(result[0], part) for part in (values[:count], values[count:]))
 
@@ -92,14 +91,14 @@ def derivatives(
     if unfit or seeds.keys() & set(topological_order(constant)):
         raise Untranslatable("a derivative with what is no input of the program")
     zero = graph.constant(0.0)
-    moved: dict[int, Node] = {node.order: tangent for node, tangent in seeds.items()}
+    slopes: dict[int, Node] = {node.order: tangent for node, tangent in seeds.items()}
     for node in topological_order(nodes):
-        if node.order in moved:
+        if node.order in slopes:
             continue
-        parts = [moved[arg.order] for arg in node.args]
-        still = node.is_bool or node.op in _STEPS or all(is_value(part, 0.0) for part in parts)
-        moved[node.order] = zero if still else _RULES[node.op](_Terms(graph), node, *parts)
-    return [moved[node.order] for node in nodes]
+        parts = [slopes[arg.order] for arg in node.args]
+        is_zero = node.is_bool or node.op in _STEPS or all(is_value(part, 0.0) for part in parts)
+        slopes[node.order] = zero if is_zero else _RULES[node.op](_Terms(graph), node, *parts)
+    return [slopes[node.order] for node in nodes]
 
 
 # -- rules ------------------------------------------------------------------------------------
@@ -151,8 +150,8 @@ def _larger(terms: _Terms, node: Node, da: Node, db: Node) -> Node:
     return terms.select(terms.lt(below, above), da, terms.select(terms.lt(above, below), db, mean))
 
 
-def _select(terms: _Terms, node: Node, still: Node, da: Node, db: Node) -> Node:
-    del still
+def _select(terms: _Terms, node: Node, flag: Node, da: Node, db: Node) -> Node:
+    del flag
     return terms.select(node.args[0], da, db)
 
 

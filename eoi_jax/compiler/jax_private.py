@@ -14,6 +14,7 @@ import jax
 from jax.core import Tracer as Tracer
 from jax.extend.core import ClosedJaxpr as ClosedJaxpr
 from jax.extend.core import Literal as Literal
+from jax.extend.core import Primitive as Primitive
 from jax.interpreters.partial_eval import dce_jaxpr
 
 try:

@@ -184,9 +184,9 @@ def _jvp(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
     pairs = zip(primals, moved, strict=True)
     tangents = [pair for x, dx in pairs for pair in zip(x.ravel(), dx.ravel(), strict=True)]
     flat = [node for array in results for node in array.ravel()]
-    known = [node for array in fixed for node in array.ravel()]
+    fixed_nodes = [node for array in fixed for node in array.ravel()]
     slopes, sizes = np.empty(len(flat), object), [array.size for array in results]
-    slopes[:] = derivatives(graph, flat, tangents, known)
+    slopes[:] = derivatives(graph, flat, tangents, fixed_nodes)
     parts = np.split(slopes, np.cumsum(sizes)[:-1])
     return [
         *results,

@@ -259,7 +259,7 @@ def rate_notes(
 
 
 def known_inputs(
-    names: tuple[str, ...], inputs: Inputs, known: Mask, hold: Hold, notes: list[str]
+    names: tuple[str, ...], inputs: Inputs, inputs_known: Mask, hold: Hold, notes: list[str]
 ) -> Mask:
     """Where all inputs are known: as measured, or because a short gap leaves no doubt.
 
@@ -269,16 +269,16 @@ def known_inputs(
     Args:
         names: of the inputs; without inputs nothing is unknown.
         inputs: on the grid, filled in linearly.
-        known: where all of them were measured.
+        inputs_known: where all of them were measured.
         hold: between the samples.
         notes: of the record; a sentence where a value is interpolated.
     """
     if not names:
-        return np.ones_like(known)
-    complete, interpolated = known.copy(), 0
+        return np.ones_like(inputs_known)
+    complete, interpolated = inputs_known.copy(), 0
     is_held = np.asarray(hold_of_each(hold, len(names))) == "zero"
-    for start, stop in runs(~known):
-        if start == 0 or stop == len(known):
+    for start, stop in runs(~inputs_known):
+        if start == 0 or stop == len(inputs_known):
             continue
         same = bool(np.all((inputs[start - 1] == inputs[stop])[is_held]))
         longest = LONGEST_HELD if np.all(is_held) else 1
@@ -290,7 +290,7 @@ def known_inputs(
             "were measured."
         )
     missing = runs(~complete)
-    inner = [(start, stop) for start, stop in missing if start > 0 and stop < len(known)]
+    inner = [(start, stop) for start, stop in missing if start > 0 and stop < len(inputs_known)]
     if inner:
         listed = f"{(~complete).sum()} samples in {len(missing)} gaps"
         notes.append(f"Inputs are unknown at {listed}: free runs start again after each.")
@@ -307,18 +307,18 @@ def place(
 ) -> OnGrid:
     """Samples that lie on the grid are copied; missing ones are filled in and masked."""
     count = grid.time.size
-    known, measured = np.zeros(count, dtype=bool), np.zeros((count, y.shape[1]), dtype=bool)
-    known[index], measured[index] = good
+    inputs_known, measured = np.zeros(count, dtype=bool), np.zeros((count, y.shape[1]), dtype=bool)
+    inputs_known[index], measured[index] = good
     if count > index.size:
         notes.append(
             f"{count - index.size} of {count} samples are missing from the uniform grid "
             f"of {grid.sample_period:g} s: masked."
         )
-    if known.all() and measured.all():
-        return u, y, known, measured
+    if inputs_known.all() and measured.all():
+        return u, y, inputs_known, measured
     query = np.arange(count, dtype=float)
     position = index.astype(float)
-    return fill(position, u, query), fill(position, y, query), known, measured
+    return fill(position, u, query), fill(position, y, query), inputs_known, measured
 
 
 def interpolate(
@@ -339,7 +339,7 @@ def interpolate(
     h = grid.sample_period
     known_rows, measured_rows = good
     position, query, segments = _grid_positions(grid, stamps, known_rows)
-    known = covered(position, segments, query)
+    inputs_known = covered(position, segments, query)
     outputs = np.zeros((query.size, y.shape[1]))
     measured = np.zeros((query.size, y.shape[1]), dtype=bool)
     for columns, rows in channel_groups(measured_rows):
@@ -359,7 +359,7 @@ def interpolate(
     gaps = int(np.sum(spacing > GridSettings.gap * h))
     dense = [column for column, rows in zip(measured.T, measured_rows.T, strict=True)
              if not is_slow(rows)]  # fmt: skip
-    valid = np.all([known, *dense], axis=0)
+    valid = np.all([inputs_known, *dense], axis=0)
     masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
     held = "their means over each step (held)"
     by = held if hold == "zero" else f"their hold ({hold_text(hold, names)})"
@@ -376,7 +376,7 @@ def interpolate(
         return hold_inputs(position, u_finite[:, columns], segments, query, word)
 
     inputs = by_hold(hold, u_finite, on_grid)
-    return inputs, outputs, known, measured
+    return inputs, outputs, inputs_known, measured
 
 
 def between_own_samples(outputs: Outputs, measured: OutputMask) -> tuple[Outputs, OutputMask]:

@@ -185,14 +185,14 @@ class Record(Result):
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
             arrays = place(grid, grid.index, u, y, good, notes)
-        inputs, outputs, known, measured = arrays
+        inputs, outputs, u_valid, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
-        certain = known_inputs(u_names, inputs, known, input_hold, notes)
+        certain = known_inputs(u_names, inputs, u_valid, input_hold, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
-        masks = known & measured.all(axis=1), certain, measured
+        masks = u_valid & measured.all(axis=1), certain, measured
         self._set(inputs, outputs, masks, grid.time, grid.sample_period)
         labels = {
             "name": name,
@@ -376,8 +376,8 @@ class Record(Result):
             hold: None: that of the record, zero where its inputs have different ones.
         """
         new = self._changed(None)
-        known = self.input_valid if len(names) else np.ones(len(self), bool)
-        masks = self.valid, known, self.output_valid
+        u_valid = self.input_valid if len(names) else np.ones(len(self), bool)
+        masks = self.valid, u_valid, self.output_valid
         new._set(inputs, self.outputs, masks, self.time, self.sample_period)
         hold = hold or (self.hold if isinstance(self.hold, str) else "zero")
         skew = skew if np.any(skew) else None
@@ -458,14 +458,14 @@ class Record(Result):
         # A single spline for sub-steps and midpoints: a second one would only take longer.
         known_segments = self.input_segments()
         inputs, middle = self._between(int(substeps))
-        known = covered(position, known_segments, query)
+        u_valid = covered(position, known_segments, query)
         sample_period = self.sample_period / int(substeps)
         new = self._changed(
             f"Sub-stepped by {substeps}: outputs by a quintic spline, inputs by "
             f"their hold ({hold_text(self.hold, self.input_names)})."
         )
         time = self.time[0] + sample_period * np.arange(count)
-        masks = covered(position, self.segments(), query), known, np.stack(valid, axis=1)
+        masks = covered(position, self.segments(), query), u_valid, np.stack(valid, axis=1)
         new._set(inputs, outputs, masks, time, sample_period)
         new._assign({**self._of_the_samples, "_middle": middle, "_skew": None})
         return new
@@ -518,8 +518,8 @@ class Record(Result):
             for start, stop in runs(mask):
                 outputs[start:stop, columns] = low_pass(outputs[start:stop, columns], share)
         position = np.arange(len(self), dtype=float)
-        known, measured = self.input_valid[:, None], self.output_valid
-        inputs = fill(position, np.where(known, inputs, np.nan), position)
+        u_valid, measured = self.input_valid[:, None], self.output_valid
+        inputs = fill(position, np.where(u_valid, inputs, np.nan), position)
         outputs = fill(position, np.where(measured, outputs, np.nan), position)
         new = self._changed(
             f"Inputs and outputs smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
@@ -671,14 +671,14 @@ class Record(Result):
         sample_period: float,
     ) -> None:
         """Set signals and masks: `valid`, `input_valid`, `output_valid`."""
-        valid, known, measured = masks
+        valid, u_valid, measured = masks
         shared = bool(np.all(measured == valid[:, None]))
         arrays = {
             "inputs": inputs,
             "outputs": outputs,
             "valid": valid,
             "time": time,
-            "_input_valid": known if inputs.shape[1] and np.any(known != valid) else None,
+            "_input_valid": u_valid if inputs.shape[1] and np.any(u_valid != valid) else None,
             "_output_valid": None if shared else measured,
         }
         for array in arrays.values():

@@ -112,15 +112,15 @@ class _Begun:
 
 
 def _begun(run: Run, part: Record, head: int, begins: bool) -> _Begun:
-    whole = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps, part.skew))
-    first = _lanes(whole, 1, run.substeps * (head - 1))
+    run_drive = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps, part.skew))
+    first = _lanes(run_drive, 1, run.substeps * (head - 1))
     y, valid = part.outputs[:head], part.output_valid[:head]
     values = initial_states(run, first, y[None], valid[None], begins=np.asarray([begins]))
     outputs = outputs_of(run.plant, first, states_of(run.plant, values), run.friction)[0]
     degrees = np.maximum(np.sum(valid, axis=0) - run.plant.rows, 1)
     with np.errstate(all="ignore"):  # of a run that diverges
         squares = np.sum(np.where(valid, y - outputs, 0.0) ** 2, axis=0)
-    return _Begun(whole, values, np.sqrt(squares / degrees))
+    return _Begun(run_drive, values, np.sqrt(squares / degrees))
 
 
 def _slopes(
@@ -145,14 +145,14 @@ def _slopes(
     return change, np.maximum(begun.noise / spread, _SETTINGS.noise)
 
 
-def _lanes(whole: Drive, lanes: int, steps: int) -> Drive:
+def _lanes(run_drive: Drive, lanes: int, steps: int) -> Drive:
     """The first steps of a drive, so many times side by side."""
-    time, inputs = np.asarray(whole.time)[:steps], np.asarray(whole.inputs)[:steps]
-    last = np.asarray(whole.following)[steps - 1]
-    step = np.asarray(whole.step)
+    time, inputs = np.asarray(run_drive.time)[:steps], np.asarray(run_drive.inputs)[:steps]
+    last = np.asarray(run_drive.following)[steps - 1]
+    step = np.asarray(run_drive.step)
     arrays = (np.repeat(array[None], lanes, axis=0) for array in (time, step, inputs, last))
     time, step, inputs, last = arrays
-    return Drive(time, step, inputs, whole.substeps, last)
+    return Drive(time, step, inputs, run_drive.substeps, last)
 
 
 def _start_error(
