@@ -28,7 +28,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.models.augmented import Placed, augmented
-from eoi_jax.models.effects import ConstantOffset, Drift, SinusoidalDisturbance
+from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -330,7 +330,16 @@ class Search:
         first: dict[Sites, Model] = {}
         for placed, values in fresh:
             first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        return list(first.values())[: _RULES.tried]
+        models = list(first.values())[: _RULES.tried]
+        if not self.base.placed:
+            return models
+        # Beside an explanation a product is told, but names no cause: one of them is enough.
+        products = [any(isinstance(at.effect, Product) for at in placed) for _, placed in models]
+        return [
+            model
+            for i, (model, product) in enumerate(zip(models, products, strict=True))
+            if not product or i == products.index(True)
+        ]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
