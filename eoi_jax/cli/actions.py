@@ -416,7 +416,7 @@ def _prepare(
 ) -> tuple[Path, run_folder.Job]:
     """The path of the config, and its model and records."""
     jax_setup.configure()
-    source = config or _default_config(example)
+    source = _built_in(example) if config is None else config_file(config)
     settings = _settings(source, passes)
     run_folder.check_place(output / settings.name, "name")
     if progress is not None:
@@ -424,13 +424,29 @@ def _prepare(
     return source, run_folder.job(settings, run_folder.folder_of(source), data)
 
 
-def _default_config(name: str) -> Path:
+def config_file(config: Path) -> Path:
+    """The file of a config that is named by it, or of a built-in one that goes by its name.
+
+    Args:
+        config: as it was typed.
+
+    Raises:
+        ValueError: neither is there.
+    """
+    if config.exists() or config.suffix or config.name != str(config):
+        return config
+    built_in = _built_in(config.name)
+    names = ", ".join(sorted(path.stem for path in built_in.parent.glob("*.toml")))
+    rule = f"must be a file that exists, or a built-in config: {names}"
+    check(built_in.is_file(), "config", rule, config)
+    return built_in
+
+
+def _built_in(name: str) -> Path:
     """A built-in config: inside an installed package, beside the package in a source tree."""
     package = Path(__file__).parents[1]
-    candidates = [package / "configs", package.parent / "configs"]
-    return (
-        next((folder for folder in candidates if folder.is_dir()), candidates[0]) / f"{name}.toml"
-    )
+    folders = [package / "configs", package.parent / "configs"]
+    return next((folder for folder in folders if folder.is_dir()), folders[0]) / f"{name}.toml"
 
 
 def _settings(source: Path, passes: int | None) -> Config:

@@ -59,7 +59,7 @@ def complete_folder(incomplete: str) -> list[str]:
 Source = Annotated[
     Path | None,
     typer.Argument(
-        help="TOML file; default: a built-in example.",
+        help="TOML file, or the name of a built-in config; default: a built-in example.",
         autocompletion=complete_config,
         show_default=False,
     ),

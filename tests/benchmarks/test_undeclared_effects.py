@@ -17,7 +17,7 @@ from benchmarks.truth import undeclared_tables as tables
 # -- the slice --------------------------------------------------------------------------------
 
 SLICE = {
-    "mass": ((), ("cubic_stiffness",), ("outside:van_der_pol",)),
+    "mass": ((), ("cubic_stiffness",)),
     "pendulum": ((), ("quadratic_drag",), ("outside:input_times_position",)),
     "tank": ((), ("leak",)),
 }
