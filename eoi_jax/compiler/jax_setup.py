@@ -21,10 +21,10 @@ from eoi_jax.compiler.programs import limit
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
 # XLA's newer way to compile fusions takes half as long again; what comes of it is no faster here.
 _OLD_FUSIONS = "--xla_cpu_use_fusion_emitters=false"
-# A flag that XLA does not know ends the process, so these are set only between releases that were
-# tried: 0.7.2, 0.8.0, 0.9.0, 0.10.2, 0.11.0. From JAX 0.12 on XLA compiles whole loops, and fusions
-# in one way, by itself.
-_HAS_OPTIONS = ((0, 7), (0, 12))
+# A flag that XLA does not know ends the process, so each is set only for releases that were tried:
+# 0.7.2, 0.8.0, 0.9.0, 0.10.2, 0.11.0, 0.11.2. The second one is gone from 0.11.1 on; from 0.12 on
+# XLA compiles whole loops by itself.
+_KNOWN_TO = {_WHOLE_LOOPS: ((0, 7), (0, 12)), _OLD_FUSIONS: ((0, 7), (0, 11, 1))}
 
 _OBJECTS = 50_000  # new ones after which Python collects garbage
 
@@ -57,8 +57,7 @@ def configure(
         RuntimeWarning: the backend runs already, so that the loop option has no effect;
             everything works, slower; or compiled kernels cannot be kept.
     """
-    if _HAS_OPTIONS[0] <= jax.__version_info__ < _HAS_OPTIONS[1]:
-        _set_options()
+    _set_options()
     first, *later = gc.get_threshold()
     if 0 < first < _OBJECTS:  # zero: somebody has switched it off
         gc.set_threshold(_OBJECTS, *later)
@@ -124,7 +123,11 @@ if hasattr(os, "register_at_fork"):
 def _set_options() -> None:
     """The options of XLA, beside those of the caller; his own settings of them stay."""
     flags = os.environ.get("XLA_FLAGS", "")
-    options = [option for option in (_WHOLE_LOOPS, _OLD_FUSIONS) if _name(option) not in flags]
+    options = [
+        option
+        for option, (first, end) in _KNOWN_TO.items()
+        if first <= jax.__version_info__ < end and _name(option) not in flags
+    ]
     if _WHOLE_LOOPS not in options:
         return
     if backend_runs():

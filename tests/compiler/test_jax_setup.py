@@ -11,6 +11,7 @@ import pytest
 import eoi_jax
 
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
+FUSIONS = "xla_cpu_use_fusion_emitters"
 GIVEN = int(jax.__version_info__ < (0, 12))  # from then on XLA needs no option
 old_jax = pytest.mark.skipif(not GIVEN, reason="from JAX 0.12 on no option is set")
 
@@ -95,16 +96,27 @@ print(jnp.ones(1).dtype, jax.device_count(), jax.config.jax_compilation_cache_di
     assert shown.split() == ["float32", "2", "None"]
 
 
-def test_no_option_is_set_for_a_jax_that_may_not_know_it():
-    code = """
+@pytest.mark.parametrize(
+    ("version", "options"),
+    [
+        ((0, 11, 0), [OPTION, FUSIONS]),
+        ((0, 11, 1), [OPTION]),
+        ((0, 11, 2), [OPTION]),
+        ((0, 12), []),
+    ],
+)
+def test_no_option_is_set_for_a_jax_that_does_not_know_it(version, options):
+    """XLA would end the process: 0.11.1 has dropped the second one, 0.12 needs neither."""
+    code = f"""
 import os
 import jax
-jax.__version_info__ = (0, 12, 0)
+jax.__version_info__ = {version}
 import eoi_jax
 eoi_jax.configure(cache=False)
-print(os.environ.get("XLA_FLAGS"))
+print(os.environ.get("XLA_FLAGS", ""))
 """
-    assert fresh(code)[0].strip() == "None"
+    flags = fresh(code)[0]
+    assert [option for option in (OPTION, FUSIONS) if option in flags] == options
 
 
 @old_jax
