@@ -198,6 +198,7 @@ def test_the_kernel_lowers_for_cuda(name: str, dtype: Any):
 
 
 @pytest.mark.gpu
+@pytest.mark.filterwarnings("ignore:The Pallas Triton backend:DeprecationWarning")  # JAX 0.11
 @pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs a GPU")
 def test_the_compiled_kernel_equals_the_scan():
     plant, observer = CASES["pendulum"]
