@@ -20,6 +20,11 @@ if sys.platform == "linux" and hasattr(ctypes.CDLL(None), "mallopt"):
     ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1_000_000)
 
+# Hardly any of what XLA compiles here runs long: without LLVM's optimisations that takes half the
+# time. Processes that a test starts inherit it.
+_QUICK = "--xla_backend_optimization_level=0"
+os.environ["XLA_FLAGS"] = f"{_QUICK} {os.environ.get('XLA_FLAGS', '')}".strip()
+
 _REPOSITORY = Path(__file__).resolve().parents[1]
 # Scalar programs hold no arrays, and make a hundred thousand nodes: checking each call of theirs
 # would take longer than all else.

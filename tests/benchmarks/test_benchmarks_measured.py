@@ -25,6 +25,7 @@ def test_the_diode_obeys_its_equation():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_twelve_parameters_of_the_circuit_beat_the_best_published_error(data_directory: Path):
     first = circuit.TRAIN[0]
     fit = circuit.record(data_directory, (first, first + 20000), "a fifth of the estimation part")

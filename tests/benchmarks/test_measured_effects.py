@@ -169,6 +169,7 @@ def test_one_effect_alone_can_be_tried_where_it_leaves_more_than_noise(air_track
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_offset_of_the_silverbox_does_not_hide_its_cubic_spring(data_directory: Path):
     case = _case("silverbox", data_directory)
     found = eoi.discover(
@@ -179,6 +180,7 @@ def test_offset_of_the_silverbox_does_not_hide_its_cubic_spring(data_directory: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_overflow_of_the_tank_that_nobody_measures_is_named(data_directory: Path):
     case = _case("cascaded_tanks", data_directory)
     found = eoi.discover(

@@ -23,7 +23,10 @@ SLICE = {
 }
 
 
-@pytest.fixture(scope="module", params=SLICE)
+PARAMS = [pytest.param(one, marks=pytest.mark.long) if one == "pendulum" else one for one in SLICE]
+
+
+@pytest.fixture(scope="module", params=PARAMS)
 def cases(request) -> list[effect_cases.Case]:
     """Seed 1 of the benchmark, noise of 1e-3 of rms(y), a third of its length."""
     return effect_cases.cases(request.param, SLICE[request.param], (1,), (1e-3,), samples=10_000)

@@ -161,6 +161,7 @@ holding_time = 40.0
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_path: Path):
     config.write_text(TANKS)
     done = run(config, "--output", tmp_path / "runs", "--json")
@@ -274,6 +275,7 @@ def test_a_refinement_without_an_answer_says_why(config: Path, tmp_path: Path, m
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

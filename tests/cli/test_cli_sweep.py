@@ -92,6 +92,7 @@ def test_a_config_stands_for_the_same_call(config: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: Path, monkeypatch):
     calls = iter(range(100))
     whole = actions.run_sweep

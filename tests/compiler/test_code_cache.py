@@ -42,6 +42,7 @@ def run(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_damaged_files_are_compiled_again_and_replaced(tmp_path):
     fresh, answer, _ = run(tmp_path)
     files = sorted((tmp_path / "native").glob("*.o"))

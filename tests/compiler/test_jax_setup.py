@@ -151,6 +151,7 @@ assert jnp.ones(1).dtype == "float64"
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lanes_spread_over_devices_add_up_to_the_same():
     code = """
 import numpy as np

@@ -184,6 +184,7 @@ print(*maps)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="only Linux shows its mappings")
 def test_new_plants_do_not_pile_up():
     done = subprocess.run(

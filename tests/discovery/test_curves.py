@@ -59,6 +59,7 @@ def soft():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_soft_saturation_is_a_curve_of_the_input(soft):
     assert soft.effects == ("input_curve",)
     assert over_noise(soft) < 1.5
@@ -66,6 +67,7 @@ def test_soft_saturation_is_a_curve_of_the_input(soft):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_curve_has_the_shape_of_what_is_missing(soft):
     (added,) = soft.added
     u = np.linspace(-5.5, 5.5, 45)
@@ -79,6 +81,7 @@ def at_input(u):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_report_says_what_it_is(soft):
     text = str(soft)
     assert "an actuator whose characteristic is a curve" in text
@@ -92,6 +95,7 @@ def test_clip_stays_a_saturation():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_curves_are_not_tried_where_nothing_is_left(soft):
     assert not misses_a_law(soft)
     left = replace(soft, windows_after=soft.windows_before)

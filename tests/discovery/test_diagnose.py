@@ -141,6 +141,7 @@ def test_whitening_restores_the_level_of_the_ljung_box_test():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_false_alarms_of_a_right_model_are_at_the_stated_level():
     """Every test on 40 noisy records of a right model, estimated together, one by one."""
     drives = [eoi.excitation.multisine(TIME[:3000], 1.0, (0.2, 12.0), 40, seed=s) for s in range(4)]

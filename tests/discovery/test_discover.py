@@ -182,6 +182,7 @@ def test_levels_of_ratio_two_are_read_as_asymmetric_friction():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unequal_stops_at_both_ends_are_found_together():
     """One alone leaves as much as a cubic spring and a ripple: they enter in one round."""
     rig = hiding({effects.EndStop(+1): (300.0, 0.3), effects.EndStop(-1): (200.0, -0.2)})
@@ -253,6 +254,7 @@ def pumped(seed: int, hidden: float) -> eoi.Record:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [0.002, -0.002])
 def test_several_effects_that_imitate_one_product_are_not_given_their_names(hidden):
     """A level follows its pump: u y is nearly a parabola of u, an offset and a leak."""
@@ -409,6 +411,7 @@ def test_an_effect_of_free_runs_alone_is_said_to_be_one():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_effect_that_makes_the_free_run_worse_is_refused():
     """The other record is of a plant without it."""
     answer = eoi.discover(MASS, records("coulomb")[0], records("nothing")[1], FEW)

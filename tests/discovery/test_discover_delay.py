@@ -63,6 +63,7 @@ def test_a_long_delay_is_named_however_clean_the_record(delay, noise):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("delay", "lag"), [(40, 0.05), (20, 0.2)])
 def test_a_delay_gives_back_what_it_took_of_a_lag(delay, lag):
     answer = found(delay, lag)

@@ -12,7 +12,7 @@ from eoi_jax.cli import summary as summaries
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.discovery import lead
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 PERIOD, FRICTION = 1e-2, 0.5
 TRUE = {"k": 20.0, "c": 0.8, "b": 2.0}
 

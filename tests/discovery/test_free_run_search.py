@@ -70,6 +70,7 @@ def found():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_store_that_is_not_measured_is_found_with_its_size(found):
     assert [placed.effect.name for placed in found.best.placed] == ["second_node"]
     values = found.best.refinement.parameters
@@ -97,6 +98,7 @@ def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_input_that_yields_is_found_where_the_gain_has_made_up_for_it():
     def maxwell(t, x, u, p):
         return p.stiffness * u - p.rate * x.y[0]
@@ -148,6 +150,7 @@ def test_long_records_are_searched_in_part(monkeypatch, lengths, most, chosen):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_of_a_single_long_record_its_beginning_is_searched(monkeypatch):
     monkeypatch.setattr(
         free_run_search, "_RULES", replace(free_run_search._RULES, samples=COUNT // 2)
@@ -193,6 +196,7 @@ def cooled(seed, start, power):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("power", "name", "parameter", "value"),
     [
@@ -210,6 +214,7 @@ def test_a_hot_body_radiates_or_loses_heat_with_a_power(power, name, parameter, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():
     answer = eoi.discover(PLATE, measured(1), validation=measured(2))
     assert "second_node" in answer.effects

@@ -58,6 +58,7 @@ def refined(fit, held):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_drag_that_the_injection_does_not_show_is_found_in_the_free_run(fit, held, refined):
     alone = eoi.discover(PLANT, fit, validation=held[0])
     assert alone.effects == ("cubic_stiffness",)
@@ -71,6 +72,7 @@ def test_a_drag_that_the_injection_does_not_show_is_found_in_the_free_run(fit, h
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_parameters_and_errors_are_those_of_the_refinement(refined):
     for name, value in (TRUTH | HIDDEN).items():
         spread = refined.found.standard_errors[name]
@@ -84,6 +86,7 @@ def test_parameters_and_errors_are_those_of_the_refinement(refined):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_is_refined_is_saved_and_read_back(refined, tmp_path):
     refined.save(tmp_path / "found.npz")
     again = eoi.load(tmp_path / "found.npz")
@@ -92,6 +95,7 @@ def test_what_is_refined_is_saved_and_read_back(refined, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_free_runs_extend_what_explains_the_injection_where_more_than_noise_is_left():
     hidden = {"cubic_stiffness": 8.0, "quadratic_drag": 0.02}
     (fit, _), (held, spread) = record(hidden, 1, 1e-3), record(hidden, 2, 1e-3)
@@ -129,6 +133,7 @@ def test_nothing_is_added_where_nothing_else_is_missing():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_only_free_runs_show_is_an_answer_where_the_injection_shows_nothing():
     hidden = {"quadratic_drag": 0.02}
     fit, held = record(hidden, 5)[0], record(hidden, 6)
@@ -145,6 +150,7 @@ def rolling(t, x, u, p):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_short_runs_take_the_place_of_whole_ones_where_a_drift_bends_these():
     """A slow force that is in no record: its effect on an integrating plant adds up."""
     true = eoi.Plant(rolling, {"mass": 2.0, "friction": 1.0}, 2, ("u",), ("y",))

@@ -34,6 +34,7 @@ def test_a_page_runs_and_shows_what_it_prints(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_page_on_measured_data_shows_what_it_prints(data_directory, tmp_path, monkeypatch):
     if not (data_directory / "silverbox").is_dir():
         pytest.skip(f"the silverbox is absent ({data_directory}); set EOI_DATA to its folder")

@@ -54,6 +54,7 @@ def test_the_first_example_prints_what_the_readme_shows(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_measured_example_prints_what_the_readme_shows(data_directory, monkeypatch):
     folder = data_directory / "emps"
     if not folder.is_dir():

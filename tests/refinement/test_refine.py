@@ -214,6 +214,7 @@ def test_dry_friction_is_refined_to_the_truth():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
     """A drift that the model lacks: at its best fit, rests begin and end as θ moves."""
 
@@ -262,6 +263,7 @@ def turning(t, x, u, p):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_a_run_that_forgets_nothing_is_fitted_from_its_beginning_on(seed):
     """A pendulum that turns over five times or more: half a percent off, it turns otherwise."""
@@ -409,6 +411,7 @@ def test_the_best_of_several_starts_is_found_where_one_alone_is_lost():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_so_many_starts_are_drawn_around_a_plant_where_a_wrong_sign_leaves_no_trace():
     """The upper tank runs dry, and its rates say nothing any more."""
     true = eoi.plants.cascaded_tanks(reference=True)
@@ -431,6 +434,7 @@ def spring_with_stops(t, x, u, p):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_further_rounds_find_what_a_few_points_at_once_do_not():
     """Where a stop lies leaves no trace until the spring between the stops is about right."""
     values = {"gain": 1.0, "damping": 0.5, "stiffness": 16.0, "hard": 80.0, "right": 0.06,

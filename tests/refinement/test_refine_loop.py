@@ -49,6 +49,7 @@ def test_windows_that_are_asked_for_have_the_controller_too():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_standard_errors_know_that_the_errors_are_coloured():
     errors = []
     for seed in range(20):

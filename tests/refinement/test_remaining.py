@@ -82,6 +82,7 @@ def test_two_effects_are_named_that_hide_each_other():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_held_out_records_confirm_what_is_there_and_refuse_what_only_fits():
     """A slow wave that comes once, in the records of the fit, looks like any slow disturbance."""
     hidden = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})

@@ -200,6 +200,7 @@ def test_a_run_starts_again_behind_a_gap_of_the_input():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_be_compiled_runs_on_the_scan():
     def law(t, r, y, s):
         gain = jax.lax.while_loop(lambda g: g < 17.9, lambda g: g + 18.0, 0.0 * y[0])

@@ -103,6 +103,7 @@ def test_a_slope_that_is_infinite_at_one_point_is_no_mode():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_identification_says_that_the_sampling_does_not_resolve_a_mode():
     """Both states measured, so that the passes need no internal state."""
     slow, fast = 3.0, 1600.0
