@@ -5,6 +5,7 @@ from . import config as config
 from . import html_report as html_report
 from . import options as options
 from . import run_folder as run_folder
+from . import saved_models as saved_models
 from . import signals as signals
 from . import summary as summary
 from . import template as template

@@ -5,7 +5,7 @@ import functools
 import importlib.util
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from eoi_jax.cli.config import (
     SweepTable,
 )
 from eoi_jax.data import excitation
+from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 from eoi_jax.data.record import Record
 from eoi_jax.estimation import observers
@@ -278,6 +279,31 @@ def validation_records(
     if config.validation is None:
         return []
     return _read(config.validation, "validation", model, config.controller, folder, data)
+
+
+def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
+    """Records of other files of the same columns as those of the config.
+
+    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` is
+    that of its own files. Of a simulated run the columns are called as the plant's channels.
+
+    Args:
+        config: the tables.
+        model: the plant.
+        files: paths of data files.
+
+    Raises:
+        ValueError: a file that does not exist, or lacks a column, and the errors of `read_record`.
+    """
+    for path in files:
+        check(path.is_file(), "FILE", "must be a data file that exists", path)
+    table = config.validation or config.data
+    names = tuple(str(path.absolute()) for path in files)
+    if table is None:
+        clock = inspect(files[0], inputs=model.inputs, outputs=model.outputs).clock.column
+        table = DataTable(names, model.inputs, model.outputs, time=clock)
+    table = msgspec.structs.replace(table, files=names, slice=None)
+    return _read(table, "data", model, config.controller, Path(), None)
 
 
 def _read(

@@ -23,7 +23,10 @@ from eoi_jax.cli.options import (
     Output,
     Quiet,
     Run,
+    RunFolder,
+    RunsAndFiles,
     Source,
+    Trust,
     complete_config,
 )
 from eoi_jax.cli.terminal import (
@@ -254,6 +257,43 @@ def _columns(text: str | None) -> list[str] | None:
 
 @app.command(
     epilog=_examples(
+        ("eoi validate runs/rig new.csv", "the model of the run on new data"),
+        ("eoi validate runs/rig a.csv b.csv --json", "on several records, as JSON"),
+    )
+)
+def validate(
+    run: RunFolder,
+    files: DataFiles,
+    output: Output = RUNS,
+    trust: Trust = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Judge a saved model on data files: errors of its free runs, and their correlation."""
+    _answer(
+        as_json, quiet, lambda update: cli.saved_models.validate(run, files, output, trust, update)
+    )
+
+
+@app.command(
+    epilog=_examples(
+        ("eoi compare runs/a runs/b", "on the records that the first run held out"),
+        ("eoi compare runs/a runs/b new.csv", "on new data"),
+    )
+)
+def compare(
+    paths: RunsAndFiles,
+    output: Output = RUNS,
+    trust: Trust = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare saved models on the same records: fit per cent in a table and a figure."""
+    _answer(as_json, quiet, lambda update: cli.saved_models.compare(paths, output, trust, update))
+
+
+@app.command(
+    epilog=_examples(
         ("eoi report runs/hidden_friction --open", "regenerated, and opened in the browser"),
     )
 )
@@ -289,9 +329,7 @@ def export(
             help="File to write; default: model.* in the folder of the run.", show_default=False
         ),
     ] = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Execute the Python file that defines the model.")
-    ] = False,
+    trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:

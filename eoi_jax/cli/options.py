@@ -77,6 +77,16 @@ Run = Annotated[
     Path,
     typer.Argument(help="Folder of a run, or a file with a model.", autocompletion=complete_folder),
 ]
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run.", autocompletion=complete_folder)]
+RunsAndFiles = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN RUN… [FILE…]",
+                   help="Folders of runs, then data files; default: what the first run held out.",
+                   autocompletion=complete_data, show_default=False)
+]  # fmt: skip
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Execute the Python file that defines the model.")
+]
 Data = Annotated[
     Path | None,
     typer.Option(

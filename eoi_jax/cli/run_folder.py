@@ -4,7 +4,7 @@ import errno
 import json
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +30,11 @@ from eoi_jax.report import discovery_figures
 from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
+from eoi_jax.report.free_runs import free_run_series, validation_runs
+from eoi_jax.report.residual_correlation import residual_correlation_figure
+from eoi_jax.report.saved_models import labelled
 from eoi_jax.report.sweep import sweep_figure
+from eoi_jax.report.time_series import time_series_figure
 from eoi_jax.simulation.closed_loop import closed_loop
 from eoi_jax.simulation.validate import Validation
 
@@ -265,6 +269,33 @@ def write_inspection(
     save_figure(folder / "inspect.png", inspection.plot)
 
 
+def write_free_runs(
+    folder: Path,
+    name: str,
+    runs: Sequence[tuple[str, Validation]],
+    summary: dict[str, Any],
+    text: str,
+) -> None:
+    """``<name>.json``, ``<name>.txt``, and for each record ``<name>.png``, ``correlation.png``.
+
+    Args:
+        folder: an empty folder.
+        name: of the command.
+        runs: name of each model, and its free runs on the same records.
+        summary: of `validation_summary` or `comparison_summary`.
+        text: its table.
+    """
+    _write_json(folder / f"{name}.json", summary)
+    _write(folder / f"{name}.txt", text + "\n")
+    for i in range(len(runs[0][1].predictions)):
+        suffix = f"_{i + 1}" if i else ""
+        content = validation_runs(*labelled(runs), record=i)
+        series = free_run_series(content)
+        save_figure(folder / f"{name}{suffix}.png", partial(time_series_figure, series))
+        correlation = partial(residual_correlation_figure, content)
+        save_figure(folder / f"correlation{suffix}.png", correlation)
+
+
 def _write_json(path: Path, summary: dict[str, Any]) -> None:
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
     _write(path, text + "\n")
@@ -281,6 +312,14 @@ def _write(path: Path, text: str) -> None:
 def plant_of_run(run: Path, trust: bool = False) -> Plant:
     """The estimated model of a run, with the effects that were added.
 
+    Arguments and errors as of `result_of_run`.
+    """
+    return _model_of(result_of_run(run, trust))
+
+
+def result_of_run(run: Path, trust: bool = False) -> Any:
+    """The stored result of a run, with its model; or the plant, where only that is stored.
+
     It is read from the stored result. Only a function in a Python file is not stored.
 
     Args:
@@ -288,7 +327,7 @@ def plant_of_run(run: Path, trust: bool = False) -> Plant:
         trust: whether such a Python file, named in the config of the run, may be executed.
 
     Returns:
-        The plant with its estimate.
+        An `Identification`, `Refinement` or `Discovery`, or the plant with its estimate.
 
     Raises:
         ValueError: no such run, an interrupted run, files that were edited, or a model in a Python
@@ -298,21 +337,21 @@ def plant_of_run(run: Path, trust: bool = False) -> Plant:
         sweep_up(run.parent)  # restores a run whose replacement was interrupted
     check(run.exists(), "run", "must be a folder or a file that exists", run, _RUN_FIRST)
     if run.is_file():
-        return _model_of(load(run), run)
+        return _with_model(load(run), run)
     config = run / "config.toml"
     check(config.is_file(), "run", "must be the folder of a finished run", run, _RUN_FIRST)
-    stored = run / "result.npz"
+    stored = run / RESULT
     if stored.is_file():
-        plant = _model_of(load(stored), stored)
-        if has_all_functions(plant):
-            return plant
-        return _model_of(load(stored, plant=_declared(config, trust)), stored)
-    result = run / "result.json"
+        result = _with_model(load(stored), stored)
+        if has_all_functions(_model_of(result)):
+            return result
+        return _with_model(load(stored, plant=_declared(config, trust)), stored)
+    summary = run / "result.json"
     rule = "must hold result.npz or result.json"
-    check(result.is_file(), "run", rule, run, "A sweep has no single model. " + _RUN_FIRST)
+    check(summary.is_file(), "run", rule, run, "A sweep has no single model. " + _RUN_FIRST)
     declared = _declared(config, trust)
     try:
-        values = json.loads(result.read_text(encoding="utf-8"))["parameters"]
+        values = json.loads(summary.read_text(encoding="utf-8"))["parameters"]
         return declared.with_parameters({name: float(value) for name, value in values.items()})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
@@ -320,10 +359,27 @@ def plant_of_run(run: Path, trust: bool = False) -> Plant:
         ) from None
 
 
-def _model_of(result: Any, path: Path) -> Plant:
-    plant = result if isinstance(result, Plant) else getattr(result, "plant", None)
-    check(isinstance(plant, Plant), "run", "must contain a model", path)
-    return plant  # type: ignore[return-value]
+def held_out_of_run(run: Path) -> tuple[Record, ...]:
+    """The records on which a run judged its answer, as stored; empty where none were held out.
+
+    Args:
+        run: its folder, or a saved result, which has none.
+    """
+    result = load(run / RESULT) if (run / RESULT).is_file() else None
+    if isinstance(result, Discovery):
+        return () if result.in_sample else result.held_out
+    extra = load(run / REPORT_DATA) if (run / REPORT_DATA).is_file() else {}
+    stored = extra.get("validation") or extra.get("after")
+    return stored.records if isinstance(stored, Validation) else ()
+
+
+def _model_of(result: Any) -> Any:
+    return result if isinstance(result, Plant) else getattr(result, "plant", None)
+
+
+def _with_model(result: Any, path: Path) -> Any:
+    check(isinstance(_model_of(result), Plant), "run", "must contain a model", path)
+    return result
 
 
 def _declared(copy: Path, trust: bool) -> Plant:

@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version as version_of
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from eoi_jax.models.equations.display import equation_latex, equation_lines, equ
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, strengths
+from eoi_jax.report.saved_models import LargestCorrelation
 from eoi_jax.report.sweep import gain_names, statuses
 from eoi_jax.report.tables import identification_answer, refinement_answer
 from eoi_jax.simulation.validate import Validation
@@ -195,6 +197,68 @@ def sweep_summary(job: Job, result: Any, best: Any) -> dict[str, Any]:
     return _plain({**summary, **_provenance(job)})
 
 
+def validation_summary(
+    name: str,
+    run: Path,
+    full_runs: Validation,
+    windows: Validation | None,
+    correlations: Sequence[LargestCorrelation],
+) -> dict[str, Any]:
+    """A saved model on data files as one JSON object.
+
+    Args:
+        name: of the run.
+        run: its folder.
+        full_runs: free runs along whole records.
+        windows: the same in windows, if there are any.
+        correlations: of the errors.
+    """
+    return _plain(
+        {
+            "format": SUMMARY_FORMAT,
+            "kind": "validate",
+            "name": name,
+            "run": str(run),
+            "validation": _errors(full_runs),
+            "windows": None if windows is None else _errors(windows),
+            "correlations": _correlations(correlations),
+            "records": [_describe(record) for record in full_runs.records],
+            "versions": _versions(),
+        }
+    )
+
+
+def comparison_summary(
+    runs: Sequence[Path],
+    validations: Sequence[Validation],
+    correlations: Sequence[Sequence[LargestCorrelation]],
+) -> dict[str, Any]:
+    """Several saved models on the same records as one JSON object.
+
+    Args:
+        runs: folder of each.
+        validations: its free runs.
+        correlations: of its errors.
+    """
+    models = [
+        {"run": str(run), "validation": _errors(validation), "correlations": _correlations(rows)}
+        for run, validation, rows in zip(runs, validations, correlations, strict=True)
+    ]
+    return _plain(
+        {
+            "format": SUMMARY_FORMAT,
+            "kind": "compare",
+            "models": models,
+            "records": [_describe(record) for record in validations[0].records],
+            "versions": _versions(),
+        }
+    )
+
+
+def _correlations(rows: Sequence[LargestCorrelation]) -> list[dict[str, Any]]:
+    return [{**row._asdict(), "inside": row.is_inside} for row in rows]
+
+
 def _head(job: Job, kind: str, sentence: str) -> dict[str, Any]:
     return {
         "format": SUMMARY_FORMAT,
@@ -288,12 +352,16 @@ def _provenance(job: Job) -> dict[str, Any]:
         "records": [_describe(record) for record in job.records],
         "held_out_records": [_describe(record) for record in job.held_out],
         "config": msgspec.to_builtins(job.settings),
-        "versions": {
-            "eoi_jax": version_of("eoi_jax"),
-            "jax": jax.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": _versions(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "eoi_jax": version_of("eoi_jax"),
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
     }
 
 

@@ -15,7 +15,7 @@ from eoi_jax.report.style import (
     text_colour,
     themed,
 )
-from eoi_jax.simulation.residual_correlation import Correlation, autocorrelation, cross_correlation
+from eoi_jax.simulation.residual_correlation import error_correlation
 
 
 @themed()
@@ -58,7 +58,7 @@ def _draw(axes: Any, content: FreeRuns, j: int, k: int | None) -> None:
     """One correlation of output `j`: with itself, or with input `k`."""
     bound = np.nan
     for run in content.runs:
-        function, period = _correlation(content, run.outputs[:, j], j, k)
+        function, period = error_correlation(content.record, run.outputs, j, k)
         lags = function.lags * period
         points = decimate(lags, function.values)
         axes.plot(*points, color=series(run.colour), linewidth=0.9, label=run.label)
@@ -67,31 +67,3 @@ def _draw(axes: Any, content: FreeRuns, j: int, k: int | None) -> None:
     axes.axhline(0.0, color=text_colour(), linewidth=0.5)
     axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel("lag [s]")
-
-
-def _correlation(
-    content: FreeRuns,
-    prediction: np.ndarray,
-    j: int,
-    k: int | None,
-    shortest: int = 50,
-    longest: int = 500,
-) -> tuple[Correlation, float]:
-    """The correlation function, and the time of one lag [s].
-
-    A twentieth of the record is drawn, `shortest` to `longest` lags.
-    """
-    record = content.record
-    mask = record.output_valid[:, j]
-    error = np.where(mask, record.outputs[:, j] - prediction, np.nan)
-    valid = np.flatnonzero(np.isfinite(error))
-    # An output that is measured rarely: its own samples only.
-    stride = int(np.median(np.diff(valid))) if len(valid) > 1 else 1
-    used = slice(valid[0] if len(valid) else 0, None, stride)
-    error = error[used]
-    lags = max(min(len(error) - 1, max(shortest, min(len(error) // 20, longest))), 1)
-    period = stride * record.sample_period
-    if k is None:
-        return autocorrelation(error, lags), period
-    driving = np.where(record.input_valid, record.inputs[:, k], np.nan)
-    return cross_correlation(error, driving[used], lags), period

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eoi_jax._checks import check, check_count, real
+from eoi_jax.data.record import Record
 
 
 class Correlation(NamedTuple):
@@ -92,6 +93,44 @@ def cross_correlation(
         values = _products(e, u)[shifts] / scale
         bound = _quantile(level) * np.sqrt(_common_power(e, u) / np.sum(valid)) / scale
     return Correlation(shifts, values, float(bound))
+
+
+def error_correlation(
+    record: Record,
+    prediction: Float[np.ndarray, "time ny"],
+    output: int,
+    input: int | None = None,
+    shortest: int = 50,
+    longest: int = 500,
+) -> tuple[Correlation, float]:
+    """Correlation of the error of a free run with itself, or with an input, with 99 % bounds.
+
+    Lags span a twentieth of the record, `shortest` to `longest` samples. Of an output that is
+    measured rarely only its own samples count.
+
+    Args:
+        record: the measurement.
+        prediction: ŷ on its grid, (N, ny); NaN where nothing was simulated.
+        output: number of the output.
+        input: number of the input; None: the autocorrelation.
+        shortest: number of lags of a short record.
+        longest: number of lags of a long record.
+
+    Returns:
+        The correlation, and the time of one lag [s].
+    """
+    mask = record.output_valid[:, output]
+    error = np.where(mask, record.outputs[:, output] - prediction[:, output], np.nan)
+    valid = np.flatnonzero(np.isfinite(error))
+    stride = int(np.median(np.diff(valid))) if len(valid) > 1 else 1
+    used = slice(valid[0] if len(valid) else 0, None, stride)
+    error = error[used]
+    lags = max(min(len(error) - 1, max(shortest, min(len(error) // 20, longest))), 1)
+    period = stride * record.sample_period
+    if input is None:
+        return autocorrelation(error, lags), period
+    driving = np.where(record.input_valid, record.inputs[:, input], np.nan)
+    return cross_correlation(error, driving[used], lags), period
 
 
 def _common_power(e: np.ndarray, u: np.ndarray, part: float = 0.2) -> float:

@@ -193,23 +193,26 @@ def validate(
 
 
 def validated_alike(
-    plants: Sequence[Plant], records: Record | Sequence[Record]
+    models: Sequence[Plant | FittedModel], records: Record | Sequence[Record]
 ) -> list[Validation]:
     """`validate` of several models of one plant, all in the shortest of the windows that they need.
 
     Args:
-        plants: to compare.
+        models: to compare; plants, or results of `identify`, `refine` or `discover`.
         records: on these.
     """
-    runs = [validate(plant, records) for plant in plants]
+    runs = [validate(model, records) for model in models]
     windows = {run.window for run in runs}
     if len(windows) == 1:
         return runs
     shortest = min(window for window in windows if window is not None)
-    head = window_head(shortest, plants[0], runs[0].records)
+    plant = models[0] if isinstance(models[0], Plant) else models[0].plant
+    head = window_head(shortest, plant, runs[0].records)
     return [
-        run if run.window == shortest else judged_runs(plant, records, head, shortest)
-        for plant, run in zip(plants, runs, strict=True)
+        run
+        if run.window == shortest
+        else validate(model, records, window=shortest, initial_samples=head)
+        for model, run in zip(models, runs, strict=True)
     ]
 
 

@@ -1,0 +1,203 @@
+"""Actions on saved models: `eoi validate` and `eoi compare`, free runs of runs on other data."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from eoi_jax._atomic import write_folder
+from eoi_jax._checks import check
+from eoi_jax.cli import build, run_folder
+from eoi_jax.cli.config import Config, LawTable, load
+from eoi_jax.cli.summary import comparison_summary, validation_summary
+from eoi_jax.cli.terminal import Outcome, ProgressCallback
+from eoi_jax.compiler import jax_setup
+from eoi_jax.data.record import Record
+from eoi_jax.data.windows import window_length
+from eoi_jax.estimation.holdout import longest_start
+from eoi_jax.models.controller import Controller
+from eoi_jax.models.plant import Plant
+from eoi_jax.report.saved_models import (
+    correlation_text,
+    judgement_text,
+    largest_correlations,
+    models_text,
+)
+from eoi_jax.simulation.validate import FittedModel, Validation, validated_alike
+from eoi_jax.simulation.validate import validate as free_runs
+
+_FOLDERS = "must be two folders of runs or more, before the data files"
+_NO_LOOP = "[controller] is not in the loop: the recorded inputs drive all models"
+_GIVE_FILES = "Give data files behind the runs."
+
+
+def validate(
+    run: Path,
+    files: Sequence[Path],
+    output: Path,
+    trust: bool,
+    progress: ProgressCallback | None,
+) -> Outcome:
+    """Judge the model of a run on data files, by free runs.
+
+    Args:
+        run: folder of a run.
+        files: data files with the columns of its config.
+        output: folder in which a folder with table, figures and JSON object is written.
+        trust: whether a Python file that the config names may be executed.
+        progress: called with the progress of the work.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ValueError: not the folder of a run, or files that are not of the same columns.
+    """
+    jax_setup.configure()
+    folder = output / f"{_name(run)}.validate"
+    run_folder.check_place(folder, "RUN")
+    _report_stage(progress, "reading")
+    result, settings = _saved(run, trust)
+    with run_folder.quiet_records():
+        plant = _plant(result)
+        records = build.records_of_files(settings, plant, files)
+        controller = _controller(settings, plant, run, records, trust)
+        _report_stage(progress, "free runs")
+        full_runs = free_runs(result, records, controller=controller)
+        windows = _in_windows(result, records, full_runs, controller)
+    rows = largest_correlations(full_runs)
+    text = judgement_text(f"{run}: {plant.name}", full_runs, windows, rows)
+    summary = validation_summary(settings.name, run, full_runs, windows, rows)
+    _report_stage(progress, "drawing")
+    parts = ("validate", [("free run", full_runs)], summary, text)
+    write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
+    return Outcome(summary, text, folder)
+
+
+def compare(
+    paths: Sequence[Path], output: Path, trust: bool, progress: ProgressCallback | None
+) -> Outcome:
+    """Compare the models of several runs on the same records, by free runs.
+
+    Args:
+        paths: folders of runs, then data files; without a file the records are those that the
+            first run held out. Files are read with the columns of the first run's config.
+        output: folder in which a folder with table, figures and JSON object is written.
+        trust: whether a Python file that a config names may be executed.
+        progress: called with the progress of the work.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ValueError: fewer than two runs, channels that differ, or no records.
+    """
+    jax_setup.configure()
+    runs = [path for path in paths if path.is_dir()]
+    files = [path for path in paths if not path.is_dir()]
+    check(len(runs) > 1, "RUN", _FOLDERS, ", ".join(map(str, runs)) or "none")
+    labels, folder = _labels(runs), output / f"{_name(runs[0])}.compare"
+    run_folder.check_place(folder, "RUN")
+    _report_stage(progress, "reading")
+    saved = [_saved(run, trust) for run in runs]
+    plants = [_plant(result) for result, _ in saved]
+    for run, plant in zip(runs, plants, strict=True):
+        rule = f"must have inputs and outputs of {runs[0]}: {_channels(plants[0])}"
+        equal = _channels(plant) == _channels(plants[0])
+        check(equal, "RUN", rule, f"{run} with {_channels(plant)}")
+    with run_folder.quiet_records():
+        records = _common_records(runs[0], files, saved[0][1], plants[0])
+        _report_stage(progress, "free runs")
+        validations = validated_alike([result for result, _ in saved], records)
+    named = list(zip(labels, validations, strict=True))
+    correlations = [largest_correlations(validation) for validation in validations]
+    texts = [models_text(named)]
+    texts += [
+        f"{name}\n{correlation_text(rows)}"
+        for (name, _), rows in zip(named, correlations, strict=True)
+    ]
+    if any(settings.controller is not None for _, settings in saved):
+        texts.append(f"Note: {_NO_LOOP}")
+    summary, text = comparison_summary(runs, validations, correlations), "\n\n".join(texts)
+    _report_stage(progress, "drawing")
+    parts = ("compare", named, summary, text)
+    write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
+    return Outcome(summary, text, folder)
+
+
+def _report_stage(progress: ProgressCallback | None, stage: str) -> None:
+    if progress is not None:
+        progress(stage, 0, None, "")
+
+
+def _name(run: Path) -> str:
+    """The name of a run: that of its folder, also of ``.``."""
+    return run.resolve().name
+
+
+def _labels(runs: Sequence[Path]) -> list[str]:
+    """The names of the runs, with so many folders before them that no two are the same."""
+    parts = [run.resolve().parts for run in runs]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(part[-count:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    check(False, "RUN", "must be different runs", ", ".join(map(str, runs)))
+    return []  # not reached
+
+
+def _saved(run: Path, trust: bool) -> tuple[Any, Config]:
+    """The result of a run, and its config."""
+    rule = "must be the folder of a run"
+    check(not run.is_file(), "RUN", rule, run, "Runs are in runs/<name>/.")
+    return run_folder.result_of_run(run, trust), load(run / "config.toml")
+
+
+def _plant(result: Plant | FittedModel) -> Plant:
+    return result if isinstance(result, Plant) else result.plant
+
+
+def _channels(plant: Plant) -> str:
+    return ", ".join((*plant.inputs, *plant.outputs))
+
+
+def _controller(
+    settings: Config, plant: Plant, run: Path, records: Sequence[Record], trust: bool
+) -> Controller | None:
+    """The controller of the config; its law is executed where it is trusted only."""
+    if isinstance(settings.controller, LawTable):
+        rule, value = "must hold its complete model", f"{run}, whose controller is a function in "
+        advice = "Check this file; --trust executes it."
+        check(trust, "RUN", rule, value + settings.controller.law, advice)
+    folder = run_folder.folder_of(run / "config.toml")
+    return build.controller(settings, plant, folder, records[0].sample_period)
+
+
+def _in_windows(
+    result: Plant | FittedModel,
+    records: Sequence[Record],
+    full_runs: Validation,
+    controller: Controller | None,
+) -> Validation | None:
+    """Free runs over a tenth of the records; None where they are so already, or none fits."""
+    if full_runs.window is not None:
+        return None
+    length = window_length(records, 2 * longest_start(_plant(result), records))
+    if length is None:
+        return None
+    return free_runs(result, records, window=length, controller=controller)
+
+
+def _common_records(
+    first: Path, files: Sequence[Path], settings: Config, plant: Plant
+) -> tuple[Record, ...]:
+    """The records of the files, else those that the first run held out; without references."""
+    if not files:
+        records = run_folder.held_out_of_run(first)
+        rule = "must have held-out records where no data file is given"
+        check(len(records) > 0, "RUN", rule, first, _GIVE_FILES)
+        return records
+    records = build.records_of_files(settings, plant, files)
+    references = records[0].input_names[len(plant.inputs) :]
+    if not references:
+        return tuple(records)
+    return tuple(record.without_inputs(*references) for record in records)

@@ -1,0 +1,247 @@
+"""`eoi validate` and `eoi compare`: models of finished runs on other data."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import eoi_jax as eoi
+from eoi_jax.cli.commands import app
+from eoi_jax.compiler import jax_setup
+from eoi_jax.models.storage import save
+
+CONFIG = """
+name = "good"
+[model]
+outputs = ["level"]
+inputs = ["flow"]
+parameters = { a = 0.4, b = 1.5 }
+units = { level = "m" }
+derivatives = { level = "-a*level + b*flow" }
+[identify]
+passes = 5
+[data]
+files = ["run.csv"]
+time = "t"
+inputs = ["valve"]
+outputs = ["height"]
+scale = { height = 0.01 }
+slice = [0, 1500]
+[validation]
+files = ["test.csv"]
+slice = [0, 800]
+"""
+CONTROLLER = """[controller]
+kind = "law"
+law = "law.py:law"
+"""
+NOISE = 1e-2  # [m]
+
+
+def called(*arguments):
+    return CliRunner().invoke(app, [str(one) for one in arguments])
+
+
+def answer(*arguments):
+    done = called(*arguments, "--json")
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def write(path: Path, seed: int) -> None:
+    """A measured file in centimetres: dy/dt = -0.5 y + 2 u."""
+    plant = eoi.plant_from_text(
+        {"level": "-a*level + b*flow"}, {"a": 0.5, "b": 2.0}, inputs=["flow"], outputs=["level"]
+    )
+    time = np.arange(0.0, 40.0, 0.02)
+    flow = eoi.excitation.prbs(time, 1.0, 0.5, seed=seed)
+    y = eoi.simulate(plant, time, flow, hold="zero").outputs[:, 0]
+    y = y + NOISE * np.random.default_rng(seed).standard_normal(len(time))
+    rows = np.column_stack([time, flow, 100 * y])
+    np.savetxt(path, rows, delimiter=",", header="t,valve,height", comments="")
+
+
+def stored(place: Path, name: str, plant: eoi.Plant) -> Path:
+    """The folder of a run of the same config with another model."""
+    run = place / "runs" / name
+    run.mkdir()
+    (run / "config.toml").write_text((place / "good.toml").read_text())
+    save(plant, run / "result.npz")
+    return run
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jax_setup, "configure", lambda: None)
+        place: Path = tmp_path_factory.mktemp("saved")
+        for seed, name in enumerate(("run", "test", "new", "other")):
+            write(place / f"{name}.csv", seed)
+        (place / "good.toml").write_text(CONFIG)
+        done = called("identify", place / "good.toml", "--output", place / "runs", "--quiet")
+        assert done.exit_code == 0, done.output
+        plant = eoi.load(place / "runs" / "good" / "result.npz").plant
+        stored(place, "wrong", plant.with_parameters({"b": 1.5}))
+        stored(place, "other", eoi.plants.pendulum())
+        config = stored(place, "law", plant) / "config.toml"
+        config.write_text(config.read_text() + CONTROLLER)
+        (place / "bad.csv").write_text("t,valve\n" + "".join(f"{i},0\n" for i in range(100)))
+        yield place
+
+
+@pytest.fixture(autouse=True)
+def here(monkeypatch, folder, tmp_path):
+    """JAX runs already in this process, set up by conftest."""
+    monkeypatch.setattr(jax_setup, "configure", lambda: None)
+    monkeypatch.chdir(folder)
+    return tmp_path
+
+
+def test_a_saved_model_is_judged_as_by_the_function(folder):
+    """The columns, scale, hold and skew are those of the run; a slice is that of its own files."""
+    found = answer("validate", "runs/good", "new.csv")
+    record = eoi.read_record(
+        "new.csv", time="t", inputs="valve", outputs="height", scale={"height": 0.01}
+    )
+    result = eoi.load("runs/good/result.npz")
+    expected = eoi.validate(result, record)
+    assert expected.predictions[0].holds == result.records[0].holds
+    errors = found["validation"]
+    assert errors["fit"]["level"] == expected.fit[0] > 98
+    assert errors["rmse"]["level"] == pytest.approx(NOISE, rel=0.1)
+    assert errors["scored"] == expected.scored > 1900  # of 2000, not of the first 1500
+    y = record.outputs[-expected.scored :, 0]
+    error = y - expected.predictions[0].outputs[-expected.scored :, 0]
+    fit = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - np.mean(y)))
+    assert errors["fit"]["level"] == pytest.approx(fit, rel=1e-9)
+    assert found["windows"]["window"] == pytest.approx(4.0)
+    assert found["windows"]["rmse"]["level"] == pytest.approx(NOISE, rel=0.3)
+    files = {path.name for path in (folder / "runs" / "good.validate").iterdir()}
+    assert files == {"validate.json", "validate.txt", "validate.png", "correlation.png"}
+
+
+def test_a_complete_model_leaves_white_errors_and_a_wrong_one_does_not():
+    good, wrong = (
+        answer("validate", f"runs/{name}", "new.csv")["correlations"] for name in ("good", "wrong")
+    )
+    assert [row["input"] for row in good] == [None, "valve"]
+    for row in good:
+        assert row["share_outside"] < 0.05
+        assert abs(row["value"]) < 2 * row["bound"]
+    for row in wrong:
+        assert not row["inside"]
+        assert row["share_outside"] > 0.05
+        assert abs(row["value"]) > 1.5 * row["bound"]
+    assert wrong[0]["value"] > 0.9
+    assert wrong[0]["lag"] == pytest.approx(0.02)  # the first lag, of one sample
+
+
+def test_several_files_are_records_of_one_validation(folder):
+    done = called("validate", "runs/good", "new.csv", "other.csv")
+    assert done.exit_code == 0, done.output
+    assert "Free run, 2 record(s)" in done.stdout
+    assert "Free runs in windows of 4 s, 2 record(s)" in done.stdout
+    assert "1 % of the lags are outside by chance" in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines() if line.startswith(("new", "other"))]
+    assert [row[:3] for row in rows] == [
+        [record, "level", other] for record in ("new", "other") for other in
+        ("itself", "valve")
+    ]  # fmt: skip
+    assert (folder / "runs" / "good.validate" / "correlation_2.png").is_file()
+
+
+def test_models_are_compared_on_the_same_records(folder):
+    done = called("compare", "runs/good", "runs/wrong", "new.csv")
+    assert done.exit_code == 0, done.output
+    rows = [line.split() for line in done.stdout.splitlines()]
+    table = {row[0]: float(row[2]) for row in rows if len(row) == 5 and row[1] == "level"}
+    found = answer("compare", "runs/good", "runs/wrong", "new.csv")
+    fits = [model["validation"]["fit"]["level"] for model in found["models"]]
+    assert list(table) == ["good", "wrong"]
+    assert list(table.values()) == pytest.approx(fits, abs=0.006)
+    assert fits[0] > 98 > 90 > fits[1]
+    single = answer("validate", "runs/wrong", "new.csv")["validation"]["fit"]["level"]
+    assert fits[1] == single
+    files = {path.name for path in (folder / "runs" / "good.compare").iterdir()}
+    assert files == {"compare.json", "compare.txt", "compare.png", "correlation.png"}
+
+
+def test_without_a_file_the_records_are_those_that_the_first_run_held_out():
+    found = answer("compare", "runs/good", "runs/wrong")
+    assert [record["name"] for record in found["records"]] == ["test"]
+    assert found["records"][0]["samples"] == 800
+    stored = json.loads(Path("runs/good/result.json").read_text())["validation"]
+    assert found["models"][0]["validation"]["fit"] == stored["fit"]
+
+
+def test_runs_of_one_name_are_told_by_their_paths(folder, tmp_path):
+    copy = tmp_path / "good"
+    copy.mkdir()
+    for path in (folder / "runs" / "good").iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    done = called("compare", "runs/good", copy, "new.csv", "--output", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert f"\n{tmp_path.name}/good " in done.stdout
+    assert "\nruns/good " in done.stdout
+
+
+PENDULUM = """
+name = "simulated"
+plant = "pendulum"
+[identify]
+passes = 2
+[simulate]
+sample_period = 0.005
+duration = 8.0
+increments = { a = 5.0 }
+[simulate.input.voltage]
+kind = "square"
+amplitude = 0.2
+frequency = 0.25
+"""
+
+
+def test_columns_of_a_simulated_run_are_the_channels_of_its_plant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("simulated.toml").write_text(PENDULUM)
+    done = called("identify", "simulated.toml", "--quiet")
+    assert done.exit_code == 0, done.output
+    plant = eoi.plants.pendulum()
+    plant = plant.with_parameters({"a": plant.parameters["a"] + 5.0})
+    time = np.arange(0.0, 8.0, 0.005)
+    drive = eoi.excitation.square(time, 0.2, 0.4)
+    angle = eoi.simulate(plant, time, drive).outputs[:, 0]
+    names = ",".join(("seconds", *plant.inputs, *plant.outputs))
+    rows = np.column_stack([time, drive, angle])
+    np.savetxt("new.csv", rows, delimiter=",", header=names, comments="")
+    found = answer("validate", "runs/simulated", "new.csv")
+    assert found["validation"]["fit"][plant.outputs[0]] > 95
+    (tmp_path / "runs" / "second").mkdir()
+    for name in ("result.npz", "config.toml"):
+        content = Path(f"runs/simulated/{name}").read_bytes()
+        Path(f"runs/second/{name}").write_bytes(content)
+    done = called("compare", "runs/simulated", "runs/second")
+    assert done.exit_code == 2
+    assert "`RUN` must have held-out records where no data file is given" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("validate", "none", "new.csv"), "`run` must be a folder or a file that exists"),
+        (("validate", "new.csv", "new.csv"), "`RUN` must be the folder of a run, got new.csv"),
+        (("validate", "runs/good", "none.csv"), "`FILE` must be a data file that exists"),
+        (("validate", "runs/good", "bad.csv"), "height"),
+        (("compare", "runs/good", "new.csv"), "`RUN` must be two folders of runs or more"),
+        (("compare", "runs/good", "runs/good"), "`RUN` must be different runs, got runs/good"),
+        (("compare", "runs/good", "runs/other"), "`RUN` must have inputs and outputs of runs/good"),
+        (("validate", "runs/law", "new.csv"), "whose controller is a function in law.py:law"),
+    ],
+)
+def test_a_wrong_call_says_what_to_do(arguments, message):
+    done = called(*arguments)
+    assert done.exit_code == 2, done.output
+    assert message in done.stderr
+    assert "Traceback" not in done.output
