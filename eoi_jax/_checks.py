@@ -113,8 +113,8 @@ def check_positive(name: str, value: object, advice: str = "") -> None:
     )
 
 
-def check_shape(name: str, array: np.ndarray, shape: Sequence[int | None], meaning: str) -> None:
-    """`array` must have `shape`; `None` in it matches any length."""
+def check_shape(name: str, array: Any, shape: Sequence[int | None], meaning: str) -> None:
+    """`array`, of NumPy or JAX, must have `shape`; `None` in it matches any length."""
     fits = len(array.shape) == len(shape) and all(
         length is None or length == size for length, size in zip(shape, array.shape, strict=True)
     )

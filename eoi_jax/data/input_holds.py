@@ -87,9 +87,7 @@ def columns_by_hold(hold: Hold) -> list[tuple[str, Columns]]:
     ]
 
 
-def by_hold(
-    hold: Hold, inputs: Signals, values: Callable[[str, Columns], np.ndarray]
-) -> np.ndarray:
+def by_hold(hold: Hold, inputs: Any, values: Callable[[str, Columns], Any]) -> Any:
     """What a function of inputs with one hold returns, for all inputs; the last axis is theirs.
 
     Args:

@@ -4,16 +4,29 @@ A sample of an output is scored if it is valid and lies behind the transient at 
 record. A step lies between two samples, and is valid for an output if the inputs are known at both,
 and all outputs measured that enter its equation. A step is usable where, beside that, the model
 says what the measurement shows: not while dry friction holds the plant at rest.
+
+What follows from arrays alone takes those of NumPy, or those of JAX, also traced, and returns the
+same kind.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
+
+Host = Array | np.ndarray
+
+
+def _namespace(array: Any) -> Any:
+    """NumPy, or JAX's for its arrays."""
+    return jnp if isinstance(array, jax.Array) else np
 
 
 def transient_samples(record: Record, transient: float = 0.0) -> int:
@@ -93,11 +106,11 @@ def over_samples(
 
 def moving(
     degrees: Sequence[int],
-    outputs: Float[np.ndarray, "time ny"],
-    h: float,
-    noise: Float[np.ndarray, " ny"],
+    outputs: Float[Host, "time ny"],
+    h: Any,
+    noise: Float[Host, " ny"],
     certainty: float = 4.0,
-) -> Bool[np.ndarray, "time-1 ny"]:
+) -> Any:
     """Steps in which the direction of motion is certain.
 
     Dry friction has the value that the model gives it only there: at rest it is a reaction, and
@@ -111,12 +124,12 @@ def moving(
         noise: standard deviation of that of the velocities, `defaults.velocity_noise`, shape (ny,).
         certainty: standard deviations of the noise within which a velocity has no certain sign.
     """
-    velocity = np.where(
-        np.asarray(degrees) == 1, 0.5 * (outputs[1:] + outputs[:-1]), np.diff(outputs, axis=0) / h
-    )
-    direction = np.sign(velocity) * (np.abs(velocity) > certainty * noise)
-    previous = np.concatenate([direction[:1], direction[:-1]])
-    following = np.concatenate([direction[1:], direction[-1:]])
+    xp = _namespace(outputs)
+    mean, rate = 0.5 * (outputs[1:] + outputs[:-1]), (outputs[1:] - outputs[:-1]) / h
+    velocity = xp.where(np.asarray(degrees) == 1, mean, rate)
+    direction = xp.sign(velocity) * (xp.abs(velocity) > certainty * noise)
+    previous = xp.concatenate([direction[:1], direction[:-1]])
+    following = xp.concatenate([direction[1:], direction[-1:]])
     return (direction != 0) & (direction == previous) & (direction == following)
 
 
@@ -149,32 +162,60 @@ def usable_steps(
     if not any(degrees):  # a sample stands for itself, whether the next one is valid or not
         restart = np.arange(len(record) - 1) == 0
         return valid_samples(record, enters)[:-1], restart
-    good = valid_steps(record, enters)
-    restart = np.any(good[1:] & ~good[:-1], axis=1)
-    restart = np.concatenate([[True], restart])
+    return moved_steps(
+        valid_steps(record, enters), record.outputs, record.sample_period,
+        taps, degrees, jumps, noise, settling, constant(record),
+    )  # fmt: skip
+
+
+def moved_steps(
+    good: Bool[Host, "steps ny"],
+    outputs: Float[Host, "time ny"],
+    h: Any,
+    taps: int,
+    degrees: Sequence[int],
+    jumps: Bool[np.ndarray, "ny ny"],
+    noise: Float[Host, " ny"],
+    settling: int = 3,
+    resting: Bool[np.ndarray, " ny"] | None = None,
+) -> tuple[Any, Any]:
+    """`usable_steps` from arrays, where some output has an observer.
+
+    Args:
+        good: steps between two valid samples.
+        outputs: on a uniform grid.
+        h: its step [s].
+        taps: as of `usable_steps`, and so the next ones.
+        degrees: of the outputs.
+        jumps: of the plant.
+        noise: of the velocities.
+        settling: in steps.
+        resting: outputs that never move; None: all do.
+    """
+    xp = _namespace(outputs)
+    restart = xp.any(good[1:] & ~good[:-1], axis=1)
+    restart = xp.concatenate([xp.ones(1, dtype=bool), restart])
     if np.any(jumps):
-        resting = ~moving(degrees, record.outputs, record.sample_period, noise)
+        slow = ~moving(degrees, outputs, h, noise)
         # Its own friction, or another's that acts on it by inertia.
-        good = good & ~(resting @ jumps.T)
-    good = good & (~constant(record) | (np.asarray(degrees) == 0))
+        good = good & ~(slow @ jumps.T)
+    if resting is not None:
+        good = good & (~resting | (np.asarray(degrees) == 0))
     use = consecutive(good, taps)  # every step of the moving average must be good
     return use & beyond_starts(restart, taps + settling)[:, None], restart
 
 
-def consecutive(good: Bool[np.ndarray, "steps ny"], count: int) -> Bool[np.ndarray, "steps ny"]:
+def consecutive(good: Bool[Host, "steps ny"], count: int) -> Any:
     """Steps that are good together with the `count` - 1 before them, as far as there are any."""
-    all_good = good.copy()
-    for lag in range(1, count):
-        all_good[lag:] &= good[:-lag]
+    xp, all_good = _namespace(good), good
+    for lag in range(1, min(count, len(good))):
+        all_good = all_good & xp.concatenate([xp.ones_like(good[:lag]), good[:-lag]])
     return all_good
 
 
-def beyond_starts(starts: Bool[np.ndarray, " steps"], count: int) -> Bool[np.ndarray, " steps"]:
+def beyond_starts(starts: Bool[Host, " steps"], count: Any) -> Any:
     """All steps but the first `count` from each start on."""
-    mask = np.ones(len(starts), dtype=bool)
-    for start in np.flatnonzero(starts):
-        mask[start : start + count] = False
-    return mask
+    return _steps_since(starts) >= count
 
 
 def constant(record: Record) -> Bool[np.ndarray, " ny"]:
@@ -186,24 +227,27 @@ def constant(record: Record) -> Bool[np.ndarray, " ny"]:
     return over_samples(record, resting) > 0
 
 
-def tapered(use: Float[np.ndarray, "steps ny"], length: float) -> Float[np.ndarray, "steps ny"]:
+def tapered(use: Float[Host, "steps ny"], length: Any) -> Any:
     """Weights that rise smoothly (raised cosine) with the distance from a step that is out.
 
     Any weight that stands on both sides of the regression keeps it exact. A sharp edge, though,
     cuts second differences of the measurement noise apart that would cancel in the filter.
     """
-    if np.all(use > 0):
+    xp = _namespace(use)
+    if xp is np and np.all(use > 0):
         return np.ones_like(use)
-    distance = np.stack(
-        [np.minimum(_since_zero(channel), _since_zero(channel[::-1])[::-1]) for channel in use.T],
-        axis=1,
-    )
-    weights, is_near = np.ones_like(distance), distance < max(length, 1.0)
-    weights[is_near] = 0.5 - 0.5 * np.cos(np.pi * distance[is_near] / max(length, 1.0))
-    return weights
+    columns = [
+        xp.minimum(_steps_since(is_out), _steps_since(is_out[::-1])[::-1])
+        for is_out in (use <= 0).T
+    ]
+    length = xp.maximum(length, 1.0)
+    distance = xp.minimum(xp.stack(columns, axis=1), length)
+    return 0.5 - 0.5 * xp.cos(np.pi * distance / length)
 
 
-def _since_zero(weights: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
-    index = np.arange(len(weights))
-    last = np.maximum.accumulate(np.where(weights > 0, -1, index))
-    return np.where(last < 0, np.inf, index - last).astype(float)
+def _steps_since(flags: Bool[Host, " steps"]) -> Any:
+    """Steps since the last flag; infinite before the first."""
+    xp = _namespace(flags)
+    index = xp.arange(len(flags), dtype=float)
+    flagged = xp.where(flags, index, -np.inf)
+    return index - (np.maximum.accumulate(flagged) if xp is np else jax.lax.cummax(flagged))

@@ -6,10 +6,10 @@ conditioned for records in microseconds and in hours.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
@@ -339,16 +339,21 @@ def delayed_inputs(
 
 
 def inputs_within_steps(
-    inputs: Float[np.ndarray, "time nu"], fractions: Float[np.ndarray, " places"], hold: Hold
-) -> Float[np.ndarray, "steps places nu"]:
-    """Inputs at the same fractions of every step; its end (1) is part of the step."""
+    inputs: Float[np.ndarray | Array, "time nu"],
+    fractions: Float[np.ndarray, " places"],
+    hold: Hold,
+) -> Any:
+    """Inputs at the same fractions of every step, (steps, places, nu); its end (1) is part of it.
 
-    def values(word: str, columns: Columns) -> np.ndarray:
+    Those of JAX, also traced, have one hold, zero or linear.
+    """
+
+    def values(word: str, columns: Columns) -> Any:
         check_choice("hold", word, HOLDS)
         group = inputs[:, columns]
         if word == "smooth":
-            return within_steps(group, fractions, degree=5)
-        rise = np.diff(group, axis=0) * (word == "linear")
+            return within_steps(np.asarray(group), fractions, degree=5)
+        rise = (group[1:] - group[:-1]) * (word == "linear")
         return group[:-1, None] + fractions[:, None] * rise[:, None]
 
     return by_hold(hold, inputs, values)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
 from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
-from eoi_jax.compiler.jax_private import inputs_read
+from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.algebraic_outputs import check_algebraic
 from eoi_jax.models.kinds import checked_kinds, kind_of
@@ -239,7 +239,8 @@ class Plant(eqx.Module):
         """The plant with different parameter values.
 
         Args:
-            values: ``{name: value}`` for some or all names, or an array (np,).
+            values: ``{name: value}`` for some or all names, or an array (np,); also numbers that
+                JAX traces.
 
         Raises:
             ValueError: an unknown name, a value that is no number, an array of a wrong length.
@@ -247,11 +248,14 @@ class Plant(eqx.Module):
         if isinstance(values, Mapping):
             for key, value in values.items():
                 check_choice("parameters", key, self.names)
-                number = isinstance(value, SupportsFloat)
+                number = isinstance(value, SupportsFloat) and np.ndim(value) == 0  # type: ignore[arg-type]
                 check(number, f"parameters[{key}]", "must be a number", repr(value))
-            theta = np.asarray(
-                [float(values.get(key, old)) for key, old in self.parameters.items()]
-            )
+            parts = [values.get(key, old) for key, old in zip(self.names, self.theta, strict=True)]
+            if any(isinstance(part, Tracer) for part in parts):
+                dtype = jnp.result_type(float)
+                theta = jnp.stack([jnp.asarray(part, dtype) for part in parts])
+            else:
+                theta = np.asarray([float(part) for part in parts])
         else:
             theta = values
             shape = np.shape(theta)
@@ -442,9 +446,14 @@ class Plant(eqx.Module):
         """Whether f of output i jumps where the velocity of output j changes sign, at [i, j].
 
         Elements off the diagonal belong to masses coupled by inertia, on which the friction of
-        another mass acts.
+        another mass acts. Traced parameters are probed around one, within their bounds.
         """
-        theta = tuple(np.asarray(self.theta, float).tolist())
+        values = self.theta
+        if isinstance(values, Tracer):
+            values = np.ones(len(self.names))
+            if not isinstance(self.lower, Tracer):
+                values = np.clip(values, self.lower, self.upper)
+        theta = tuple(np.asarray(values, float).tolist())
         return _jumps(jax.tree.structure(self), theta, jnp.result_type(float))
 
     @property
