@@ -52,6 +52,7 @@ from .refinement.refine import refine as refine
 from .refinement.remaining import Remaining as Remaining
 from .refinement.remaining import remaining as remaining
 from .refinement.result import Refinement as Refinement
+from .simulation.rollout import rollout as rollout
 from .simulation.simulate import simulate as simulate
 from .simulation.validate import Validation as Validation
 from .simulation.validate import validate as validate

@@ -16,6 +16,7 @@ CALLS = {
     "sweep(plant, run, substeps=2.5)": "`substeps` must be an integer ≥ 1, got 2.5",
     "refine(3, run)": "`plant` must be a Plant, got int",
     "validate('pendulum', run)": "`plant` must be a Plant, got str",
+    "rollout('pendulum', None, None, time, 0.01)": "`plant` must be a Plant, got str",
     "validate(plant, None)": "`records` must hold at least one record, got none",
     "validate(plant, run, controller=max)": "`controller` must be a Controller, got",
     "Controller(3.0)": "`law` must be a function law(t, r, y, s), got 3.0",

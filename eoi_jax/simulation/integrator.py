@@ -112,7 +112,12 @@ def frictional(plant: Plant) -> tuple[int, ...]:
 
 
 def trajectory(
-    plant: Plant, theta: Theta, driven_by: Drive, start: State, friction: tuple[int, ...]
+    plant: Plant,
+    theta: Theta,
+    driven_by: Drive,
+    start: State,
+    friction: tuple[int, ...],
+    reverse: bool = False,
 ) -> tuple[Motion, Internal]:
     """States at every sample, for use inside other JAX code (forward-mode derivatives, `vmap`).
 
@@ -123,6 +128,8 @@ def trajectory(
             `simulate.acted`.
         start: state at the first sample.
         friction: which outputs stick, see `frictional`.
+        reverse: whether derivatives in reverse mode must be possible: steps are then without a loop
+            of unknown length, and computed again on the way back rather than stored.
 
     Returns:
         Outputs with their derivatives, shape (N, r, ny), and internal states (N, nz). An output of
@@ -134,11 +141,14 @@ def trajectory(
 
     def body(x: State, row: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
         t, u = row
-        x = one_step(_Problem(plant, theta, t, h, u, friction), x)
+        if reverse:
+            x = advanced(plant, theta, t, h, u, x, friction)
+        else:
+            x = one_step(_Problem(plant, theta, t, h, u, friction), x)
         return x, x
 
     steps = jnp.asarray(driven_by.time), jnp.asarray(driven_by.inputs)
-    _, x = lax.scan(body, start, steps)
+    _, x = lax.scan(jax.checkpoint(body, prevent_cse=False) if reverse else body, start, steps)
     samples = slice(driven_by.substeps - 1, None, driven_by.substeps)
     y, z = x.y[samples], x.z[samples]
     y, z = jnp.concatenate([start.y[None], y]), jnp.concatenate([start.z[None], z])

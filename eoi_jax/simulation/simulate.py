@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape
 from eoi_jax._types import Scalar, Theta
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.cleaning import SHORTEST
@@ -84,17 +85,20 @@ def simulate(
 
     Raises:
         ValueError: a wrong shape, a grid that is not uniform, dry friction with the adaptive
-            solver, or a trajectory that is not finite (with the first time at which it is not).
+            solver, a trajectory that is not finite (with the first time at which it is not), or
+            numbers that JAX traces, of which `rollout` makes a free run.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
+    _check_untraced(plant, time, inputs, initial, internal)
     time = _uniform(np.asarray(time, dtype=np.float64))
     u = np.asarray(inputs, dtype=np.float64)
     u = u[:, None] if u.ndim == 1 else u
     check_shape("inputs", u, (len(time), len(plant.inputs)), "one row a sample, a column an input")
     _check_finite("inputs", u)
     check_choice("solver", solver, ("fixed", "adaptive"))
-    start = State(_initial(plant, initial), _internal(plant, internal))
+    start = State(initial_outputs(plant, initial), _internal(plant, internal))
+    _check_finite("initial", start.y)
     used, _ = declared_or_suggested(hold, u, plant.inputs)
     if solver == "adaptive":
         rough = [key for key, dry in zip(plant.outputs, plant.dry_friction, strict=True) if dry]
@@ -154,8 +158,8 @@ def _fixed(
 
 
 def drive(
-    time: Float[np.ndarray, " time"],
-    inputs: Float[np.ndarray, "time nu"],
+    time: Float[np.ndarray | Array, " time"],
+    inputs: Float[np.ndarray | Array, "time nu"],
     hold: Hold,
     substeps: int = 1,
     skew: Float[np.ndarray, " nu"] | None = None,
@@ -164,7 +168,7 @@ def drive(
 
     Args:
         time: uniform grid [s].
-        inputs: one row a sample.
+        inputs: one row a sample; JAX's arrays, also traced, with one hold, zero or linear.
         hold: ``"zero"``, ``"linear"`` or ``"smooth"``, of all inputs or of each.
         substeps: steps per sample.
         skew: time by which each input acts later than it was logged [s]; None: by none.
@@ -176,17 +180,18 @@ def drive(
         ValueError: an unknown hold, or less than one sub-step.
     """
     check_count("substeps", substeps)
+    xp = jnp if isinstance(inputs, jax.Array) else np
     period = (time[-1] - time[0]) / (len(time) - 1)
     steps = (len(time) - 1) * substeps
     if skew is not None and np.any(skew):
-        stages = _shifted_stages(inputs, skew / period, hold, substeps)
+        stages = _shifted_stages(np.asarray(inputs), skew / period, hold, substeps)
     else:
         fractions = np.linspace(0.0, 1.0, 2 * substeps + 1)  # start, middle, end, middle, end, …
         values = inputs_within_steps(inputs, fractions, hold)
-        stages = np.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
+        stages = xp.stack([values[:, 0:-2:2], values[:, 1:-1:2], values[:, 2::2]], axis=2)
     return Drive(
         time[0] + period / substeps * np.arange(steps),
-        np.asarray(period / substeps),
+        xp.asarray(period / substeps),
         stages.reshape(steps, 3, inputs.shape[1]),
         substeps,
         inputs[-1],
@@ -206,15 +211,23 @@ def _shifted_stages(
     return np.stack([points[:-1], middles, ends], axis=1)
 
 
-def acted(plant: Plant, driven_by: Drive) -> Drive:
-    """The drive of a whole record behind the actuators of a plant, at its parameters.
+def acted(plant: Plant, driven_by: Drive, theta: Theta | None = None) -> Drive:
+    """The drive of a whole record behind the actuators of a plant.
 
     Between the steps it is taken to be continuous: parabolas with the means over the steps. Where
     an output of relative degree 0 shows the input itself, a held input stays one behind a delay.
+
+    Args:
+        plant: with an actuator, or without.
+        driven_by: of a whole record.
+        theta: parameter values, for a drive of JAX's arrays; None: the plant's, and NumPy's arrays.
     """
     if plant.actuator is None:
         return driven_by
-    inputs = np.asarray(actuated(plant, jnp.asarray(plant.theta), driven_by))
+    if theta is None:
+        inputs = np.asarray(actuated(plant, jnp.asarray(plant.theta), driven_by))
+    else:
+        inputs = actuated(plant, theta, driven_by)
     steps, last = len(driven_by.time), inputs[-1, 0 if plant.has_algebraic else 2]
     return Drive(driven_by.time, driven_by.step, inputs[:steps], driven_by.substeps, last)
 
@@ -300,6 +313,13 @@ def _past_slopes(plant: Plant, theta: Theta, driven_by: Drive) -> Array:
 # -- starts ------------------------------------------------------------------------------
 
 
+def _check_untraced(*arguments: Any) -> None:
+    traced = [leaf for leaf in jax.tree.leaves(arguments) if isinstance(leaf, Tracer)]
+    rule = "must get numbers, as it returns a record"
+    advice = "In `jit`, `grad` or `vmap`, use `rollout(plant, theta, x0, u, h)`."
+    check(not traced, "simulate", rule, "numbers that JAX traces", advice)
+
+
 def _check_finite(name: str, value: np.ndarray) -> None:
     check(bool(np.all(np.isfinite(value))), name, "must be finite", "NaN or infinity")
 
@@ -318,17 +338,26 @@ def _uniform(time: np.ndarray) -> Float[np.ndarray, " time"]:
     return time
 
 
-def _initial(plant: Plant, initial: Any) -> Float[np.ndarray, "r ny"]:
+def initial_outputs(plant: Plant, initial: Any, xp: Any = np) -> Float[Any, "r ny"]:
+    """Outputs and their derivatives at the start of a run, as in `State.y`.
+
+    Args:
+        plant: with its relative degrees.
+        initial: as of `simulate`.
+        xp: NumPy, or JAX's for traced numbers.
+
+    Raises:
+        ValueError: a wrong shape.
+    """
     r, ny = plant.rows, len(plant.outputs)
-    value = np.nan_to_num(plant.known_start) if initial is None else np.asarray(initial, float)
+    value = xp.asarray(np.nan_to_num(plant.known_start) if initial is None else initial, float)
     if ny == 1 and value.shape == ():
-        value = np.concatenate([value[None], np.zeros(r - 1)])
+        value = xp.concatenate([value[None], xp.zeros(r - 1)])
     if ny == 1 and value.shape == (r,):
         value = value[:, None]
     check_shape("initial", value, (r, ny), "the outputs, then each of their derivatives")
-    _check_finite("initial", value)
     owned = np.arange(r)[:, None] < np.asarray(plant.degrees)
-    return np.where(owned, value, 0.0)
+    return xp.where(owned, value, 0.0)
 
 
 def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " nz"]:

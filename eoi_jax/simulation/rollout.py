@@ -1,0 +1,71 @@
+"""The free run of `simulate` as a function of arrays, for use inside other JAX code."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from eoi_jax._checks import check, check_choice, check_kind, check_shape
+from eoi_jax._types import Scalar
+from eoi_jax.models.plant import Plant, State
+from eoi_jax.simulation.integrator import frictional
+from eoi_jax.simulation.simulate import acted, drive, free_run, initial_outputs
+
+HOLDS = ("zero", "linear")
+
+
+def rollout(
+    plant: Plant,
+    theta: Any,
+    x0: Any,
+    u: Any,
+    h: Scalar | float,
+    *,
+    hold: str = "zero",
+    substeps: int = 1,
+    t0: Scalar | float = 0.0,
+) -> State:
+    """Free run of a plant, a pure function of arrays: `jit`, `vmap`, `grad` and `jvp` apply.
+
+    The integrator is that of `simulate`: fourth-order Runge-Kutta steps of fixed length, cut where
+    an output comes to rest, so that dry friction sticks. Derivatives are those of the run with its
+    instants of stop: they are exact where a small change of the arguments leaves the order of stops
+    and departures as it is.
+
+    Args:
+        plant: the equations. Which outputs stick is found at its own parameters.
+        theta: parameter values: an array (np,) in the plant's order, a dict by name (the others are
+            the plant's), or None for the plant's own.
+        x0: state at the first sample: outputs and their derivatives, shape (r, ny), for a single
+            output (r,); a `State`, which has internal states too; None for the plant's known
+            starts, and zeros.
+        u: inputs at the samples, shape (N, nu), for a single input (N,); (N, 0) without inputs.
+        h: sample period [s].
+        hold: inputs between samples: ``"zero"`` (held) or ``"linear"``.
+        substeps: Runge-Kutta steps per sample. `simulate` chooses their number by itself, this
+            function does not: see that more do not change the result.
+        t0: time of the first sample [s].
+
+    Returns:
+        States at all samples: `.y` of shape (N, r, ny), whose `.y[:, 0]` are the outputs, and `.z`
+        of shape (N, nz). Where the run leaves the finite numbers, so do they.
+
+    Raises:
+        ValueError: a wrong shape, an unknown name or hold, less than one sub-step, or dry friction
+            that the simulation does not cover.
+    """
+    check_kind("plant", plant, Plant, "a Plant")
+    check_choice("hold", hold, HOLDS)
+    values = jnp.asarray((plant if theta is None else plant.with_parameters(theta)).theta, float)
+    inputs = jnp.asarray(u, float)
+    inputs = inputs[:, None] if inputs.ndim == 1 else inputs
+    check_shape("u", inputs, (None, len(plant.inputs)), "one row a sample, a column an input")
+    check(len(inputs) > 1, "u", "must have at least two samples", len(inputs))
+    initial, internal = (x0.y, x0.z) if isinstance(x0, State) else (x0, None)
+    if internal is None:
+        internal = plant.internal_start(values)
+    check_shape("x0.z", internal, plant.internal_start(values).shape, "one value an internal state")
+    start = State(initial_outputs(plant, initial, jnp), jnp.asarray(internal, float))
+    time = t0 + h * np.arange(len(inputs))
+    driven_by = acted(plant, drive(jnp.asarray(time, float), inputs, hold, substeps), values)
+    return State(*free_run(plant, values, driven_by, start, frictional(plant), True))
