@@ -38,6 +38,8 @@ from .discovery.result import Discovery as Discovery
 from .estimation.identify import Identification as Identification
 from .estimation.identify import identify as identify
 from .estimation.lowpass import LowPass as LowPass
+from .estimation.observe import ObserverPass as ObserverPass
+from .estimation.observe import observe as observe
 from .estimation.sweep.best import best as best
 from .estimation.sweep.store import open_sweep as open_sweep
 from .estimation.sweep.sweep import sweep as sweep
