@@ -40,6 +40,10 @@ from .estimation.identify import identify as identify
 from .estimation.lowpass import LowPass as LowPass
 from .estimation.observe import ObserverPass as ObserverPass
 from .estimation.observe import observe as observe
+from .estimation.regression.recursive_least_squares import (
+    RecursiveLeastSquares as RecursiveLeastSquares,
+)
+from .estimation.regression.recursive_least_squares import recursive as recursive
 from .estimation.sweep.best import best as best
 from .estimation.sweep.store import open_sweep as open_sweep
 from .estimation.sweep.sweep import sweep as sweep

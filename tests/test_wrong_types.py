@@ -18,10 +18,9 @@ CALLS = {
     "validate('pendulum', run)": "`plant` must be a Plant, got str",
     "observe('pendulum', None, None, 0.01, time, time)": "`plant` must be a Plant, got str",
     "observe(plant, None, None, 0.01, time, time)": "`observer` must be an observer with its gains",
-    "observe(plant, eoi.observers.FirstOrder(9.0), None, 1.0, time, time)": "`observer` must have the "
-    "relative degree",
-    "observe(plant, eoi.observers.SuperTwisting(9.0), None, 1.0, time, time, lowpass=9.0)": ""
-    "`lowpass` must be a filter `LowPass(cutoff, order)`, got float",
+    "observe(plant, eoi.observers.SuperTwisting(9.0), None, 1, 1, 1, lowpass=9.0)": "`lowpass` must"
+    " be a filter `LowPass(cutoff, order)`, got float",
+    "RecursiveLeastSquares('a')": "`forgetting` must lie in (0, 1], got a",
     "rollout('pendulum', None, None, time, 0.01)": "`plant` must be a Plant, got str",
     "validate(plant, None)": "`records` must hold at least one record, got none",
     "validate(plant, run, controller=max)": "`controller` must be a Controller, got",

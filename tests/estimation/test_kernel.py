@@ -23,7 +23,7 @@ from eoi_jax.estimation.kernel import run_pass
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, SecondOrder
 from eoi_jax.estimation.preparation import prepare_steps, step_inputs
-from eoi_jax.estimation.regression import least_squares, recursive_least_squares
+from eoi_jax.estimation.regression import least_squares, recursive
 from eoi_jax.models.library import Plant, level_tank, mass_spring_damper
 
 TRUE = mass_spring_damper(true=True).parameters
@@ -264,7 +264,7 @@ def test_recursive_equals_batch_on_the_regressors_of_a_pass(three):
     sums, trace = passed(NOMINAL, three, store="signals", steps=steps)
     counts = np.asarray(steps.score)[..., 0] > 0
     Phi, target = np.asarray(trace.Phi)[counts], np.asarray(trace.injection)[counts]
-    history, _ = recursive_least_squares(jnp.asarray(Phi), jnp.asarray(target))
+    history, _ = recursive(jnp.asarray(Phi), jnp.asarray(target))
     # Scaled columns have a condition number of about ten here.
     np.testing.assert_allclose(history[-1], increment_of(sums), rtol=1e-6)
 

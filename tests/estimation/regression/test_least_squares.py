@@ -7,8 +7,6 @@ import pytest
 from eoi_jax.estimation.regression import (
     index,
     least_squares,
-    recursive,
-    recursive_least_squares,
     untraced,
 )
 
@@ -48,35 +46,6 @@ def test_inverse_is_that_of_the_information_matrix():
     assert untraced(got, NAMES, np.ones(4)) == []
 
 
-def test_recursive_equals_batch_least_squares():
-    Phi = regressors()
-    target = noisy(Phi)
-    history, last = recursive_least_squares(jnp.asarray(Phi), jnp.asarray(target))
-    batch = solve(Phi, target)
-    # The start Γ = 1e12 weighs 1e-12 against an information of one (columns are scaled).
-    np.testing.assert_allclose(last.increment, batch.increment, rtol=1e-8)
-    np.testing.assert_allclose(last.covariance, batch.inverse, atol=1e-8 * np.max(batch.inverse))
-    np.testing.assert_array_equal(history[-1], last.increment)
-
-
-def test_recursive_equals_batch_after_every_sample():
-    Phi = regressors(20)
-    target = noisy(Phi)
-    history, _ = recursive_least_squares(jnp.asarray(Phi), jnp.asarray(target))
-    for count in (4, 9, 20):
-        batch = solve(Phi[:count], target[:count]).increment
-        np.testing.assert_allclose(history[count - 1], batch, rtol=1e-7)
-
-
-def test_innovation_is_what_the_last_estimate_does_not_predict():
-    Phi = regressors(5)
-    state = recursive.init(4)
-    for row in Phi:
-        old = state
-        state, innovation = recursive.step(state, jnp.asarray(row), jnp.asarray(row @ TRUE))
-        np.testing.assert_allclose(innovation, row @ (TRUE - old.increment), rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_unit_of_a_parameter_does_not_change_its_estimate(unit):
     Phi = regressors()
@@ -86,8 +55,6 @@ def test_the_unit_of_a_parameter_does_not_change_its_estimate(unit):
     factor = np.array([1.0, 1.0, unit, 1.0])
     np.testing.assert_allclose(scaled.increment / factor, plain.increment, rtol=1e-10)
     np.testing.assert_allclose(scaled.eigenvalues, plain.eigenvalues, rtol=1e-10)
-    history, _ = recursive_least_squares(jnp.asarray(other), jnp.asarray(target))
-    np.testing.assert_allclose(history[-1] / factor, plain.increment, rtol=1e-7)
 
 
 def test_a_parameter_without_trace_is_named_and_keeps_its_value():
@@ -152,9 +119,3 @@ def test_index_without_samples_is_nan():
     got = index(jnp.array([0.0, 3.0]), jnp.array([0.0, 1.0]))
     assert np.isnan(got[0])
     assert got[1] == 3.0
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
-def test_starting_covariance_must_be_positive(wrong):
-    with pytest.raises(ValueError, match="`covariance` must be positive and finite"):
-        recursive.init(3, wrong)

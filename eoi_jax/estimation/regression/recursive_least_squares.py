@@ -1,0 +1,167 @@
+r"""The recursive form of the least squares, eqs. (12)–(13), one sample at a time.
+
+    Γ' = -Γ φᵀφ Γ        (12)            Δ̂' = Γ φᵀ (u_eq - φ Δ̂)        (13)
+
+Sampled exactly, Γ₊⁻¹ = λ Γ⁻¹ + φᵀ W φ and Δ̂₊ = Δ̂ + Γ₊ φᵀ W (u_eq - φ Δ̂), with the weights W of
+the outputs and the forgetting factor λ; (12) has W = 1 and λ = 1. Kept here is the information Γ⁻¹
+and Γ⁻¹Δ̂ = Σ φᵀ W u_eq (the information form), not Γ: it starts from Γ = ∞ without a large number
+that would cost digits, and without forgetting it ends with the sums of the batch form (11).
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Float
+
+from eoi_jax._checks import check, check_shape, real
+from eoi_jax._types import Output, Regressor
+from eoi_jax.compiler.jax_private import Tracer
+
+
+class RecursiveState(eqx.Module):
+    """The estimate after a sample.
+
+    Attributes:
+        increment: Δ̂, shape (np,); zero in directions of θ without information so far.
+        information: Γ⁻¹ = Σ φᵀ W φ, shape (np, np).
+        rhs: Σ φᵀ W u_eq, shape (np,).
+    """
+
+    increment: Float[Array, " np"]
+    information: Float[Array, "np np"]
+    rhs: Float[Array, " np"]
+
+    @property
+    def covariance(self) -> Float[Array, "np np"]:
+        """Γ: the covariance of Δ̂ where W is that of the noise, inverted; large without data."""
+        solve, scale = _solver(self.information)
+        return solve(jnp.eye(len(scale), dtype=scale.dtype)) / jnp.outer(scale, scale)
+
+
+class RecursiveLeastSquares(eqx.Module):
+    r"""Recursive least squares, eqs. (12)–(13), for a loop of one's own: `init`, `step` by sample.
+
+    Pure functions of arrays, for `jit`, `vmap`, `grad`, `jvp` and `lax.scan`. `recursive` runs over
+    a whole record.
+
+    Args:
+        forgetting: λ in (0, 1], by which the weight of all samples so far falls with each new one:
+            the estimate remembers about 1/(1 - λ) samples. 1: all of them, as the batch form does.
+
+    Raises:
+        ValueError: a factor outside (0, 1].
+
+    Source:
+        Eqs. (12) and (13) of the paper; forgetting as in L. Ljung, *System Identification*, 2nd
+        ed., section 11.2.
+    """
+
+    forgetting: Any
+
+    def __init__(self, forgetting: Any = 1.0):
+        if not isinstance(forgetting, Tracer):
+            valid = 0.0 < real(forgetting) <= 1.0
+            advice = "1 forgets nothing, 0.999 remembers about a thousand samples."
+            check(valid, "forgetting", "must lie in (0, 1]", forgetting, advice)
+        self.forgetting = forgetting
+
+    def init(self, size: int) -> RecursiveState:
+        """State without information.
+
+        Args:
+            size: number of parameters np.
+        """
+        return RecursiveState(jnp.zeros(size), jnp.zeros((size, size)), jnp.zeros(size))
+
+    def step(
+        self, state: RecursiveState, phi: Regressor, target: Output, weights: Any = 1.0
+    ) -> tuple[RecursiveState, Output]:
+        """One sample.
+
+        Args:
+            state: before it.
+            phi: regressors F[φ], shape (ny, np).
+            target: injection F[u_eq], shape (ny,).
+            weights: of the outputs, a number or (ny,): the inverse variances of their noise, up to
+                a factor; 0 for what does not count. Where nothing counts, nothing is forgotten.
+
+        Returns:
+            The state after the sample, and the innovation u_eq - φ Δ̂ that it was corrected with.
+        """
+        w = jnp.broadcast_to(jnp.asarray(weights, phi.dtype), target.shape)
+        remembered = jnp.where(jnp.any(w > 0), self.forgetting, 1.0)
+        information = remembered * state.information + (phi.T * w) @ phi
+        rhs = remembered * state.rhs + (phi.T * w) @ target
+        solve, scale = _solver(information)
+        increment = solve(rhs / scale) / scale
+        return RecursiveState(increment, information, rhs), target - phi @ state.increment
+
+
+def recursive(
+    regressors: Any, injection: Any, weights: Any = None, *, forgetting: Any = 1.0
+) -> tuple[Float[Array, "time np"], RecursiveState]:
+    r"""Recursive least squares (12)–(13) over a record, a pure function of arrays.
+
+    With what `observe` returns at θ, ``theta + recursive(p.regressors, p.injection, p.score)[0]``
+    are the parameters over time. Without forgetting the last ones are the batch estimate.
+
+    Args:
+        regressors: F[φ], shape (N, ny, np).
+        injection: F[u_eq], shape (N, ny).
+        weights: of the samples, shape (N, ny) or (N,): `ObserverPass.score`, where there are
+            several outputs times the inverse variance of the noise of each. None: ones.
+        forgetting: λ in (0, 1]; the estimate remembers about 1/(1 - λ) samples.
+
+    Returns:
+        Δ̂ after every sample, shape (N, np), and the last state.
+
+    Raises:
+        ValueError: a wrong shape, a factor outside (0, 1].
+
+    Source:
+        Eqs. (12) and (13) of the paper; forgetting as in L. Ljung, *System Identification*, 2nd
+        ed., section 11.2.
+    """
+    estimator = RecursiveLeastSquares(forgetting)
+    Phi, target = jnp.asarray(regressors, float), jnp.asarray(injection, float)
+    check_shape("regressors", Phi, (None, None, None), "samples, outputs, parameters")
+    check_shape("injection", target, Phi.shape[:2], "one row a sample, a column an output")
+    w = jnp.ones(target.shape) if weights is None else jnp.asarray(weights, float)
+    w = jnp.repeat(w[:, None], target.shape[1], axis=1) if w.ndim == 1 else w
+    check_shape("weights", w, target.shape, "one row a sample, a column an output")
+
+    def body(state: RecursiveState, sample: tuple) -> tuple[RecursiveState, Array]:
+        state, _ = estimator.step(state, *sample)
+        return state, state.increment
+
+    last, history = jax.lax.scan(body, estimator.init(Phi.shape[2]), (Phi, target, w))
+    return history, last
+
+
+def _solver(information: Float[Array, "np np"]) -> tuple[Any, Float[Array, " np"]]:
+    """Solution of systems with an information matrix, in parameters scaled to a diagonal of one.
+
+    A small number is added to the diagonal, so that directions without information keep zero; one
+    step of refinement takes its influence out of the others.
+
+    Args:
+        information: Σ φᵀφ.
+
+    Returns:
+        The function that solves for scaled right-hand sides, and the scale of each parameter.
+    """
+    diagonal = jnp.diagonal(information)
+    scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    scaled = information / jnp.outer(scale, scale)
+    # Between rounding, which it divides, and the directions that are to be identified.
+    ridge = jnp.finfo(information.dtype).eps ** (2.0 / 3.0)
+    factor = cho_factor(scaled + ridge * jnp.eye(len(scale), dtype=scale.dtype))
+
+    def solve(rhs: Array) -> Array:
+        solution = cho_solve(factor, rhs)
+        return solution + cho_solve(factor, rhs - scaled @ solution)
+
+    return solve, scale
