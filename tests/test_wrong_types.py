@@ -11,6 +11,8 @@ import eoi_jax as eoi
 CALLS = {
     "identify(plant, None)": "`records` must hold at least one record, got none",
     "identify(plant, [3])": "`records` must be a Record or several, got int",
+    "identify(plant, time)": "`records` must be a Record or several, got an array. Make one of it, "
+    "`Record(time, inputs, outputs)`; for arrays there is `observe`.",
     "identify(plant, 3)": "`records` must be a Record or several, got int",
     "identify('pendulum', run)": "`plant` must be a Plant, got str",
     "sweep(plant, run, substeps=2.5)": "`substeps` must be an integer ≥ 1, got 2.5",

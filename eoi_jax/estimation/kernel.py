@@ -35,6 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax._checks import check
 from eoi_jax._types import Output, Regressor, Scalar, Theta
 from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.lowpass import DiscreteFilter
@@ -371,7 +372,7 @@ class Kernel(eqx.Module):
         )
         predicted = State(jnp.concatenate([position[None], self.observer.rates(state)]), z)
         drift = self.plant.derivative(t, predicted, u, self.theta)
-        state, observation = self.observer.step(state, row.y, row.y_next, drift, h)
+        state, observation = self._observed(state, row, drift, h)
         f, phi = self._model(t, position, observation.rates, z, sensitivity, inputs_at)
         if self.plant.has_algebraic:
             at_start = self._model_at_start(carry, row, y, observation.rates, h)
@@ -405,6 +406,16 @@ class Kernel(eqx.Module):
             observation.rates if self._keeps_rates else None,
         )
         return new, trace
+
+    def _observed(self, state: Any, row: Step, drift: Output, h: Scalar) -> tuple[Any, Observation]:
+        """The observer's step; one of a user's own may return something of another kind."""
+        pair = self.observer.step(state, row.y, row.y_next, drift, h)
+        good = isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[1], Observation)
+        field = f"{type(self.observer).__name__}.step"
+        rule = "must return two values, the new state and an `Observation`"
+        count = f"a tuple of {len(pair)}" if isinstance(pair, tuple) else type(pair).__name__
+        check(good, field, rule, count)
+        return pair
 
     def _model_at_start(
         self, carry: Carry, row: Step, y: Output, rates: Array, h: Scalar

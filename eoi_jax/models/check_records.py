@@ -2,6 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 
+import jax
+import numpy as np
+
 from eoi_jax._checks import check, check_kind
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.data.record import Record
@@ -20,6 +23,9 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     check_kind("plant", plant, Plant, "a Plant")
     if isinstance(records, Record):
         records = (records,)
+    is_array = isinstance(records, np.ndarray | jax.Array)
+    advice = "Make one of it, `Record(time, inputs, outputs)`; for arrays there is `observe`."
+    check(not is_array, "records", "must be a Record or several", "an array", advice)
     check_kind("records", () if records is None else records, Iterable, "a Record or several")
     data_set = tuple(records or ())
     check(len(data_set) > 0, "records", "must hold at least one record", "none")

@@ -3,11 +3,13 @@
 import keyword
 from collections import namedtuple
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, SupportsFloat
 
+import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, real
+from eoi_jax.compiler.jax_private import Tracer
 
 _TYPES: dict[tuple[str, ...], Any] = {}
 
@@ -31,6 +33,27 @@ def _unknown(p: Any, name: str) -> Any:
         check_choice(f"p.{name}", name, p._fields)
     except ValueError as error:
         raise UnknownParameterError(str(error), name=name, obj=p) from None
+
+
+def replaced(names: tuple[str, ...], theta: Any, values: Mapping[str, Any]) -> Any:
+    """Parameter values with those of a dict in their place; JAX's array where one is traced.
+
+    Args:
+        names: of all parameters.
+        theta: their values, shape (np,).
+        values: by name.
+
+    Raises:
+        ValueError: an unknown name, a value that is no number.
+    """
+    for key, value in values.items():
+        check_choice("parameters", key, names)
+        number = isinstance(value, SupportsFloat) and np.ndim(value) == 0  # type: ignore[arg-type]
+        check(number, f"parameters[{key}]", "must be a number", repr(value))
+    parts = [values.get(key, old) for key, old in zip(names, theta, strict=True)]
+    if any(isinstance(part, Tracer) for part in parts):
+        return jnp.stack([jnp.asarray(part, float) for part in parts])
+    return np.asarray([float(part) for part in parts])
 
 
 def limits_of(name: str, pair: Any) -> tuple[float, float]:

@@ -9,7 +9,7 @@ output is an algebraic function of the states: y = f(t, …, z, u; θ).
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, SupportsFloat
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,8 +24,9 @@ from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.algebraic_outputs import check_algebraic
 from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
-from eoi_jax.models.parameters import check_names, limits_of, parameter_type
+from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
 from eoi_jax.models.sampled_states import SampledStates
+from eoi_jax.models.traced_shapes import traced_shape
 from eoi_jax.models.velocities import velocity_rows
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
@@ -246,16 +247,7 @@ class Plant(eqx.Module):
             ValueError: an unknown name, a value that is no number, an array of a wrong length.
         """
         if isinstance(values, Mapping):
-            for key, value in values.items():
-                check_choice("parameters", key, self.names)
-                number = isinstance(value, SupportsFloat) and np.ndim(value) == 0  # type: ignore[arg-type]
-                check(number, f"parameters[{key}]", "must be a number", repr(value))
-            parts = [values.get(key, old) for key, old in zip(self.names, self.theta, strict=True)]
-            if any(isinstance(part, Tracer) for part in parts):
-                dtype = jnp.result_type(float)
-                theta = jnp.stack([jnp.asarray(part, dtype) for part in parts])
-            else:
-                theta = np.asarray([float(part) for part in parts])
+            theta = replaced(self.names, self.theta, values)
         else:
             theta = values
             shape = np.shape(theta)
@@ -481,14 +473,14 @@ class Plant(eqx.Module):
         start = jax.eval_shape(self.internal_start, theta)
         r, ny, nu = self.rows, len(self.outputs), len(self.inputs)
 
-        def shapes(function: Dynamics) -> tuple[int, ...]:
+        def shapes(field: str, function: Dynamics) -> tuple[int, ...]:
             def call(theta, z):
                 x = State(jnp.zeros((r, ny)), z)
                 return jnp.asarray(function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta)))
 
-            return jax.eval_shape(call, theta, start).shape
+            return traced_shape(field, function, call, theta, start)
 
-        shape = shapes(self.dynamics)
+        shape = shapes("dynamics", self.dynamics)
         check(
             shape == (ny,) or (ny == 1 and shape == ()),
             "dynamics",
@@ -502,13 +494,13 @@ class Plant(eqx.Module):
                 jax.ShapeDtypeStruct((3, nu), theta.dtype),
             )
             act = self.actuator
-            driven_shape = jax.eval_shape(
-                lambda t, u, p: act(t, u, self.named(p)), *line, theta
-            ).shape
+            driven_shape = traced_shape(
+                "actuator", act, lambda t, u, p: act(t, u, self.named(p)), *line, theta
+            )
             rule = "must return as many inputs as it gets, a row for each step"
             check(driven_shape == (3, nu), "actuator", rule, f"shape {driven_shape} for {(3, nu)}")
         if self.internal is not None:
-            shape = shapes(self.internal)
+            shape = shapes("internal", self.internal)
             check(
                 shape == start.shape or (start.shape == (1,) and shape == ()),
                 "internal",

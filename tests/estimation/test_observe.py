@@ -280,6 +280,22 @@ def test_an_observer_of_the_user_takes_part():
     np.testing.assert_allclose(np.array([2.0, 1.0]) + increment, SPEED.theta, rtol=1e-3)
 
 
+class OneValue(Follower):
+    """It forgets its state."""
+
+    def step(self, state, y, y_next, drift, sample_period):
+        return super().step(state, y, y_next, drift, sample_period)[1]
+
+
+def test_an_observer_that_returns_one_value_is_named():
+    y = measured(SPEED)
+    message = "`OneValue.step` must return two values, the new state and an `Observation`, got Obs"
+    with pytest.raises(ValueError, match=message):
+        eoi.observe(SPEED, OneValue(), None, H, y, INPUT)
+    with pytest.raises(ValueError, match=message):
+        eoi.identify(SPEED, eoi.Record(TIME, INPUT, y, hold="zero"), OneValue())
+
+
 # -- the default filter, and wrong calls -----------------------------------------------------
 
 

@@ -1,0 +1,50 @@
+"""Shapes of what a user's function returns, with a sentence where JAX cannot trace it."""
+
+import traceback
+from collections.abc import Callable
+from pathlib import PurePath
+from typing import Any
+
+import jax
+from jax.errors import (
+    ConcretizationTypeError,
+    TracerArrayConversionError,
+    TracerBoolConversionError,
+    TracerIntegerConversionError,
+)
+
+from eoi_jax._checks import check
+
+_UNTRACEABLE = (ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError)
+
+
+def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> tuple[int, ...]:
+    """Shape of what a call returns, without values.
+
+    Args:
+        field: name of the function, as the user wrote it.
+        function: of the user, which `call` calls.
+        call: returns an array.
+        arguments: of the call, arrays or their shapes.
+
+    Raises:
+        ValueError: the function needs the values of what it gets.
+    """
+    try:
+        return jax.eval_shape(call, *arguments).shape
+    except _UNTRACEABLE as error:
+        branch = isinstance(error, TracerBoolConversionError)
+        used = "an `if`, `and`, `or`, `min` or `max` on one" if branch else "a function of NumPy, "
+        used += "" if branch else "`math` or Python of one"
+        advice = "Use `jnp.where` in its place." if branch else "Use that of `jax.numpy`, `jnp`."
+        rule = "must not need the values of `t`, `x`, `u` or `p`, which JAX traces"
+        check(False, field, rule, used + _line(function, error), advice)
+        raise
+
+
+def _line(function: Any, error: Exception) -> str:
+    """In which line of the user's file it was."""
+    code = getattr(function, "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if code and frame.filename == code.co_filename]
+    return f" (line {lines[-1]} of {PurePath(code.co_filename).name})" if code and lines else ""

@@ -1,0 +1,35 @@
+"""A model that JAX cannot trace: what it used, where, and what to use."""
+
+import math
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+
+
+def by_branch(t, x, u, p):
+    return p.a if x.y[0, 0] > 0 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (by_branch, r"an `if`.* on one \(line \d+ of test_traced_shapes.py\). Use `jnp.where`"),
+        (
+            lambda t, x, u, p: p.a * np.sin(x.y[0]),
+            "a function of NumPy, .* Use that of `jax.numpy`",
+        ),
+        (lambda t, x, u, p: p.a * math.sin(x.y[0, 0]), "`math` or Python of one"),
+        (lambda t, x, u, p: p.a * float(u[0]), "`math` or Python of one"),
+    ],
+)
+def test_a_model_that_needs_values_is_named(law, message):
+    rule = (
+        "`{}` must not need the values of `t`, `x`, `u` or `p`, which JAX traces, got .*" + message
+    )
+    with pytest.raises(ValueError, match=rule.format("dynamics")):
+        eoi.Plant(law, {"a": 1.0})
+    internal = {"internal": law, "internal_initial": [0.0]}
+    with pytest.raises(ValueError, match=rule.format("internal")):
+        eoi.Plant(lambda t, x, u, p: p.a * x.z, {"a": 1.0}, **internal)
