@@ -15,6 +15,9 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, SecondOrder
 from eoi_jax.models.library import Plant, cascaded_tanks, level_tank, pendulum
 
+# JAX 0.11 says so of each kernel on a GPU.
+pytestmark = pytest.mark.filterwarnings("ignore:The Pallas Triton backend:DeprecationWarning")
+
 H, S, BLOCKS = 5e-3, 240, 4
 FILTER = LowPass(15.0).discretise(H)
 
@@ -198,7 +201,6 @@ def test_the_kernel_lowers_for_cuda(name: str, dtype: Any):
 
 
 @pytest.mark.gpu
-@pytest.mark.filterwarnings("ignore:The Pallas Triton backend:DeprecationWarning")  # JAX 0.11
 @pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs a GPU")
 def test_the_compiled_kernel_equals_the_scan():
     plant, observer = CASES["pendulum"]
