@@ -106,6 +106,8 @@ def test_curves_are_not_tried_where_nothing_is_left(soft):
     assert not misses_a_law(replace(left, status=eoi.Status("nothing_missing", "")))
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_effects_that_are_asked_for_are_the_only_ones():
     records = (measured(softly, 1), measured(softly, 2))
     found = eoi.discover(HEATER, *records, effects=["input_saturation"])

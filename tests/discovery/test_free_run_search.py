@@ -79,6 +79,8 @@ def test_a_store_that_is_not_measured_is_found_with_its_size(found):
     assert found.best.runs[0].rmse[0] < 1.3 * NOISE < 5.0 * NOISE < found.base.runs[0].rmse[0]
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_lacks_nothing_gets_no_effect():
     right = searched(measured(1, 0.0), measured(2, 0.0), [*effects.standard(), *effects.wider()])
     assert right.best.placed == ()

@@ -123,6 +123,8 @@ def test_what_explains_down_to_the_noise_is_not_extended():
     assert not any("free runs" in note for note in found.notes)
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_is_added_where_nothing_else_is_missing():
     hidden = {"cubic_stiffness": 8.0}
     fit, held = record(hidden, 3)[0], record(hidden, 4)

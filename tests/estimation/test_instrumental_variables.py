@@ -241,6 +241,7 @@ def scattered(plant, truth, record, share, seeds, **options):
     return np.array(errors), np.array(claimed)
 
 
+@pytest.mark.slow
 def test_instruments_are_unbiased_where_least_squares_is_biased(clean):
     """A wide filter lets noise into the regressors: errors in variables."""
     options = {"lowpass": LowPass(400.0, 3), "smoothing": False, "substeps": 1}
@@ -254,6 +255,7 @@ def test_instruments_are_unbiased_where_least_squares_is_biased(clean):
     assert bias[True] < 3.7  # Student's t, 14 degrees, three parameters: 1 %
 
 
+@pytest.mark.slow
 def test_instruments_reach_the_cramer_rao_bound_and_know_it(clean):
     share, seeds = 1e-3, 20
     errors, claimed = scattered(NOMINAL, TRUTH, clean, share, seeds, substeps=2)

@@ -433,6 +433,7 @@ def smoothed_joints(u, h, width):
     return stiff_response(rate, u, h)[:, :2]
 
 
+@pytest.mark.slow
 def test_two_joints_hold_and_release_each_other():
     time = 4e-3 * np.arange(1501)
     u = joints_push(time)

@@ -144,6 +144,7 @@ def test_standard_errors_are_those_that_seeds_show(plant: eoi.Plant, clean: eoi.
     assert np.all((spread > 0.5) & (spread < 1.5)), spread
 
 
+@pytest.mark.slow
 def test_instruments_cure_the_bias_of_least_squares(plant: eoi.Plant):
     # Coarsely sampled, so that much of the noise lies in the band of the plant.
     time = np.arange(0.0, 90.0, 0.03)
