@@ -33,6 +33,7 @@ def test_every_form_is_the_same_equation_at_the_nominal_values(cases):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_half_of_the_plants_hide_something_and_it_is_in_the_record(cases):
     assert sum(bool(case.hidden) for case in cases) == len(cases) // 2
     for case in cases:

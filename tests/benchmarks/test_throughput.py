@@ -46,6 +46,7 @@ def test_a_rival_that_differs_is_found(case):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_command_prints_one_object():
     """All rivals once, few lanes and steps; the machine may be busy, so no time is asserted."""
     words = ["--quick", "--json", "--lanes", "64", "--steps", "600", "--rounds", "1"]

@@ -296,6 +296,7 @@ def test_the_installed_command_refines_the_built_in_pendulum(tmp_path: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_files_of_one_logger_are_judged_as_they_were_made(tmp_path: Path):
     """A flow goes on, and a valve acts 0.4 samples late in both files; no hold is said."""
     h, late, count = 0.25, 0.1, 800

@@ -172,6 +172,7 @@ def test_a_store_of_another_config_is_not_touched(config: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_installed_command_sweeps_the_built_in_pendulum(tmp_path: Path):
     environment = {**os.environ, "EOI_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(

@@ -210,6 +210,7 @@ def test_nothing_is_added_to_a_model_that_lacks_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_effect_outside_those_that_are_asked_for_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
@@ -287,6 +288,7 @@ def proportional(t, x, u, p):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_actuator_that_is_purely_quadratic_is_at_the_end_of_what_was_searched():
     time = 0.5 * np.arange(6000)
     known = {"relative_degree": 1, "inputs": ("voltage",), "outputs": ("heat",)}
@@ -422,6 +424,7 @@ def test_effect_that_makes_the_free_run_worse_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_effect_that_the_held_out_records_contradict_is_refused():
     """A spring that hardens in one record and softens in the other."""
     fit, held = (
@@ -437,6 +440,7 @@ def test_effect_that_the_held_out_records_contradict_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_held_out_record_at_rest_is_told_and_what_it_refuses_stays_in_view():
     """Of no motion the sign of its noise is all that friction would be checked on."""
     time = PERIOD * np.arange(4000)
@@ -636,6 +640,7 @@ def test_a_record_too_short_to_tell_anything_is_left_out_with_a_note():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_a_bound_takes_away_is_not_explained():
     """The stiffness may not reach its true value: effects are judged beside that on the bound."""
     plant = MASS.declared_anew({"k": 18.0}, bounds={"k": (10.0, 19.8)})

@@ -118,6 +118,7 @@ def test_half_a_sample_of_delay_is_no_effect():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_hidden_effect_is_named_though_it_hides_the_hold():
     found = eoi.discover(MASS, held(cubic=30.0), held(cubic=30.0, seed=1))
     assert found.effects == ("cubic_stiffness",)
@@ -181,6 +182,7 @@ def test_a_skew_of_the_channels_is_no_effect(samples):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_delay_of_many_samples_is_one_of_the_plant():
     late = apart(-4.0)
     found = eoi.identify(MASS, late)

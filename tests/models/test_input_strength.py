@@ -80,6 +80,7 @@ def test_exported_code_tells_it_beside_the_unit(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_command_gives_it_in_json(tmp_path, monkeypatch):
     from typer.testing import CliRunner
 

@@ -187,6 +187,7 @@ def test_lag_of_an_actuator_is_refined_to_the_truth(lagged):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_lag_that_is_not_there_is_refined_to_zero():
     """Its bound, on which the lag has a slope like anywhere else."""
     true = LAGGED.with_parameters({"actuator_lag": 0.0, "mass": 0.6})
@@ -752,6 +753,7 @@ def test_where_rounding_decides_over_the_run_there_are_no_derivatives_to_speak_o
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_search_keeps_off_where_rounding_decides(spilled):
     """Along the way, too: what such slopes promise is worth nothing.
 

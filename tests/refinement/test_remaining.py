@@ -47,6 +47,7 @@ def left_of(record):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_hidden_drag_is_named_with_its_size():
     record = with_hidden((effects.QuadraticDrag(), 0), values={"quadratic_drag": 0.2})
     found = left_of(record)

@@ -117,6 +117,7 @@ def rows_of(plant, table):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "threshold"),
     list(zip(CASES, (0.3, np.inf, 0.3, 0.3, np.inf), strict=True)),

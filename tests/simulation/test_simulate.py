@@ -490,6 +490,7 @@ def test_forward_derivatives_pass_through_a_stop():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plant", "time", "push"),
     [

@@ -51,6 +51,7 @@ def local():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_numbers(local, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     landed: list[tuple] = []
