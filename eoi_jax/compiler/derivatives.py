@@ -1,8 +1,8 @@
 r"""Forward-mode derivatives of scalar programs (A. Griewank, A. Walther, *Evaluating Derivatives*).
 
-`jax.jvp` traces a function with its derivative, which takes ten times as long as the function
-alone. Of a scalar program the derivative is found in a thousandth of that: each node is visited
-once, by the rules below, and where a tangent is zero nothing is made.
+`jax.jvp` traces a function with its derivative, several times as many operations as the function
+alone has. Of a scalar program each node is visited once, by the rules below, and where a tangent is
+zero nothing is made.
 
     y, slopes = jvp(function, (x, theta), (x_tangent, theta_tangent))
 

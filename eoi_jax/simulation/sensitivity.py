@@ -176,14 +176,11 @@ class RunKernel(eqx.Module):
         """State after a step, and its derivative in one direction, by `jvp`."""
         theta, time, u = (jnp.asarray(part) for part in (lane.theta, row.time, row.inputs))
 
-        tangents = slope, jnp.asarray(direction.theta, theta.dtype)
-
         def flow(x: State, moved: Array, inputs: Array) -> State:
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
-        if row.slope is None:
-            return jvp(lambda x, moved: flow(x, moved, u), (x, theta), tangents)
-        return jvp(flow, (x, theta, u), (*tangents, _input_change(row, direction)))
+        change = None if row.slope is None else _input_change(row, direction)
+        return _derived(flow, (x, theta, u), slope, direction, change, jvp)
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
         """A whole run by `lax.scan`: the sums, and what each row shows."""
@@ -231,21 +228,37 @@ class RunKernel(eqx.Module):
             return x.y[0], slope.y[0]
         theta, u = jnp.asarray(lane.theta), jnp.asarray(row.inputs)[0]
 
-        tangents = slope, jnp.asarray(direction.theta, theta.dtype)
-
         def outputs(x: State, moved: Array, inputs: Array) -> Array:
             time = jnp.asarray(row.time)
             return output_of(self.plant, moved, time, x, inputs, self.friction)
 
-        if row.slope is None:
-            return jvp(lambda x, moved: outputs(x, moved, u), (x, theta), tangents)
-        return jvp(outputs, (x, theta, u), (*tangents, _input_change(row, direction)[0]))
+        change = None if row.slope is None else _input_change(row, direction)[0]
+        return _derived(outputs, (x, theta, u), slope, direction, change, jvp)
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
         weight, excess = _huber(jnp, scored[:, -1], lane.threshold)
         square = (weight[:, None] * scored).T @ scored
         return square.at[-1, -1].add(jnp.sum(excess))
+
+
+def _derived(
+    function: Callable,
+    primals: tuple[State, Array, Array],
+    slope: State,
+    direction: Direction,
+    change: Array | None,
+    jvp: Callable,
+) -> tuple[Any, Any]:
+    """A function of state, parameters and inputs, and its derivative in one direction.
+
+    `change` is that of the inputs, behind actuators; None: they do not depend on the unknowns.
+    """
+    x, theta, u = primals
+    tangents = slope, jnp.asarray(direction.theta, theta.dtype)
+    if change is None:
+        return jvp(lambda x, theta: function(x, theta, u), (x, theta), tangents)
+    return jvp(function, primals, (*tangents, change))
 
 
 def _input_change(row: RunRow, direction: Direction) -> Float[Array, "3 nu"]:
