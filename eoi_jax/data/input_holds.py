@@ -13,6 +13,7 @@ from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Signals
 
 HOLDS = ("zero", "linear", "smooth")
+TRACED_HOLDS = HOLDS[:2]  # those that JAX's arrays may have: no spline
 STAIRCASE = 0.2  # share of steps that may change a held input's value
 
 Hold: TypeAlias = str | tuple[str, ...]  # of all inputs, or of each

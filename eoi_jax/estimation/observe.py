@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from eoi_jax._checks import check, check_choice, check_kind, check_shape
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.data.masks import beyond_starts, moved_steps, tapered
 from eoi_jax.data.resampling import inputs_within_steps
 from eoi_jax.estimation.kernel import Kernel, Steps, Sums, Trace
@@ -25,8 +26,6 @@ from eoi_jax.estimation.regression.index import index
 from eoi_jax.models.plant import Plant
 
 Host = Array | np.ndarray
-
-HOLDS = ("zero", "linear")  # between samples, as functions of JAX's arrays
 
 
 class ObserverPass(eqx.Module):
@@ -112,7 +111,7 @@ def observe(
     """
     check_kind("plant", plant, Plant, "a Plant")
     check_observer(plant, observer)
-    check_choice("hold", hold, HOLDS)
+    check_choice("hold", hold, TRACED_HOLDS)
     check_kind("lowpass", lowpass, (LowPass, type(None)), "a filter `LowPass(cutoff, order)`")
     rule = "must have no states that change at samples: passes do not follow them"
     check(plant.sampled is None, "plant", rule, plant.name)

@@ -7,11 +7,10 @@ import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_shape
 from eoi_jax._types import Scalar
+from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import frictional
 from eoi_jax.simulation.simulate import acted, drive, free_run, initial_outputs
-
-HOLDS = ("zero", "linear")
 
 
 def rollout(
@@ -55,7 +54,7 @@ def rollout(
             that the simulation does not cover.
     """
     check_kind("plant", plant, Plant, "a Plant")
-    check_choice("hold", hold, HOLDS)
+    check_choice("hold", hold, TRACED_HOLDS)
     values = jnp.asarray((plant if theta is None else plant.with_parameters(theta)).theta, float)
     inputs = jnp.asarray(u, float)
     inputs = inputs[:, None] if inputs.ndim == 1 else inputs
