@@ -169,7 +169,7 @@ def test_drawn_starts_go_on_where_the_passes_have_no_answer(config: Path, tmp_pa
     assert done.exit_code == 1
     error = json.loads(done.stdout)["error"]
     assert error.startswith("no estimate to refine (unidentifiable")
-    assert "; from the nominal values: " in error
+    assert "; from the nominal values: unidentifiable: " in error
     assert error.endswith("`starts = 200` under [refine] tries that many points around the nominal "
                           "values")  # fmt: skip
     config.write_text(TANKS + "\n[refine]\nstarts = 200\n")
