@@ -20,16 +20,20 @@ SLICE = {
     "mass": ((), ("cubic_stiffness",)),
     "pendulum": ((), ("quadratic_drag",), ("outside:input_times_position",)),
     "tank": ((), ("leak",)),
+    "mass, outside": ((), ("outside:van_der_pol",)),
 }
 
 
-PARAMS = [pytest.param(one, marks=pytest.mark.long) if one == "pendulum" else one for one in SLICE]
+LONG = ("pendulum", "mass, outside")
+PARAMS = [pytest.param(one, marks=pytest.mark.long) if one in LONG else one for one in SLICE]
 
 
 @pytest.fixture(scope="module", params=PARAMS)
 def cases(request) -> list[effect_cases.Case]:
     """Seed 1 of the benchmark, noise of 1e-3 of rms(y), a third of its length."""
-    return effect_cases.cases(request.param, SLICE[request.param], (1,), (1e-3,), samples=10_000)
+    return effect_cases.cases(
+        request.param.split(",")[0], SLICE[request.param], (1,), (1e-3,), samples=10_000
+    )
 
 
 def _answered(case: effect_cases.Case) -> tables.Row:
