@@ -3,7 +3,7 @@
 An action prints nothing: it returns an `Outcome`, which `terminal.show` prints.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,7 @@ def identify(
     data: Path | None,
     output: Path,
     passes: int | None,
+    recursive: bool,
     progress: ProgressCallback | None,
 ) -> Outcome:
     """Identify a plant's parameters.
@@ -71,6 +72,7 @@ def identify(
         data: folder of measured files; None: that of the config.
         output: folder in which the folder of the run is written.
         passes: number of passes; None: that of the config.
+        recursive: whether parameters over time are asked for, beside the config.
         progress: called with the progress of the work.
 
     Returns:
@@ -79,7 +81,9 @@ def identify(
     Raises:
         ValueError: the config or the data are invalid.
     """
-    source, job = _prepare(config, "pendulum", data, output, progress, passes)
+    changes = {} if passes is None else {"passes": passes}
+    changes |= {"recursive": True} if recursive else {}
+    source, job = _prepare(config, "pendulum", data, output, progress, changes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
     notes = _hold_notes(job.settings)
@@ -93,6 +97,7 @@ def identify(
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
     folder = output / job.settings.name
     passes_option = "" if passes is None else f" --passes {passes}"
+    passes_option += " --recursive" if recursive else ""
     config_text = _with_command(f"eoi identify{_config_argument(config)}{passes_option}", source)
     _write_run(
         folder,
@@ -412,12 +417,15 @@ def _prepare(
     data: Path | None,
     output: Path,
     progress: ProgressCallback | None,
-    passes: int | None = None,
+    changes: Mapping[str, Any] | None = None,
 ) -> tuple[Path, run_folder.Job]:
     """The path of the config, and its model and records."""
     jax_setup.configure()
     source = _built_in(example) if config is None else config_file(config)
-    settings = _settings(source, passes)
+    settings = load(source)
+    if changes:
+        table = msgspec.structs.replace(settings.identify, **changes)
+        settings = msgspec.structs.replace(settings, identify=table)
     run_folder.check_place(output / settings.name, "name")
     if progress is not None:
         progress("reading", 0, None, "")
@@ -449,14 +457,6 @@ def _built_in(name: str) -> Path:
     return next((folder for folder in folders if folder.is_dir()), folders[0]) / f"{name}.toml"
 
 
-def _settings(source: Path, passes: int | None) -> Config:
-    settings = load(source)
-    if passes is None:
-        return settings
-    table = msgspec.structs.replace(settings.identify, passes=passes)
-    return msgspec.structs.replace(settings, identify=table)
-
-
 def _identify(
     job: run_folder.Job, progress: ProgressCallback | None
 ) -> tuple[Identification, Validation | None]:
@@ -480,6 +480,8 @@ def _identify(
         substeps=table.substeps,
         smoothing=table.smoothing,
         instruments=table.instruments,
+        recursive=table.recursive,
+        forgetting=table.forgetting,
         callback=None if progress is None else report_pass,
     )
     return result, _validate(result, job)

@@ -118,11 +118,16 @@ def identify(
             min=1, help="Number of passes; default: that of the config.", show_default=False
         ),
     ] = None,
+    recursive: Annotated[
+        bool, typer.Option("--recursive", help="Also give the parameters over time.")
+    ] = False,
 ) -> None:
     """Identify a plant's parameters from simulated or measured records."""
-    _answer(
-        as_json, quiet, lambda update: cli.actions.identify(config, data, output, passes, update)
-    )
+
+    def action(update: ProgressCallback | None) -> Outcome:
+        return cli.actions.identify(config, data, output, passes, recursive, update)
+
+    _answer(as_json, quiet, action)
 
 
 @app.command(

@@ -21,6 +21,7 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
 NotNegativeCount = Annotated[int, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
+Forgetting = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Gain = Positive | tuple[Positive, ...]
 # The name becomes a folder in runs/: no path separators, no leading dot.
 FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
@@ -94,6 +95,8 @@ class IdentifyTable(msgspec.Struct, frozen=True):
         smoothing: cut-off of the zero-phase filter of the record [rad/s], or false for none;
             default: decided from the record's noise.
         instruments: passes with instrumental variables at the end; default: decided from the noise.
+        recursive: whether the parameters over time are given too, by recursive least squares.
+        forgetting: factor of the recursion on past samples, with each sample; 1 forgets nothing.
     """
 
     passes: Count = 10
@@ -101,10 +104,14 @@ class IdentifyTable(msgspec.Struct, frozen=True):
     substeps: Count | None = None
     smoothing: Positive | bool | None = None
     instruments: bool | None = None
+    recursive: bool = False
+    forgetting: Forgetting = 1.0
 
     def __post_init__(self) -> None:
         rule = "must be a cut-off [rad/s], or false"
         check(self.smoothing is not True, "identify.smoothing", rule, "true")
+        rule = "must be true where `forgetting` is below 1"
+        check(self.recursive or self.forgetting == 1.0, "identify.recursive", rule, "false")
 
 
 class DiscoverTable(msgspec.Struct, frozen=True):

@@ -31,6 +31,7 @@ from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.free_runs import free_run_series, validation_runs
+from eoi_jax.report.parameter_history import history_csv
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.saved_models import labelled
 from eoi_jax.report.sweep import sweep_figure
@@ -164,6 +165,8 @@ def write_identification(
 ) -> None:
     """`result.json`, `figure.png`, `result.npz`, `report.npz` and `config.toml`.
 
+    Parameters over time, where asked for, as `history.csv` and `history.png`.
+
     Args:
         folder: an empty folder.
         result: of `identify`.
@@ -175,6 +178,9 @@ def write_identification(
     save_figure(folder / "figure.png", lambda: identification_figure(result))
     result.save(folder / RESULT)
     save({"diagnosis": diagnose(result), "validation": validation}, folder / REPORT_DATA)
+    if result.history is not None:
+        _write(folder / "history.csv", history_csv(result))
+        save_figure(folder / "history.png", result.history.plot)
     _write(folder / "config.toml", config)
 
 

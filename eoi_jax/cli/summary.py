@@ -53,6 +53,7 @@ def identification_summary(
         "notes": result.notes,
         "engine": _fields(result.engine),
         "common_factors": [_fields(factor) for factor in result.common_factors],
+        "drifts": [_fields(drift) for drift in result.history.drifts] if result.history else [],
         "validation": None if validation is None else _errors(validation),
     }
     return _plain({**summary, **_provenance(job)})

@@ -20,7 +20,6 @@ from eoi_jax._display import Result
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
-from eoi_jax.data.masks import constant
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
@@ -49,6 +48,12 @@ from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.estimation.kernel import Steps, Sums, Trace
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
+from eoi_jax.estimation.outcome import outcome
+from eoi_jax.estimation.parameter_history import (
+    ParameterHistory,
+    check_forgetting,
+    parameter_history,
+)
 from eoi_jax.estimation.preparation import (
     TAPER,
     PreparedRecords,
@@ -59,8 +64,9 @@ from eoi_jax.estimation.preparation import (
     prepare_records,
     prepare_steps,
 )
-from eoi_jax.estimation.regression.least_squares import standard_errors, untraced
+from eoi_jax.estimation.regression.least_squares import standard_errors
 from eoi_jax.estimation.regression.robust_covariance import long_run
+from eoi_jax.estimation.regression.sample_rows import sample_rows
 from eoi_jax.estimation.undersampled import resolved
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -109,6 +115,7 @@ class Identification(Result):
         information: Σ φᵀφ at the estimate, summed over the weighted outputs, shape (np, np).
         engine: the engine of the passes, and why it was not the fastest.
         common_factors: parameters that no record tells apart, where the estimate leaves some open.
+        history: parameters over time, of `recursive=True`.
     """
 
     parameters: dict[str, float]
@@ -134,6 +141,7 @@ class Identification(Result):
     information: Float[np.ndarray, "np np"] | None = None
     engine: EngineUsed = NOT_RECORDED
     common_factors: tuple[CommonFactor, ...] = ()
+    history: ParameterHistory | None = None
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -168,6 +176,8 @@ def identify(
     substeps: int | None = None,
     smoothing: float | bool | None = None,
     instruments: bool | None = None,
+    recursive: bool = False,
+    forgetting: float = 1.0,
     callback: Callable[[int, int, np.ndarray], None] | None = None,
 ) -> Identification:
     r"""Estimate a plant's parameters from measured records.
@@ -188,6 +198,12 @@ def identify(
             (`instrumental_variables.py`), whose estimate is not biased by measurement noise or
             discretisation; False is the paper's method. By default they follow where the records
             are noisy and that noise explains the remaining injection.
+        recursive: whether the least squares of the estimate also run recursively, eqs. (12) and
+            (13): `history` then has the parameters over time with their standard errors, and says
+            which are not constant. The records follow each other in their order.
+        forgetting: λ of the recursion, by which the weight of past samples falls with each sample:
+            it remembers about 1/(1 - λ) of them. 1: all, so that it ends at the estimate (plus
+            the increment of its pass).
         callback: called after each iteration with its number from 1, `passes` and its index (ny,).
 
     Returns:
@@ -202,6 +218,7 @@ def identify(
     checked = check_records(plant, records)
     passes = check_count("passes", passes)
     check_preparation(transient, substeps, smoothing)
+    factor = check_forgetting(recursive, forgetting) if recursive or forgetting != 1.0 else None
     if observer is not None:
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
@@ -212,13 +229,17 @@ def identify(
     plain_only = explicit or jnp.result_type(float) != jnp.float64
 
     def correction(estimated: Plant, best: Iteration, used: AbstractObserver) -> tuple:
-        return correct_bias(estimated, best, checked, prepared, used, bool(instruments))
+        return correct_bias(
+            estimated, best, checked, prepared, used, bool(instruments), by_sample=recursive
+        )
 
     plain = instruments is False or (instruments is None and plain_only)
     used = None if plain else correction
 
     def refit(model: Plant) -> Identification:
-        return estimate(model, prepared, observer, passes, transient, callback, used)
+        return estimate(
+            model, prepared, observer, passes, transient, callback, used, forgetting=factor
+        )
 
     fit = refit(plant)
     if not fit.status.fits:
@@ -270,6 +291,7 @@ def estimate(
     callback: Callable[[int, int, np.ndarray], None] | None = None,
     bias_correction: BiasCorrection | None = None,
     settings: SignalSettings = SignalSettings(),
+    forgetting: float | None = None,
 ) -> Identification:
     """`identify` on prepared records, which several models of the same outputs may share.
 
@@ -283,6 +305,7 @@ def estimate(
         bias_correction: function of the plant with the estimate, its iteration and the observer;
             returns a corrected estimate, or None, and the reasons.
         settings: of the signals that are stored.
+        forgetting: λ of the parameters over time; None: without these.
     """
     lowpass, resampled, explicit = prepared.lowpass, prepared.fine, prepared.explicit
     reasons = prepared.reasons
@@ -312,8 +335,9 @@ def estimate(
     notes += precision_notes()
     run = single_pass(plant, observer, filters, steps)
     driver = _Driver(
-        plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings
-    )
+        plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings,
+        forgetting,
+    )  # fmt: skip
     return driver.run(prepared.records, lowpass, reasons, tuple(notes))
 
 
@@ -330,31 +354,25 @@ class _Driver:
     callback: Callable[[int, int, np.ndarray], None] | None
     bias_correction: BiasCorrection | None
     settings: SignalSettings
+    forgetting: float | None
 
     def run(
         self, records: tuple[Record, ...], lowpass: LowPass, reasons: tuple, notes: tuple
     ) -> Identification:
         history, first_injection, trace = self._iterate(records)
-        factors = self._common_factors(history)
-        best, status = history.best, self._status(history, records, factors)
+        unclear = history.codes[0] == "unidentifiable"
+        factors = common_factors(self.plant) if unclear else ()
+        best, status = history.best, outcome(self.plant, history, records, factors)
         theta, increment = best.theta[0], best.increment[0]
-        corrected = None
+        sums, corrected = jax.tree.map(lambda leaf: leaf[0], best.sums), None
         if self.bias_correction is not None and status.ok:
             # Free the memory: the correction takes far longer than repeating the pass.
             trace = None if self._signal_size > self.settings.max_deferred else trace
-            corrected, correction_reasons = self.bias_correction(
-                self.plant.with_parameters(theta), best, self.observer
-            )
+            corrected, correction_reasons, signals = self._corrected(best)
             reasons += correction_reasons
-        sums = jax.tree.map(lambda leaf: leaf[0], best.sums)
-        if corrected is not None:
-            corrected_sums, corrected_trace = self._pass(corrected.theta, "signals")
-            refused = refusal(best.index[0], corrected_sums, self.plant.outputs)
-            if refused:
-                corrected, reasons = None, (*reasons[: -len(correction_reasons)], refused)
-            else:
+            if corrected is not None:
                 theta, increment = corrected.theta, np.zeros_like(theta)
-                sums, trace = corrected_sums, corrected_trace
+                sums, trace = signals
         bound = best.bound[0] if corrected is None else corrected.bound
         if trace is None:
             sums, trace = self._pass(theta, "signals")
@@ -366,6 +384,9 @@ class _Driver:
         )
         sliding = mean(sums.sliding, sums.count)
         completed = slice(int(history.passes[0]))
+        certainty = self._make_certainty(best, trace, residual, corrected, status, information)
+        over_time = self._over_time(plant, best, trace, corrected, records, certainty, status)
+        drifts = () if over_time is None else over_time.drifts
         return Identification(
             parameters=plant.parameters,
             index=history.index[0, completed],
@@ -384,13 +405,56 @@ class _Driver:
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
-            notes=notes + _sliding_note(self.plant, sliding) + bound_notes(plant, bound),
+            notes=(
+                *(*notes, *_sliding_note(plant, sliding), *bound_notes(plant, bound)),
+                *(drift.sentence for drift in drifts),
+            ),
             records=records,
-            certainty=self._make_certainty(best, trace, residual, corrected, status, information),
+            certainty=certainty,
             information=information,
             engine=self.run_one_pass.used,
             common_factors=factors,
+            history=over_time,
         )
+
+    def _corrected(
+        self, best: Iteration
+    ) -> tuple[InstrumentalEstimate | None, tuple[str, ...], Any]:
+        """The corrected estimate or None, the reasons, and sums and signals of a pass at it."""
+        assert self.bias_correction is not None
+        plant = self.plant.with_parameters(best.theta[0])
+        corrected, reasons = self.bias_correction(plant, best, self.observer)
+        if corrected is None:
+            return None, reasons, None
+        sums, trace = self._pass(corrected.theta, "signals")
+        refused = refusal(best.index[0], sums, self.plant.outputs)
+        return (None, (refused,), None) if refused else (corrected, reasons, (sums, trace))
+
+    def _over_time(
+        self,
+        plant: Plant,
+        best: Iteration,
+        trace: Trace,
+        corrected: InstrumentalEstimate | None,
+        records: tuple[Record, ...],
+        certainty: Certainty | DeferredCertainty,
+        status: Status,
+    ) -> ParameterHistory | None:
+        """Parameters over time, if asked for and if there is an estimate."""
+        if self.forgetting is None or not status.fits:
+            return None
+        if corrected is not None:
+            rows = corrected.rows
+            assert rows is not None
+        else:
+            steps, order = self.steps, list(range(len(records)))
+            root = np.sqrt(best.weights[0] * np.asarray(steps.score))
+            estimated = np.where(best.bound[0], 0.0, plant.free)
+            error = _weighted(root, np.asarray(trace.injection))
+            phi = _weighted(root[..., None], np.asarray(trace.Phi)) * estimated
+            rows = sample_rows(error, phi, None, steps.use, self.substeps, order, [0] * len(order))
+        errors = np.asarray(list(computed(certainty).standard_errors.values()))
+        return parameter_history(plant, rows, records, errors, self.forgetting)
 
     def _make_certainty(
         self,
@@ -464,43 +528,6 @@ class _Driver:
             arrays.append(at_samples(self.plant, np.where(scored, average, np.nan)))
         return arrays
 
-    def _common_factors(self, history: IterationHistory) -> tuple[CommonFactor, ...]:
-        """Those of the equations, where the records leave parameters open."""
-        if history.codes[0] != "unidentifiable":
-            return ()
-        return common_factors(self.plant)
-
-    def _status(
-        self,
-        history: IterationHistory,
-        records: tuple[Record, ...],
-        factors: tuple[CommonFactor, ...],
-    ) -> Status:
-        code, passes = str(history.codes[0]), int(history.passes[0])
-        best_pass = int(history.best_pass[0]) + 1
-        if code == "no_data":
-            all_constant = all(np.all(constant(record)) for record in records)
-            names = ", ".join(self.plant.outputs)
-            return Status(code, _CONSTANT_OUTPUTS.format(names) if all_constant else _NO_DATA)
-        if code == "diverged":
-            return Status(code, _DIVERGED)
-        if code == "unidentifiable":
-            solution = jax.tree.map(lambda leaf: leaf[0], history.best.solution)
-            combinations = untraced(solution, self.plant.names, self.plant.free)
-            sentences = [factor.sentence for factor in factors]
-            if len(combinations) > sum(len(factor.fix) for factor in factors):
-                sentences.append(_UNTRACED.format("; ".join(combinations)))
-            return Status(code, ". ".join(sentences))
-        if passes == 1:
-            return Status(code, "one pass only: the nominal values were scored")
-        messages = {
-            "passes_exhausted": _STILL_FALLING.format(best_pass),
-            "converged": f"the index is smallest in pass {best_pass} of {passes}",
-            "stalled": _STALLED.format(best_pass, float(history.best.predicted_reduction[0]))
-            + (_POOR_OBSERVER if self.plant.is_affine else _NONLINEAR),
-        }
-        return Status(code, messages[code])
-
 
 @one_thread()
 def _compute_certainty(
@@ -541,31 +568,6 @@ def _covariance(
 
 
 _NOT_USED_FOR = "filter, transient and instruments are chosen without it"
-_CONSTANT_OUTPUTS = (
-    "the outputs ({}) are constant throughout, so that no parameter leaves a trace: excite the "
-    "plant, or check which columns are read"
-)
-_NO_DATA = (
-    "no sample is left to score: the record is shorter than the transient, masked, or the plant "
-    "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
-)
-_STILL_FALLING = "the index is smallest in pass {} and was still to fall: allow more passes"
-_STALLED = (
-    "the index is smallest in pass {}, though least squares promises to lower it by {:.0%} more: "
-)
-_NONLINEAR = (
-    "the model is far from linear in its parameters there. Start from other nominal values, or "
-    "set bounds"
-)
-_POOR_OBSERVER = "the injection of the observer is not the model's error. Try other gains"
-_DIVERGED = (
-    "the model, or its slope with a parameter, is not finite along the record: check units, "
-    "nominal values, and functions such as sqrt or log at the measured outputs"
-)
-_UNTRACED = (
-    "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
-    "parameters, or excite the plant so that they differ"
-)
 
 
 def bound_notes(plant: Plant, bound: Bool[np.ndarray, " np"]) -> tuple[str, ...]:

@@ -55,10 +55,14 @@ class PairSums(eqx.Module):
 
 
 class Rows(eqx.Module):
-    """e and ζ of each step and output, times the square root of the weight; 0 if not scored."""
+    """e, ζ and ψ of each step and output, times the square root of the weight; 0 if not scored.
+
+    ψ is None if not asked for.
+    """
 
     error: Float[Array, "*steps ny"]
     zeta: Float[Array, "*steps ny np"]
+    psi: Float[Array, "*steps ny np"] | None
 
 
 class Simulated(eqx.Module):
@@ -119,6 +123,7 @@ def run_pairs(
     leak: Scalar,
     previous_direction: Float[np.ndarray, "runs S ny"] | None = None,
     max_steps: int = 100_000,
+    regressors: bool = False,
 ) -> tuple[PairSums, Rows]:
     """One pass over pairs of records.
 
@@ -132,11 +137,12 @@ def run_pairs(
         leak: damping of L⁻¹ in addition to that of the model [1/s].
         previous_direction: of a directed plant, the direction of each output in the step before.
         max_steps: of all runs together, at a time: XLA needs several times the memory of a record.
+        regressors: whether the rows hold ψ.
 
     Returns:
         Sums, and the rows of each step; NumPy arrays with runs on the leading axis.
     """
-    pair = _Pair(plant, observer, theta, weights, leak)
+    pair = _Pair(plant, observer, theta, weights, leak, regressors)
     slope = None
     if plant.actuator is not None:  # of the whole record: a delay looks back
         u, slope = (np.asarray(array) for array in _driven_inputs(pair, steps))
@@ -180,6 +186,7 @@ class _Pair(eqx.Module):
     theta: Theta
     weights: Output
     leak: Scalar
+    regressors: bool = eqx.field(static=True)
 
     @property
     def kernel(self) -> Kernel:
@@ -317,7 +324,8 @@ class _Pair(eqx.Module):
             previous.steps + jnp.any(row.use > 0),
         )
         root = jnp.sqrt(self.weights * row.score)
-        return sums, Rows(root * error, root[:, None] * zeta)
+        kept = root[:, None] * psi if self.regressors else None
+        return sums, Rows(root * error, root[:, None] * zeta, kept)
 
 
 def sum_over_runs(sums: PairSums) -> Any:

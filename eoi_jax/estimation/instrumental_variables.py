@@ -36,6 +36,7 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.instrumental import within_bounds
 from eoi_jax.estimation.regression.robust_covariance import long_run
+from eoi_jax.estimation.regression.sample_rows import SampleRows, sample_rows
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import REACHES, frictional
@@ -84,6 +85,7 @@ class InstrumentalEstimate:
         passes: number of iterations.
         windows: into which each record was cut.
         bound: which parameters ended on a bound, shape (np,).
+        rows: of its last pass by sample, if asked for.
     """
 
     theta: Float[np.ndarray, " np"]
@@ -92,6 +94,7 @@ class InstrumentalEstimate:
     passes: int
     windows: int
     bound: Bool[np.ndarray, " np"]
+    rows: SampleRows | None = None
 
 
 def instrumental_estimate(
@@ -100,6 +103,7 @@ def instrumental_estimate(
     prepared: PreparedRecords,
     observer: AbstractObserver,
     max_iterations: int = 8,
+    by_sample: bool = False,
 ) -> InstrumentalEstimate | str:
     """Iterate with instrumental variables, from the plain estimate.
 
@@ -109,6 +113,7 @@ def instrumental_estimate(
         prepared: the same records, prepared for the plain passes.
         observer: of the plain passes.
         max_iterations: of which the first has weights that are a guess.
+        by_sample: whether the rows are kept.
 
     Returns:
         The estimate, or the reason why there is none.
@@ -142,7 +147,14 @@ def instrumental_estimate(
         if np.all(np.abs(increment) <= _SETTINGS.tolerance * errors + 1e-9 * np.abs(theta)):
             on_bound = (theta == plant.lower) | (theta == plant.upper)
             bound = on_bound & ~np.any(inverse, axis=1) & (np.asarray(plant.free) > 0)
-            return InstrumentalEstimate(theta, covariance, freedom, iteration, runs.windows, bound)
+            rows_by_sample = None
+            if by_sample:
+                _, rows = _run_pass(pairs, observer, theta, weights, leak, regressors=True)
+                held = bound | (np.asarray(plant.free) == 0.0)
+                rows_by_sample = _rows_by_sample(rows, pairs.steps, prepared.substeps, runs, held)
+            return InstrumentalEstimate(
+                theta, covariance, freedom, iteration, runs.windows, bound, rows_by_sample
+            )
     return f"they did not converge within {max_iterations} passes"
 
 
@@ -153,6 +165,7 @@ def correct_bias(
     prepared: PreparedRecords,
     observer: AbstractObserver,
     requested: bool,
+    by_sample: bool = False,
 ) -> tuple[InstrumentalEstimate | None, tuple[str, ...]]:
     """Instrumental variables where requested, or where noise biases the plain estimate.
 
@@ -163,6 +176,7 @@ def correct_bias(
         prepared: the same records, prepared for the plain passes.
         observer: of the plain passes.
         requested: whether to use them whatever the noise.
+        by_sample: whether the estimate has its rows.
 
     Returns:
         The estimate, or None; and what was chosen and why.
@@ -170,7 +184,7 @@ def correct_bias(
     if plant.has_algebraic:
         unbiased = not (requested or any(plant.degrees))  # regressors of the model's own states
         return None, () if unbiased else (f"no instrumental variables: {_ALGEBRAIC}",)
-    records, prepared = _long_enough(records, prepared)
+    used, records, prepared = _long_enough(records, prepared)
     reason = "requested"
     if not requested:
         level = float(np.max([_noise_level(record) for record in records]))
@@ -183,9 +197,12 @@ def correct_bias(
         reason = (
             f"measurement noise, {level:.2g} of the output's rms, explains the remaining injection"
         )
-    corrected = instrumental_estimate(plant, records, prepared, observer)
+    corrected = instrumental_estimate(plant, records, prepared, observer, by_sample=by_sample)
     if isinstance(corrected, str):
         return None, (f"no instrumental variables, though {reason}: {corrected}",)
+    if corrected.rows is not None:
+        rows = replace(corrected.rows, record=np.asarray(used)[corrected.rows.record])
+        corrected = replace(corrected, rows=rows)
     text = f"instrumental variables in {corrected.passes} passes"
     if corrected.windows > 1:
         text += f", runs restarted {corrected.windows - 1} times a record"
@@ -221,16 +238,17 @@ _INDEX_RISES = (
 
 def _long_enough(
     records: Sequence[Record], prepared: PreparedRecords
-) -> tuple[Sequence[Record], PreparedRecords]:
-    """The records without those too short for filter and free run, one of which would fail all."""
+) -> tuple[list[int], Sequence[Record], PreparedRecords]:
+    """Which records are not too short for filter and free run, one of which would fail all."""
     is_short = too_short(records, prepared.lowpass.cutoff)
+    used = [i for i, excluded in enumerate(is_short) if not excluded]
     if not any(is_short):
-        return records, prepared
+        return used, records, prepared
 
     def selected(items: Sequence[Any]) -> tuple[Any, ...]:
         return tuple(item for item, excluded in zip(items, is_short, strict=True) if not excluded)
 
-    return selected(records), replace(
+    return used, selected(records), replace(
         prepared, records=selected(prepared.records), fine=selected(prepared.fine),
         inputs=selected(prepared.inputs), velocity_noise=selected(prepared.velocity_noise),
     )  # fmt: skip
@@ -421,8 +439,9 @@ def _run_pass(
     theta: Float[np.ndarray, " np"],
     weights: Float[np.ndarray, " ny"],
     leak: float,
+    regressors: bool = False,
 ) -> tuple[PairSums, Rows]:
-    """Sums over all runs, and the rows of each step."""
+    """Sums over all runs, and the rows of each step, with ψ if asked for."""
     parameters, output_weights, damping = (jnp.asarray(array) for array in (theta, weights, leak))
     inputs = pairs.steps, pairs.simulated
     sums, rows = run_pairs(
@@ -433,6 +452,7 @@ def _run_pass(
         output_weights,
         damping,
         pairs.previous_direction,
+        regressors=regressors,
     )
     return sum_over_runs(sums), rows
 
@@ -451,6 +471,24 @@ def _covariance(
     # The windows of a record are not independent of each other.
     lengths = np.bincount(owner, sample_counts(steps.use, substeps)).astype(int).tolist()
     return long_run(np.einsum("sj,sja->sa", error, zeta), zeta, inverse, lengths)
+
+
+def _rows_by_sample(
+    rows: Rows,
+    steps: Steps,
+    substeps: int,
+    runs: _SimulatedRuns,
+    held: Bool[np.ndarray, " np"],
+) -> SampleRows:
+    """The rows grouped by sample, without the columns of parameters that are held."""
+    assert rows.psi is not None
+    psi, zeta = (np.where(held, 0.0, np.asarray(part)) for part in (rows.psi, rows.zeta))
+    first = []
+    for i, owner in enumerate(runs.owner):  # of each window, those of a record in order
+        own = (len(run) for run, other in zip(runs.simulated[:i], runs.owner, strict=False)
+               if other == owner)  # fmt: skip
+        first.append(sum(own))
+    return sample_rows(np.asarray(rows.error), psi, zeta, steps.use, substeps, runs.owner, first)
 
 
 def _required_leak(plant: Plant, sums: PairSums, runs: _SimulatedRuns) -> float:

@@ -53,6 +53,8 @@ CLASSES: Mapping[str, str] = {
     "EngineUsed": "_status",
     "Certainty": "estimation.covariance",
     "CommonFactor": "estimation.common_factors",
+    "ParameterHistory": "estimation.parameter_history",
+    "ParameterDrift": "estimation.parameter_drift",
     "Identification": "estimation.identify",
     "Validation": "simulation.validate",
     "Diagnosis": "discovery.diagnosis",

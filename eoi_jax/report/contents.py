@@ -15,6 +15,7 @@ from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report import discovery, discovery_figures, estimate_figures, figures
 from eoi_jax.report.free_runs import FreeRuns, free_run_series, validation_runs, worst_series
 from eoi_jax.report.health import Check, health
+from eoi_jax.report.parameter_history import CONSTANT, LAYOUT, history_series
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.tables import (
     highest_derivative,
@@ -160,6 +161,7 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         report_figures += _free_runs(validation_runs((validation, "free run")), "the estimate")
     report_figures += [_data(result.records), _injection(result), _index([(result, "")])]
     report_figures += _estimates(uncertainty(result), result.nominal.parameters)
+    report_figures += _over_records(result)
     report_figures += _maps(extra["diagnosis"])
     notes = (*result.reasons, *result.notes, *(validation.notes if validation is not None else ()))
     checks = health(extra["diagnosis"])
@@ -351,6 +353,23 @@ def _injection(result: Identification) -> ReportFigure:
     caption = "The model error at the nominal parameters, and the remaining error in the best pass."
     content = partial(figures.injection_series, result)
     return _over_time("injection", "Injection of the first and best pass", caption, content)
+
+
+def _over_records(result: Identification) -> list[ReportFigure]:
+    """Parameters over time along each record, where they were asked for."""
+    history, report_figures = result.history, []
+    if history is None:
+        return []
+    remembered = 1.0 / (1.0 - history.forgetting) if history.forgetting < 1.0 else 0.0
+    past = f"about the last {remembered:.0f} samples" if remembered else "all samples so far"
+    changes = [drift.sentence for drift in history.drifts] or [CONSTANT]
+    caption = f"Recursive least squares, eqs. (12) and (13), from {past}: {'. '.join(changes)}."
+    for i, record in enumerate(result.records[: LAYOUT.records]):
+        name = "history" if i == 0 else f"history_{i + 1}"
+        content = partial(history_series, history, i, record.data_hash)
+        title = f"Parameters over time, {record.name}"
+        report_figures.append(_over_time(name, title, caption, content))
+    return report_figures
 
 
 def _index(results: Sequence[tuple[Identification, str]]) -> ReportFigure:

@@ -10,6 +10,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.models.stored_classes import stored_form
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
@@ -20,6 +21,7 @@ from eoi_jax.report.discovery_figures import discovery_figure
 from eoi_jax.report.estimate_figures import profile_figure, refinement_figure, uncertainty_figure
 from eoi_jax.report.figures import identification_figure, record_figure, validation_figure
 from eoi_jax.report.inspection import inspection_figure, inspection_text
+from eoi_jax.report.parameter_history import history_figure, history_text
 from eoi_jax.report.record import record_text
 from eoi_jax.report.remaining import remaining_figure, remaining_text
 from eoi_jax.report.tables import (
@@ -37,6 +39,7 @@ TABLES: dict[type, Callable] = {
     Record: record_text,
     Inspection: inspection_text,
     Identification: identification_text,
+    ParameterHistory: history_text,
     Validation: validation_text,
     Diagnosis: diagnosis.diagnosis_text,
     Refinement: refinement_table,
@@ -50,6 +53,7 @@ FIGURES: dict[type, Callable] = {
     Record: record_figure,
     Inspection: inspection_figure,
     Identification: identification_figure,
+    ParameterHistory: history_figure,
     Validation: validation_figure,
     Diagnosis: diagnosis.diagnosis_figure,
     Refinement: refinement_figure,

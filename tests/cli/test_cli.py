@@ -99,7 +99,7 @@ def test_every_kind_of_work_is_shown_from_nothing_on(config: Path, tmp_path: Pat
         assert isinstance(text, str)
         seen.setdefault(kind, []).append((done, total))
 
-    passes = (2,) if command is actions.identify else ()
+    passes = (2, False) if command is actions.identify else ()
     command(config, None, tmp_path / "runs", *passes, shown)
     assert next(iter(seen)) == "reading"
     for steps in seen.values():
@@ -129,6 +129,35 @@ def test_passes_of_the_call_replace_those_of_the_config(config: Path, tmp_path: 
     assert result["config"]["identify"]["passes"] == 1
     written = (tmp_path / "runs" / "short" / "config.toml").read_text()
     assert written.startswith(f"# eoi identify {config} --passes 1\n")
+
+
+def test_parameters_over_time_are_written_where_asked_for(config: Path, tmp_path: Path):
+    runs = tmp_path / "runs"
+    done = eoi("identify", config, "--output", runs, "--json", "--recursive")
+    result = json.loads(done.stdout)
+    assert result["drifts"] == []
+    lines = (runs / "short" / "history.csv").read_text().splitlines()
+    assert lines[0].startswith("record,time [s],")
+    names = [head.split(" [")[0] for head in lines[0].split(",")]
+    last = dict(zip(names, lines[-1].split(","), strict=True))
+    for name, value in result["parameters"].items():
+        end = (
+            value
+            + result["increments"][result["best_pass"] - 1][list(result["parameters"]).index(name)]
+        )
+        np.testing.assert_allclose(float(last[name]), end, rtol=1e-6)
+    assert (runs / "short" / "history.png").stat().st_size > 10_000
+    assert eoi("report", runs / "short").exit_code == 0
+    assert "Parameters over time" in (runs / "short" / "report.html").read_text()
+    written = (runs / "short" / "config.toml").read_text()
+    assert written.startswith(f"# eoi identify {config} --recursive\n")
+
+
+def test_forgetting_without_recursion_is_refused(config: Path, tmp_path: Path):
+    config.write_text(config.read_text().replace("[identify]", "[identify]\nforgetting = 0.99"))
+    done = eoi("identify", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 2
+    assert "`identify.recursive` must be true where `forgetting` is below 1" in done.stderr
 
 
 def test_a_held_out_record_is_validated(config: Path, tmp_path: Path):

@@ -6,14 +6,19 @@ Sampled exactly, Γ₊⁻¹ = λ Γ⁻¹ + φᵀ W φ and Δ̂₊ = Δ̂ + Γ₊
 the outputs and the forgetting factor λ; (12) has W = 1 and λ = 1. Kept here is the information Γ⁻¹
 and Γ⁻¹Δ̂ = Σ φᵀ W u_eq (the information form), not Γ: it starts from Γ = ∞ without a large number
 that would cost digits, and without forgetting it ends with the sums of the batch form (11).
+
+With instrumental variables ζ in place of the first φ of both products, Γ₊⁻¹ = λ Γ⁻¹ + ζᵀ W φ and
+Δ̂₊ = Δ̂ + Γ₊ ζᵀ W (u_eq - φ Δ̂): recursive instrumental variables (P. C. Young, Automatica 6 (1970)
+271).
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve
+from jax.scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
 from jaxtyping import Array, Float
 
 from eoi_jax._checks import check, check_shape, real
@@ -37,8 +42,7 @@ class RecursiveState(eqx.Module):
     @property
     def covariance(self) -> Float[Array, "np np"]:
         """Γ: the covariance of Δ̂ where W is that of the noise, inverted; large without data."""
-        solve, scale = _solver(self.information)
-        return solve(jnp.eye(len(scale), dtype=scale.dtype)) / jnp.outer(scale, scale)
+        return information_inverse(self.information)
 
 
 class RecursiveLeastSquares(eqx.Module):
@@ -77,7 +81,12 @@ class RecursiveLeastSquares(eqx.Module):
         return RecursiveState(jnp.zeros(size), jnp.zeros((size, size)), jnp.zeros(size))
 
     def step(
-        self, state: RecursiveState, phi: Regressor, target: Output, weights: Any = 1.0
+        self,
+        state: RecursiveState,
+        phi: Regressor,
+        target: Output,
+        weights: Any = 1.0,
+        instruments: Regressor | None = None,
     ) -> tuple[RecursiveState, Output]:
         """One sample.
 
@@ -87,15 +96,17 @@ class RecursiveLeastSquares(eqx.Module):
             target: injection F[u_eq], shape (ny,).
             weights: of the outputs, a number or (ny,): the inverse variances of their noise, up to
                 a factor; 0 for what does not count. Where nothing counts, nothing is forgotten.
+            instruments: ζ, shape (ny, np), for recursive instrumental variables; by default φ.
 
         Returns:
             The state after the sample, and the innovation u_eq - φ Δ̂ that it was corrected with.
         """
         w = jnp.broadcast_to(jnp.asarray(weights, phi.dtype), target.shape)
         remembered = jnp.where(jnp.any(w > 0), self.forgetting, 1.0)
-        information = remembered * state.information + (phi.T * w) @ phi
-        rhs = remembered * state.rhs + (phi.T * w) @ target
-        solve, scale = _solver(information)
+        weighted = (phi if instruments is None else instruments).T * w
+        information = remembered * state.information + weighted @ phi
+        rhs = remembered * state.rhs + weighted @ target
+        solve, scale = _solver(information, instruments is None)
         increment = solve(rhs / scale) / scale
         return RecursiveState(increment, information, rhs), target - phi @ state.increment
 
@@ -141,27 +152,40 @@ def recursive(
     return history, last
 
 
-def _solver(information: Float[Array, "np np"]) -> tuple[Any, Float[Array, " np"]]:
+def information_inverse(
+    information: Float[Array, "np np"], symmetric: bool = True
+) -> Float[Array, "np np"]:
+    """Γ of an information matrix Σ φᵀφ, or Σ ζᵀφ, which is not symmetric; large without data."""
+    solve, scale = _solver(information, symmetric)
+    return solve(jnp.eye(len(scale), dtype=scale.dtype)) / jnp.outer(scale, scale)
+
+
+def _solver(information: Float[Array, "np np"], symmetric: bool) -> tuple[Any, Float[Array, " np"]]:
     """Solution of systems with an information matrix, in parameters scaled to a diagonal of one.
 
     A small number is added to the diagonal, so that directions without information keep zero; one
     step of refinement takes its influence out of the others.
 
     Args:
-        information: Σ φᵀφ.
+        information: Σ φᵀφ, or Σ ζᵀφ.
+        symmetric: whether it is the former.
 
     Returns:
         The function that solves for scaled right-hand sides, and the scale of each parameter.
     """
-    diagonal = jnp.diagonal(information)
+    diagonal = jnp.abs(jnp.diagonal(information))
     scale = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     scaled = information / jnp.outer(scale, scale)
     # Between rounding, which it divides, and the directions that are to be identified.
     ridge = jnp.finfo(information.dtype).eps ** (2.0 / 3.0)
-    factor = cho_factor(scaled + ridge * jnp.eye(len(scale), dtype=scale.dtype))
+    regular = scaled + ridge * jnp.eye(len(scale), dtype=scale.dtype)
+    if symmetric:
+        solved = partial(cho_solve, cho_factor(regular))
+    else:
+        solved = partial(lu_solve, lu_factor(regular))
 
     def solve(rhs: Array) -> Array:
-        solution = cho_solve(factor, rhs)
-        return solution + cho_solve(factor, rhs - scaled @ solution)
+        solution = solved(rhs)
+        return solution + solved(rhs - scaled @ solution)
 
     return solve, scale

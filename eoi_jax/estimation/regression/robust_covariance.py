@@ -88,9 +88,7 @@ def long_run(
     lengths = (
         [len(scores)] if lengths is None else [int(length) for length in lengths if length > 0]
     )
-    peaks = 1.0 / (0.5**2 + 0.25**2 + 0.25**2)  # width of all peaks over that of one peak
-    independent = len(scores) / (peaks * correlation_time(scores, lengths))
-    count = max(round(0.4 * independent ** (2.0 / 3.0)), _SETTINGS.min_cosines)
+    count = max(cosine_count(independent_samples(scores, lengths)), _SETTINGS.min_cosines)
     estimated = np.any(inverse != 0, axis=0)
     if not np.all(estimated):
         scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
@@ -173,7 +171,7 @@ def _sums(
     (count, length, outputs, _), size = rows.shape, unit.shape[1]
     functions = min(round(bandwidth * length), length - 1) + 1
     a = _factors(functions)
-    sums = a * _cosine_sums(np.moveaxis(scores, 1, 2), functions)
+    sums = a * cosine_sums(np.moveaxis(scores, 1, 2), functions)
     # Time last: transforms and products along contiguous memory take half the time.
     projected = np.empty((count, outputs, size, length))
     for j in range(outputs):
@@ -181,8 +179,8 @@ def _sums(
     squares = np.zeros((len(rows), 2 * functions - 1, size, size))
     for i in range(size):
         products = np.einsum("rjt,rjbt->rbt", projected[:, :, i], projected[:, :, i:])
-        cosine_sums = np.moveaxis(_cosine_sums(products, 2 * functions - 1), 1, 2)
-        squares[:, :, i, i:] = squares[:, :, i:, i] = cosine_sums
+        sums_of_products = np.moveaxis(cosine_sums(products, 2 * functions - 1), 1, 2)
+        squares[:, :, i, i:] = squares[:, :, i:, i] = sums_of_products
     doubled, first = squares[:, 0 : 2 * functions - 1 : 2], squares[:, :functions]
     full = 0.5 * np.sum(a[:, None, None] ** 2 * (doubled + squares[:, :1]), axis=(0, 1))
     explained = np.sum(a[:, None, None] ** 2 * (first @ first), axis=(0, 1))
@@ -195,10 +193,15 @@ def _factors(functions: int) -> Float[np.ndarray, " j"]:
     return np.where(np.arange(functions) == 0, 1.0, np.sqrt(2.0))
 
 
-def _cosine_sums(
+def cosine_sums(
     signals: Float[np.ndarray, "*k time"], functions: int
 ) -> Float[np.ndarray, "*k cosines"]:
-    """Σ_k cos(πj(k + ½)/N) times each signal, j from 0; zero from j = N on."""
+    """Σ_k cos(πj(k + ½)/N) times each signal, j from 0; zero from j = N on.
+
+    Args:
+        signals: along the last axis.
+        functions: number of cosines.
+    """
     from scipy.fft import dct
 
     if functions == 1:
@@ -233,6 +236,24 @@ def _degrees_of_freedom(
             explained = explained + rows.T @ rows
         freedom[i] = (trace - np.trace(explained)) ** 2 / (square + np.vdot(explained, explained))
     return freedom
+
+
+def independent_samples(
+    scores: Float[np.ndarray, "time np"], lengths: Sequence[int] | None = None
+) -> float:
+    """Number of samples over the correlation time of the noise, as in B of the module's docstring.
+
+    Args:
+        scores: one record after the other.
+        lengths: of each record; a single record by default.
+    """
+    peaks = 1.0 / (0.5**2 + 0.25**2 + 0.25**2)  # width of all peaks over that of one peak
+    return len(scores) / (peaks * correlation_time(scores, lengths))
+
+
+def cosine_count(independent: float) -> int:
+    """B of the module's docstring, for a number of independent samples."""
+    return round(0.4 * independent ** (2.0 / 3.0))
 
 
 def correlation_time(

@@ -1,0 +1,81 @@
+"""How the iterations of an estimate ended, in words."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from eoi_jax._status import Status
+from eoi_jax.data.masks import constant
+from eoi_jax.data.record import Record
+from eoi_jax.estimation.common_factors import CommonFactor
+from eoi_jax.estimation.iteration import IterationHistory
+from eoi_jax.estimation.regression.least_squares import untraced
+from eoi_jax.models.plant import Plant
+
+
+def outcome(
+    plant: Plant,
+    history: IterationHistory,
+    records: Sequence[Record],
+    factors: Sequence[CommonFactor],
+) -> Status:
+    """The status of a single lane.
+
+    Args:
+        plant: as it was declared.
+        history: of its iterations.
+        records: as used.
+        factors: parameters that no record tells apart.
+    """
+    code, passes = str(history.codes[0]), int(history.passes[0])
+    best_pass = int(history.best_pass[0]) + 1
+    if code == "no_data":
+        all_constant = all(np.all(constant(record)) for record in records)
+        names = ", ".join(plant.outputs)
+        return Status(code, _CONSTANT_OUTPUTS.format(names) if all_constant else _NO_DATA)
+    if code == "diverged":
+        return Status(code, _DIVERGED)
+    if code == "unidentifiable":
+        solution = jax.tree.map(lambda leaf: leaf[0], history.best.solution)
+        combinations = untraced(solution, plant.names, plant.free)
+        sentences = [factor.sentence for factor in factors]
+        if len(combinations) > sum(len(factor.fix) for factor in factors):
+            sentences.append(_UNTRACED.format("; ".join(combinations)))
+        return Status(code, ". ".join(sentences))
+    if passes == 1:
+        return Status(code, "one pass only: the nominal values were scored")
+    messages = {
+        "passes_exhausted": _STILL_FALLING.format(best_pass),
+        "converged": f"the index is smallest in pass {best_pass} of {passes}",
+        "stalled": _STALLED.format(best_pass, float(history.best.predicted_reduction[0]))
+        + (_POOR_OBSERVER if plant.is_affine else _NONLINEAR),
+    }
+    return Status(code, messages[code])
+
+
+_CONSTANT_OUTPUTS = (
+    "the outputs ({}) are constant throughout, so that no parameter leaves a trace: excite the "
+    "plant, or check which columns are read"
+)
+_NO_DATA = (
+    "no sample is left to score: the record is shorter than the transient, masked, or the plant "
+    "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
+)
+_STILL_FALLING = "the index is smallest in pass {} and was still to fall: allow more passes"
+_STALLED = (
+    "the index is smallest in pass {}, though least squares promises to lower it by {:.0%} more: "
+)
+_NONLINEAR = (
+    "the model is far from linear in its parameters there. Start from other nominal values, or "
+    "set bounds"
+)
+_POOR_OBSERVER = "the injection of the observer is not the model's error. Try other gains"
+_DIVERGED = (
+    "the model, or its slope with a parameter, is not finite along the record: check units, "
+    "nominal values, and functions such as sqrt or log at the measured outputs"
+)
+_UNTRACED = (
+    "no trace in the data of {}: such a change leaves the outputs as they are. Fix one of the "
+    "parameters, or excite the plant so that they differ"
+)
