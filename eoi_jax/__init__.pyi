@@ -45,6 +45,7 @@ from .estimation.regression.recursive_least_squares import (
 )
 from .estimation.regression.recursive_least_squares import recursive as recursive
 from .estimation.sweep.best import best as best
+from .estimation.sweep.lane_table import sweep_to_pandas as sweep_to_pandas
 from .estimation.sweep.store import open_sweep as open_sweep
 from .estimation.sweep.sweep import sweep as sweep
 from .models.controller import Controller as Controller

@@ -1,7 +1,8 @@
-"""Printing, drawing and saving of results: functions that `report/` and the storage implement.
+"""Printing, drawing, saving of results, and tables: what `report/` and the storage implement.
 
-A result is data and independent of tables, figures and files: `str(result)`, `result.plot()` and
-`result.save(path)` call the functions here, which dispatch on the class of the result.
+A result is data and independent of tables, figures and files: `str(result)`, `result.plot()`,
+`result.to_pandas()`, `result.to_xarray()` and `result.save(path)` call the functions here, which
+dispatch on the class of the result.
 """
 
 import importlib
@@ -62,6 +63,18 @@ def figure(result: Any) -> Any:
 
 
 @_ByClass
+def data_frame(result: Any) -> Any:
+    """A result as a `pandas.DataFrame`."""
+    raise TypeError(f"no data frame is registered for {type(result).__name__}")
+
+
+@_ByClass
+def dataset(result: Any) -> Any:
+    """A result as an `xarray.Dataset`; its data frame where none is registered for its class."""
+    return data_frame(result).to_xarray()
+
+
+@_ByClass
 def save(result: Any, path: str | Path) -> None:
     """Save a result to a file."""
     raise TypeError(f"{type(result).__name__} cannot be saved to {path}")
@@ -74,7 +87,7 @@ def findings(result: Any, status: Any) -> tuple[str, ...]:
 
 
 class Result:
-    """Base class of all results: they print, plot and save themselves."""
+    """Base class of all results: they print, plot and save themselves, and become tables."""
 
     def __str__(self) -> str:
         """A table of several lines."""
@@ -83,6 +96,14 @@ class Result:
     def plot(self) -> Any:
         """Draw the result as a matplotlib figure."""
         return figure(self)
+
+    def to_pandas(self) -> Any:
+        """The numbers of its table as a `pandas.DataFrame`; what holds for all rows in `attrs`."""
+        return data_frame(self)
+
+    def to_xarray(self) -> Any:
+        """The same numbers, and the signals that it holds, as an `xarray.Dataset`."""
+        return dataset(self)
 
     def save(self, path: str | Path) -> None:
         """Write the result to an `.npz` file without pickle; `eoi_jax.load` reads it."""

@@ -1,24 +1,19 @@
 """The results of a run as one JSON object, with the provenance of its data and versions."""
 
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
 import msgspec
-import numpy as np
 
 from eoi_jax.cli.run_folder import Job
-from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.equations.display import equation_latex, equation_lines, equation_text
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, strengths
+from eoi_jax.report.provenance import describe_record, json_values, versions
 from eoi_jax.report.saved_models import LargestCorrelation
 from eoi_jax.report.sweep import gain_names, statuses
 from eoi_jax.report.tables import identification_answer, refinement_answer
@@ -56,7 +51,7 @@ def identification_summary(
         "drifts": [_fields(drift) for drift in result.history.drifts] if result.history else [],
         "validation": None if validation is None else _errors(validation),
     }
-    return _plain({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job)})
 
 
 def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
@@ -98,7 +93,7 @@ def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
         "engine": _fields(result.engine),
         "common_factors": [_fields(factor) for factor in result.common_factors],
     }
-    return _plain({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job)})
 
 
 def refinement_summary(
@@ -142,7 +137,7 @@ def refinement_summary(
             for name, validation in (("before", initial_run), ("refined", refined_run))
         },
     }
-    return _plain({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job)})
 
 
 def _uncertainties(estimate: Uncertainty) -> dict[str, Any]:
@@ -195,7 +190,7 @@ def sweep_summary(job: Job, result: Any, best: Any) -> dict[str, Any]:
         },
         "best": lane,
     }
-    return _plain({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job)})
 
 
 def validation_summary(
@@ -214,7 +209,7 @@ def validation_summary(
         windows: the same in windows, if there are any.
         correlations: of the errors.
     """
-    return _plain(
+    return json_values(
         {
             "format": SUMMARY_FORMAT,
             "kind": "validate",
@@ -223,8 +218,8 @@ def validation_summary(
             "validation": _errors(full_runs),
             "windows": None if windows is None else _errors(windows),
             "correlations": _correlations(correlations),
-            "records": [_describe(record) for record in full_runs.records],
-            "versions": _versions(),
+            "records": [describe_record(record) for record in full_runs.records],
+            "versions": versions(),
         }
     )
 
@@ -245,13 +240,13 @@ def comparison_summary(
         {"run": str(run), "validation": _errors(validation), "correlations": _correlations(rows)}
         for run, validation, rows in zip(runs, validations, correlations, strict=True)
     ]
-    return _plain(
+    return json_values(
         {
             "format": SUMMARY_FORMAT,
             "kind": "compare",
             "models": models,
-            "records": [_describe(record) for record in validations[0].records],
-            "versions": _versions(),
+            "records": [describe_record(record) for record in validations[0].records],
+            "versions": versions(),
         }
     )
 
@@ -350,42 +345,8 @@ def _errors(validation: Validation) -> dict[str, Any]:
 def _provenance(job: Job) -> dict[str, Any]:
     """The data, the versions and the config of the results."""
     return {
-        "records": [_describe(record) for record in job.records],
-        "held_out_records": [_describe(record) for record in job.held_out],
+        "records": [describe_record(record) for record in job.records],
+        "held_out_records": [describe_record(record) for record in job.held_out],
         "config": msgspec.to_builtins(job.settings),
-        "versions": _versions(),
+        "versions": versions(),
     }
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "eoi_jax": version_of("eoi_jax"),
-        "jax": jax.__version__,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
-
-
-def _describe(record: Record) -> dict[str, Any]:
-    return {
-        "name": record.name,
-        "samples": len(record.time),
-        "sample_period": record.sample_period,
-        "hash": record.data_hash,
-        "notes": record.notes,
-    }
-
-
-def _plain(value: Any) -> Any:
-    """A value in the types of JSON; NaN and infinity become null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, eqx.Module):
-        return {"kind": type(value).__name__, **_plain(vars(value))}
-    if isinstance(value, np.ndarray | np.generic | jax.Array):
-        return _plain(np.asarray(value).tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

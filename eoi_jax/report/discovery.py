@@ -146,7 +146,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
     description, _, _ = added.effect.sentence.partition(":")
     internal = isinstance(added.effect, AbstractInternalEffect)
     channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
-    position = f" at {_position(added)}" if len(channels) > 1 or internal else ""
+    position = f" at {acts_on(added)}" if len(channels) > 1 or internal else ""
     at_inputs, values = strengths(discovery), []
     for (name, value), parameter in zip(
         added.parameters.items(), added.effect.parameters, strict=True
@@ -168,7 +168,12 @@ def phrase(discovery: Discovery, added: Added) -> str:
     return f"{description}{position} ({', '.join(f'{name} {text}' for name, text in values)})"
 
 
-def _position(candidate: Added | Evidence) -> str:
+def acts_on(candidate: Added | Evidence) -> str:
+    """The channel of an effect, in words.
+
+    Args:
+        candidate: added or only tried.
+    """
     input_name = f" beside {candidate.through}" if candidate.through else ""
     return (
         f"{candidate.output} towards {candidate.against}"
@@ -291,19 +296,17 @@ def candidate_table(discovery: Discovery, count: int = 5) -> str:
 
 def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of a table of all candidates that were not added, the header first; or none."""
-    added = {
-        (added_effect.effect.name, _position(added_effect)) for added_effect in discovery.added
-    }
+    added = {(added_effect.effect.name, acts_on(added_effect)) for added_effect in discovery.added}
     candidates = [
         candidate
         for candidate in discovery.ranking
-        if (candidate.effect, _position(candidate)) not in added
+        if (candidate.effect, acts_on(candidate)) not in added
     ]
     rows = [("other candidate", "at", "explains alone", "score", "")] if candidates else []
     for candidate in candidates:
         share = f"{100 * candidate.explained:.3g} %"
         score = f"{candidate.score:.4g}" if np.isfinite(candidate.score) else "-"
-        rows.append((candidate.effect, _position(candidate), share, score, candidate.remark))
+        rows.append((candidate.effect, acts_on(candidate), share, score, candidate.remark))
     return rows
 
 

@@ -1,11 +1,12 @@
-"""Tables and figures of each class of results, for `str(result)` and `.plot()`."""
+"""What each class of results prints, draws and gives to pandas and xarray."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from eoi_jax._display import figure, findings, text
+from eoi_jax._display import data_frame, dataset, figure, findings, text
 from eoi_jax.comparison.compare import Comparison
 from eoi_jax.data.inspection import Inspection
+from eoi_jax.data.interchange import record_to_pandas, record_to_xarray
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
@@ -14,7 +15,7 @@ from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.models.stored_classes import stored_form
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report import diagnosis
+from eoi_jax.report import data_frames, diagnosis
 from eoi_jax.report.comparison import comparison_figure, comparison_text
 from eoi_jax.report.discovery import discovery_text, texts
 from eoi_jax.report.discovery_figures import discovery_figure
@@ -63,10 +64,29 @@ FIGURES: dict[type, Callable] = {
     Comparison: comparison_figure,
     Discovery: discovery_figure,
 }
-for kind, function in TABLES.items():
-    text.register(kind, function)
-for kind, function in FIGURES.items():
-    figure.register(kind, function)
+DATA_FRAMES: dict[type, Callable] = {
+    Record: record_to_pandas,
+    Inspection: data_frames.inspection_frame,
+    Identification: data_frames.parameter_frame,
+    Validation: data_frames.validation_frame,
+    Diagnosis: data_frames.diagnosis_frame,
+    Refinement: data_frames.parameter_frame,
+    Remaining: data_frames.remaining_frame,
+    Uncertainty: data_frames.parameter_frame,
+    Profile: data_frames.profile_frame,
+    Comparison: data_frames.comparison_frame,
+    Discovery: data_frames.discovery_frame,
+}
+DATASETS: dict[type, Callable] = {  # of the others that of their data frame
+    Record: record_to_xarray,
+    Identification: data_frames.identification_dataset,
+    Validation: data_frames.validation_dataset,
+    Refinement: data_frames.refinement_dataset,
+}
+_REGISTERED = ((text, TABLES), (figure, FIGURES), (data_frame, DATA_FRAMES), (dataset, DATASETS))
+for function, implementations in _REGISTERED:
+    for kind, implementation in implementations.items():
+        function.register(kind, implementation)
 findings.register(Diagnosis, diagnosis.findings)
 
 

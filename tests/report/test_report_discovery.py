@@ -501,3 +501,19 @@ def test_where_nothing_is_known_the_residual_is_drawn_against_every_variable(fou
     tank = dataclasses.replace(none, plant=level)
     variables = [variable for _, variable, _ in discovery_figures._maps(tank)]
     assert variables == ["y", "t", *level.inputs]  # the velocity of a level is what f is
+
+
+# -- the table --------------------------------------------------------------------------------
+
+
+def test_a_data_frame_has_a_row_for_each_effect(found):
+    frame = found.to_pandas()
+    assert list(frame["effect"]) == [candidate.effect for candidate in found.ranking]
+    assert list(frame["added"]) == [True, False, False]
+    assert frame.loc[2, "remark"] == "contains coulomb friction"
+    assert frame.loc[3, "at"] == "force"
+    assert found.to_xarray()["score"].values.tolist() == [300.0, 290.0, -3.0]
+    effects = found.found.to_pandas()["effect"]
+    assert effects["coulomb_friction"] == "coulomb_friction"
+    assert effects["mass"] == ""
+    assert dataclasses.replace(found, ranking=()).to_pandas().empty
