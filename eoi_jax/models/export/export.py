@@ -5,10 +5,10 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
-from eoi_jax._atomic import write_file
 from eoi_jax._checks import check, check_choice
 from eoi_jax.models.equations.text_model import model_json
 from eoi_jax.models.export.c import c_text
+from eoi_jax.models.export.files import write_content
 from eoi_jax.models.export.matlab import matlab_text
 from eoi_jax.models.export.names import identifier
 from eoi_jax.models.export.numpy_python import python_text
@@ -66,13 +66,7 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
     check_choice("language", language, LANGUAGES)
     text = model_text(plant, language, path.stem)  # type: ignore[arg-type]
 
-    def fill(draft: Path) -> None:
-        draft.write_text(text, encoding="utf-8")
-
-    try:
-        write_file(path, fill)
-    except OSError as error:
-        check(False, "path", f"must be writable ({error.strerror})", path)
+    write_content(path, text.encode())
     return path
 
 
