@@ -59,6 +59,8 @@ from .refinement.refine import refine as refine
 from .refinement.remaining import Remaining as Remaining
 from .refinement.remaining import remaining as remaining
 from .refinement.result import Refinement as Refinement
+from .report.parameter_export import export_parameters as export_parameters
+from .report.robot_export import export_robot as export_robot
 from .simulation.rollout import rollout as rollout
 from .simulation.simulate import simulate as simulate
 from .simulation.validate import Validation as Validation

@@ -35,6 +35,11 @@ CALLS = {
     "remaining(plant)": "`refinement` must be what `refine` returned, got Plant",
     "profile(plant, run, 'a')": "`refinement` must be what `refine` returned, got Plant",
     "uncertainty(plant)": "`estimate` must be an estimate, got Plant",
+    "sweep_to_pandas(plant)": "`sweep` must be what `sweep` returned, got Plant",
+    "export_parameters(run, 'p.json')": "`result` must be a Plant or a result with an estimate, got"
+    " Record",
+    "export_robot(run, 'a.urdf', 'b.urdf', {})": "`result` must be a Plant or a result with an ",
+    "export_robot(plant, 'a.urdf', 'b.urdf', {})": "`robot` must be a file that can be read (No",
     "discover(plant, None)": "`records` must hold at least one record, got none",
     "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
     "identify(plant, run, passes=True)": "`passes` must be an integer ≥ 1, got True",

@@ -2,6 +2,7 @@ from . import actions as actions
 from . import build as build
 from . import commands as commands
 from . import config as config
+from . import exports as exports
 from . import html_report as html_report
 from . import options as options
 from . import run_folder as run_folder

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from eoi_jax._atomic import write_file, write_folder
-from eoi_jax._checks import check, check_choice
+from eoi_jax._checks import check
 from eoi_jax._status import Status
 from eoi_jax.cli import build, html_report, run_folder
 from eoi_jax.cli.config import Config, IdentifyTable, load
@@ -35,8 +35,6 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.identify import identify as run_passes
 from eoi_jax.estimation.sweep.best import best
 from eoi_jax.estimation.sweep.sweep import sweep as run_sweep
-from eoi_jax.models.export.export import LANGUAGES, SUFFIXES
-from eoi_jax.models.export.export import export as export_model
 from eoi_jax.refinement.refine import refine as run_refinement
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
@@ -369,32 +367,6 @@ def report(run: Path) -> Outcome:
     """
     path = html_report.write_report(run)
     return Outcome({"report": str(path)}, str(path), path)
-
-
-def export(run: Path, language: str | None, target: Path | None, trust: bool = False) -> Outcome:
-    """Export the model of a run to another tool.
-
-    Args:
-        run: folder of a run, or a file with a model.
-        language: one of `LANGUAGES`; None: given by the suffix of `target`.
-        target: the file to write; None: ``model.*`` in the folder of the run.
-        trust: whether the Python file that defines the model of the run may be executed.
-
-    Returns:
-        The outcome.
-
-    Raises:
-        ValueError: neither language nor target, no model, or one that the language cannot express.
-    """
-    jax_setup.configure()
-    if target is None:
-        rule, advice = "must be given without --output", f"Choose from {', '.join(LANGUAGES)}."
-        check(language is not None, "--language", rule, "nothing", advice)
-        check_choice("--language", str(language), LANGUAGES)
-        suffix = next(key for key, value in SUFFIXES.items() if value == language)
-        target = (run if run.is_dir() else run.parent) / f"model{suffix}"
-    path = export_model(run_folder.plant_of_run(run, trust), target, language)
-    return Outcome({"model": str(path)}, str(path), path)
 
 
 def _stem(path: Path) -> str:

@@ -28,6 +28,7 @@ from eoi_jax.cli.options import (
     Source,
     Trust,
     complete_config,
+    complete_robot,
 )
 from eoi_jax.cli.terminal import (
     Commands,
@@ -320,6 +321,8 @@ def report(
     epilog=_examples(
         ("eoi export runs/emps --language c", "model.c in the folder of the run"),
         ("eoi export runs/emps --output rig.m", "language by suffix: MATLAB and Octave"),
+        ("eoi export runs/emps --parameters", "numbers: .json or .csv"),
+        ("eoi export runs/arm --robot arm.urdf …", "joints: --joint elbow:damping=b"),
     )
 )
 def export(
@@ -331,14 +334,39 @@ def export(
     output: Annotated[
         Path | None,
         typer.Option(
-            help="File to write; default: model.* in the folder of the run.", show_default=False
+            help="File to write; default: model.* or parameters.json in the folder of the run.",
+            show_default=False,
+        ),
+    ] = None,
+    parameters: Annotated[
+        bool, typer.Option("--parameters", help="Parameters only, as numbers: .json or .csv.")
+    ] = False,
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            help="URDF or MJCF file, of which a copy gets the values of --joint.",
+            autocompletion=complete_robot,
+            show_default=False,
+        ),
+    ] = None,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="joint:attribute=formula,… of parameters; may be repeated.", show_default=False
         ),
     ] = None,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export the model of a run, with the effects that were added, to another tool."""
+    """Export the model of a run, with the effects that were added, or its parameters."""
     with failures(as_json):
-        outcome = cli.actions.export(run, language, output, trust)
+        contents = {"--language": language, "--parameters": parameters, "--robot": robot}
+        cli.exports.check_single(contents)
+        if robot is not None or joint:
+            outcome = cli.exports.robot(run, robot, joint or [], output, trust)
+        elif parameters:
+            outcome = cli.exports.parameters(run, output, trust)
+        else:
+            outcome = cli.exports.export(run, language, output, trust)
         show(outcome, as_json, quiet)

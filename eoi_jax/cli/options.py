@@ -47,6 +47,15 @@ def complete_data(incomplete: str) -> list[str]:
     return _paths(incomplete, DATA_FILES)
 
 
+def complete_robot(incomplete: str) -> list[str]:
+    """Robot descriptions and folders.
+
+    Args:
+        incomplete: the typed text.
+    """
+    return _paths(incomplete, (".urdf", ".xml", ".mjcf"))
+
+
 def complete_folder(incomplete: str) -> list[str]:
     """Folders, such as that of a run.
 

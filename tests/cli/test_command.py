@@ -16,7 +16,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_jax.cli import actions
+from eoi_jax.cli import exports
 from eoi_jax.cli.commands import app
 from eoi_jax.cli.options import complete_config, complete_data
 from eoi_jax.cli.terminal import progress, say
@@ -243,7 +243,7 @@ def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatc
     def fail(*_):
         raise KeyError("lost")
 
-    monkeypatch.setattr(actions, "export", fail)
+    monkeypatch.setattr(exports, "export", fail)
     words = ["export", str(tmp_path), "--language", "c"]
     done = CliRunner().invoke(app, words)
     assert (done.exit_code, done.stdout) == (2, "")
@@ -256,7 +256,7 @@ def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatc
     assert "(KeyError: 'lost')" in json.loads(done.stdout)["error"]
     for debugged in (["--debug", *words], [*words, "--debug"]):
         assert isinstance(CliRunner().invoke(app, debugged).exception, KeyError)
-    monkeypatch.setattr(actions, "export", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr(exports, "export", lambda *_: (_ for _ in ()).throw(MemoryError()))
     assert "eoi: out of memory" in CliRunner().invoke(app, words).stderr
 
 

@@ -1,6 +1,9 @@
 """`eoi export`: from the folder of a run to a file."""
 
+import csv
+import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -182,3 +185,207 @@ def test_a_run_without_a_result_is_refused(run, tmp_path):
     done = called("export", tmp_path, "--language", "c", "--trust")
     assert done.exit_code == 2
     assert "must hold a result.json that this library wrote" in done.stderr
+
+
+# -- parameters, and joints of robots ---------------------------------------------------------
+
+ARM = """
+name = "arm"
+
+[model]
+outputs = ["shoulder", "elbow"]
+inputs = ["torque1", "torque2"]
+parameters = { J1 = 0.4, b1 = 0.2, c1 = 0.1, J2 = 0.1, b2 = 0.5, k2 = 2.0 }
+fixed = ["J1"]
+
+[model.units]
+shoulder = "rad"
+elbow = "rad"
+torque1 = "N m"
+torque2 = "N m"
+J1 = "kg m²"
+b1 = "N m s/rad"
+c1 = "N m"
+J2 = "kg m²"
+b2 = "1/s"
+k2 = "1/s²"
+
+[model.derivatives]
+shoulder = "rate1"
+rate1 = "(torque1 - b1*rate1 - c1*sign(rate1))/J1"
+elbow = "rate2"
+rate2 = "torque2/J2 - b2*rate2 - k2*elbow"
+
+[identify]
+passes = 3
+
+[simulate]
+sample_period = 0.005
+duration = 5.0
+increments = { b1 = 0.1, c1 = 0.05, J2 = 0.02, b2 = 0.5, k2 = 0.5 }
+
+[simulate.input.torque1]
+kind = "square"
+amplitude = 0.6
+frequency = 0.4
+
+[simulate.input.torque2]
+kind = "square"
+amplitude = 0.3
+frequency = 0.3
+"""
+URDF = """<?xml version="1.0"?>
+<robot name="arm">
+  <!-- two joints -->
+  <link name="base"/>
+  <link name="upper"/>
+  <link name="lower"/>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/>
+    <child link="upper"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="10" velocity="5"/>
+    <dynamics damping="0.1" friction="0.0"/>
+  </joint>
+  <joint name="elbow" type="continuous">
+    <parent link="upper"/>
+    <child link="lower"/>
+    <axis xyz="0 0 1"/>
+  </joint>
+</robot>
+"""
+MJCF = """<mujoco model="arm">
+  <default><default class="stiff"><joint stiffness="9" damping="0.2"/></default></default>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 0 1"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0"/>
+      <body name="lower" pos="0.3 0 0">
+        <joint class="stiff" name="elbow" axis="0 0 1"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0.2 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+TRUE = {"J1": 0.4, "b1": 0.3, "c1": 0.15, "J2": 0.12, "b2": 1.0, "k2": 2.5}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory, monkeypatch_module):
+    """The folder of a run of a two-joint arm."""
+    folder: Path = tmp_path_factory.mktemp("arm")
+    (folder / "arm.toml").write_text(ARM, encoding="utf-8")
+    done = called("identify", folder / "arm.toml", "--output", folder, "--quiet")
+    assert done.exit_code == 0, done.output
+    return folder / "arm"
+
+
+def test_parameters_are_exported_as_json_and_csv(arm, tmp_path):
+    done = called("export", arm, "--parameters")
+    assert done.exit_code == 0, done.output
+    content = json.loads((arm / "parameters.json").read_text(encoding="utf-8"))
+    summary = json.loads((arm / "result.json").read_text(encoding="utf-8"))
+    for name, row in content["parameters"].items():
+        assert row["value"] == summary["parameters"][name] == pytest.approx(TRUE[name], rel=1e-3)
+        assert row["standard_error"] == summary["standard_errors"][name]
+    assert content["records"] == summary["records"]
+    assert content["versions"] == summary["versions"]
+    done = called("export", arm, "--parameters", "--output", tmp_path / "p.csv", "--json")
+    assert json.loads(done.stdout) == {"parameters": str(tmp_path / "p.csv")}
+    with (tmp_path / "p.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert {name: float(row["value"]) for name, row in rows.items()} == summary["parameters"]
+
+
+def robot(folder, text, name):
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_joints_of_a_urdf_get_the_identified_values(arm, tmp_path):
+    source = robot(tmp_path, URDF, "arm.urdf")
+    done = called(
+        "export", arm, "--robot", source, "--joint", "shoulder:damping=b1,friction=c1",
+        "--joint", "elbow:damping=max(b2*J2, 0)", "--output", tmp_path / "new.urdf",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    lines = done.stdout.splitlines()
+    assert lines[1].startswith("shoulder.damping")
+    assert lines[1].endswith("N m s/rad")
+    assert lines[-1] == str(tmp_path / "new.urdf")
+    before, after = URDF.splitlines(), (tmp_path / "new.urdf").read_text().splitlines()
+    assert len(after) == len(before) + 1
+    assert sum(line not in before for line in after) == 2
+    joints = {
+        joint.get("name"): {key: float(value) for key, value in dynamics.attrib.items()}
+        for joint in ElementTree.parse(tmp_path / "new.urdf").getroot().iter("joint")
+        for dynamics in joint.iter("dynamics")
+    }
+    assert joints["shoulder"] == pytest.approx({"damping": 0.3, "friction": 0.15}, rel=1e-3)
+    assert joints["elbow"] == pytest.approx({"damping": 0.12}, rel=1e-3)
+
+
+def test_joints_of_an_mjcf_override_their_default_class(arm, tmp_path):
+    source = robot(tmp_path, MJCF, "arm.xml")
+    done = called(
+        "export", arm, "--robot", source, "--output", tmp_path / "new.xml", "--json", "--joint",
+        "shoulder:damping=b1, frictionloss=c1, armature=J1", "--joint", "elbow:stiffness=k2*J2",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    joints = {
+        joint.get("name"): joint.attrib
+        for joint in ElementTree.parse(tmp_path / "new.xml").getroot().iter("joint")
+    }
+    assert float(joints["elbow"]["stiffness"]) == answer["values"]["elbow.stiffness"]["value"]
+    assert answer["values"]["elbow.stiffness"]["value"] == pytest.approx(0.3, rel=1e-3)
+    assert answer["values"]["elbow.stiffness"]["standard_error"] > 0.0
+    assert answer["values"]["shoulder.armature"]["unit"] == "kg m²"
+    assert float(joints["shoulder"]["frictionloss"]) == pytest.approx(0.15, rel=1e-3)
+    assert joints["elbow"]["class"] == "stiff"
+    assert joints[None]["stiffness"] == "9"
+    assert answer["notes"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--joint", "shoulder:damping=b1"), "`--robot` must be given with --joint, got nothing"),
+        (("--robot", "arm.urdf"), "`--output` must be given with --robot, got nothing"),
+        (("--robot", "arm.urdf", "--output", "new.urdf"), "`--joint` must be joint:attribute="),
+        (("--parameters", "--robot", "arm.urdf"), "`--parameters` must stand alone, got --param"),
+        (("--language", "c", "--parameters"), "`--language` must stand alone, got --language and"),
+        (("--parameters", "--output", "p.txt"), "`path` must end in .json or .csv, got p.txt"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(arm, options, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robot(tmp_path, URDF, "arm.urdf")
+    done = called("export", arm, *options)
+    assert done.exit_code == 2
+    assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("joint", "message"),
+    [
+        ("shoulder", "`--joint` must be joint:attribute=formula, as in shoulder:damping=b,fri"),
+        ("damping=b1", "`--joint` must be joint:attribute=formula"),
+        ("shoulder:damping=", "`--joint` must be joint:attribute=formula"),
+        ("shoulder:damping=b1,damping=b1", "`--joint` must set an attribute once, got shoulder:d"),
+        ("wrist:damping=b1", "`joints` must be one of shoulder, elbow, got 'wrist'"),
+        ("shoulder:armature=J1", "`joints[shoulder]` must have attributes of URDF: damping"),
+        ("shoulder:damping=b3", "must use declared names, got b3"),
+        ("shoulder:damping=b2", "`joints[shoulder].damping` must be in N m s/rad, got b2 with b2"),
+        ("shoulder:friction=-c1", "`joints[shoulder].friction` must not be negative, got -0.1"),
+    ],
+)
+def test_a_wrong_joint_is_refused_and_nothing_is_written(arm, joint, message, tmp_path):
+    source = robot(tmp_path, URDF, "arm.urdf")
+    target = tmp_path / "new.urdf"
+    done = called("export", arm, "--robot", source, "--joint", joint, "--output", target)
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.output
+    assert not target.exists()

@@ -22,7 +22,7 @@ from eoi_jax.models.equations.display import equation_text
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 # The longest first, so that two workers share them evenly.
-EXECUTED = ("tutorial", "uncertainty", "extend", "inside_jax", "observers", "records")
+EXECUTED = ("tutorial", "uncertainty", "extend", "inside_jax", "observers", "records", "results")
 
 
 @pytest.mark.slow
