@@ -39,7 +39,10 @@ CALLS = {
     "export_parameters(run, 'p.json')": "`result` must be a Plant or a result with an estimate, got"
     " Record",
     "export_robot(run, 'a.urdf', 'b.urdf', {})": "`result` must be a Plant or a result with an ",
-    "export_robot(plant, 'a.urdf', 'b.urdf', {})": "`robot` must be a file that can be read (No",
+    "export_robot(plant, 'a.urdf', 'b.urdf', {'a': 'b'})": "`joints` must be a dict of attributes "
+    'by joint, {"shoulder": {"damping": "b"}}, got {\'a\': \'b\'}.',
+    "export_robot(plant, 'a.urdf', 'b.urdf', {'a': {'damping': 'b'}})": "`robot` must be a file "
+    "that can be read (No such file or directory), got a.urdf.",
     "discover(plant, None)": "`records` must hold at least one record, got none",
     "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
     "identify(plant, run, passes=True)": "`passes` must be an integer ≥ 1, got True",

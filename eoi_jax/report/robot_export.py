@@ -58,6 +58,9 @@ def export_robot(result: Any, robot: str | Path, path: str | Path, joints: Joint
     """
     known, path = estimate_of(result), Path(path)
     check(not path.exists(), "path", "must be a file that does not exist", path)
+    rule = 'must be a dict of attributes by joint, {"shoulder": {"damping": "b"}}'
+    good = isinstance(joints, Mapping) and all(isinstance(row, Mapping) for row in joints.values())
+    check(good and any(joints.values()), "joints", rule, joints)
     file = read_robot(robot)
     targets = tuple(_targets(file, known, joints))
     written = _quantities(known, targets)
@@ -100,9 +103,6 @@ class _Target:
 
 
 def _targets(file: RobotFile, known: Uncertainty, joints: JointMap) -> Iterator[_Target]:
-    rule = 'must be a dict of attributes by joint, {"shoulder": {"damping": "b"}}'
-    good = isinstance(joints, Mapping) and all(isinstance(at, Mapping) for at in joints.values())
-    check(good and any(joints.values()), "joints", rule, joints)
     names = {name: Symbol(name) for name in known.parameters}
     for joint, attributes in joints.items():
         file.check_joint(joint)
