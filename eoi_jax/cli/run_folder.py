@@ -31,7 +31,6 @@ from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
 from eoi_jax.report.free_runs import free_run_series, validation_runs
-from eoi_jax.report.parameter_history import history_csv
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.saved_models import labelled
 from eoi_jax.report.sweep import sweep_figure
@@ -179,7 +178,7 @@ def write_identification(
     result.save(folder / RESULT)
     save({"diagnosis": diagnose(result), "validation": validation}, folder / REPORT_DATA)
     if result.history is not None:
-        _write(folder / "history.csv", history_csv(result))
+        _write(folder / "history.csv", result.history.to_pandas().to_csv())
         save_figure(folder / "history.png", result.history.plot)
     _write(folder / "config.toml", config)
 

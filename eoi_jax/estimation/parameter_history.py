@@ -41,6 +41,7 @@ class ParameterHistory(Result):
 
     Attributes:
         names: of the parameters.
+        records: names.
         time: of each record's samples [s], one array (N,) per record.
         values: the estimate from the samples so far, one array (N, np) per record; NaN as long as
             they leave a parameter open.
@@ -51,6 +52,7 @@ class ParameterHistory(Result):
     """
 
     names: tuple[str, ...]
+    records: tuple[str, ...]
     time: list[np.ndarray]
     values: list[np.ndarray]
     standard_errors: list[np.ndarray]
@@ -102,6 +104,7 @@ def parameter_history(
     first = np.where(free, np.nan, theta), np.where(free, np.inf, 0.0)
     return ParameterHistory(
         tuple(plant.names),
+        tuple(record.name for record in records),
         [np.asarray(record.time) for record in records],
         _at_samples(rows, records, values, first[0]),
         _at_samples(rows, records, deviations, first[1]),

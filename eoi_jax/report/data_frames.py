@@ -16,6 +16,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import acts_on
@@ -64,6 +65,24 @@ def parameter_frame(result: Identification | Refinement | Uncertainty) -> Any:
         nominal = result.nominal.parameters
         frame.insert(0, "nominal", [nominal.get(name, np.nan) for name in frame.index])
     return frame
+
+
+def history_frame(result: ParameterHistory) -> Any:
+    """A row for each sample: record, time [s], the estimates so far and their standard errors.
+
+    Args:
+        result: of `identify(…, recursive=True)`; estimates are NaN as long as they are open.
+    """
+    errors = [f"standard_error[{name}]" for name in result.names]
+    signals = zip(result.records, result.time, result.values, result.standard_errors, strict=True)
+    rows = (
+        (k, record, *row)
+        for record, *arrays in signals
+        for k, row in enumerate(np.column_stack(arrays))
+    )
+    units = dict(zip(result.names, result.units, strict=True))
+    attributes = {"forgetting": result.forgetting, "units": units}
+    return _frame(("sample", "record", "time", *result.names, *errors), rows, attributes)
 
 
 def validation_frame(result: Validation) -> Any:

@@ -68,6 +68,7 @@ DATA_FRAMES: dict[type, Callable] = {
     Record: record_to_pandas,
     Inspection: data_frames.inspection_frame,
     Identification: data_frames.parameter_frame,
+    ParameterHistory: data_frames.history_frame,
     Validation: data_frames.validation_frame,
     Diagnosis: data_frames.diagnosis_frame,
     Refinement: data_frames.parameter_frame,

@@ -1,14 +1,11 @@
 """Parameters over time: text, and signals over time for figures and charts."""
 
-import csv
 from dataclasses import dataclass
-from io import StringIO
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.report.style import ACCENT, with_unit
 from eoi_jax.report.tables import columns
@@ -39,25 +36,6 @@ def history_text(history: ParameterHistory) -> str:
         rows.append((name, f"{value:.6g}", f"{error:.2g}", unit))
     sentences = [drift.sentence for drift in history.drifts] or [CONSTANT]
     return "\n".join([columns(rows, "<>><"), *(f"- {sentence}" for sentence in sentences)])
-
-
-def history_csv(result: Identification) -> str:
-    """A row for each sample with the estimates so far and their standard errors; empty: open yet.
-
-    Args:
-        result: of `identify(…, recursive=True)`.
-    """
-    history, text = result.history, StringIO()
-    assert history is not None
-    writer = csv.writer(text, lineterminator="\n")
-    errors = [f"{name} std. error" for name in history.names]
-    writer.writerow(["record", "time [s]", *map(with_unit, history.names, history.units), *errors])
-    parts = zip(result.records, history.time, history.values, history.standard_errors, strict=True)
-    for record, times, values, deviations in parts:
-        for time, row in zip(times, np.concatenate([values, deviations], axis=1), strict=True):
-            cells = (f"{number:.8g}" if np.isfinite(number) else "" for number in row)
-            writer.writerow([record.name, f"{time:.10g}", *cells])
-    return text.getvalue()
 
 
 CONSTANT = "no parameter is seen to change along the records"

@@ -137,9 +137,8 @@ def test_parameters_over_time_are_written_where_asked_for(config: Path, tmp_path
     result = json.loads(done.stdout)
     assert result["drifts"] == []
     lines = (runs / "short" / "history.csv").read_text().splitlines()
-    assert lines[0].startswith("record,time [s],")
-    names = [head.split(" [")[0] for head in lines[0].split(",")]
-    last = dict(zip(names, lines[-1].split(","), strict=True))
+    assert lines[0].startswith("sample,record,time,")
+    last = dict(zip(lines[0].split(","), lines[-1].split(","), strict=True))
     for name, value in result["parameters"].items():
         end = (
             value

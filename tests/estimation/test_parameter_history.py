@@ -154,6 +154,9 @@ def test_it_is_saved_printed_and_drawn(steady, tmp_path):
     assert str(loaded).splitlines()[0].split() == ["parameter", "last", "estimate", "±", "std.",
                                                    "error", "unit"]  # fmt: skip
     assert "no parameter is seen to change" in str(loaded)
+    frame = loaded.to_pandas()
+    assert list(frame.columns[:3]) == ["record", "time", "c"]
+    np.testing.assert_array_equal(frame[frame["record"] == "second"]["k"], loaded.values[1][:, 1])
     figure = loaded.plot()
     assert [axes.get_ylabel() for axes in figure.axes] == ["c", "k [N/m]"]
 
