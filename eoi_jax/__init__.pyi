@@ -50,7 +50,6 @@ from .estimation.sweep.store import open_sweep as open_sweep
 from .estimation.sweep.sweep import sweep as sweep
 from .models.controller import Controller as Controller
 from .models.equations.text_model import plant_from_text as plant_from_text
-from .models.export.export import export as export
 from .models.linear_system import plant_from_control as plant_from_control
 from .models.plant import Plant as Plant
 from .models.plant import State as State
@@ -61,6 +60,7 @@ from .refinement.remaining import remaining as remaining
 from .refinement.result import Refinement as Refinement
 from .report.parameter_export import export_parameters as export_parameters
 from .report.robot_export import export_robot as export_robot
+from .simulation.export import export as export
 from .simulation.rollout import rollout as rollout
 from .simulation.simulate import simulate as simulate
 from .simulation.validate import Validation as Validation

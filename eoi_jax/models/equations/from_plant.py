@@ -120,19 +120,20 @@ def _row(nodes: Sequence[Node]) -> np.ndarray:
 
 
 def shared_formulas(
-    nodes: Sequence[Node], names: Iterator[str]
+    nodes: Sequence[Node], names: Iterator[str], *, flags: bool = False
 ) -> tuple[list[Expression], list[tuple[Symbol, Expression]]]:
     """Formulas of nodes, where what several of them share, or what is deep, has a name.
 
     Args:
         nodes: what is wanted.
         names: for what is shared.
+        flags: whether what is true or false may have a name too.
 
     Returns:
         The formulas, and the named parts, each using earlier ones only.
     """
     forms = _Forms(nodes)
-    return forms.trees(names), forms.definitions
+    return forms.trees(names, flags), forms.definitions
 
 
 def plain_formulas(nodes: Sequence[Node]) -> list[Expression]:
@@ -189,8 +190,8 @@ class _Forms:
         size, depth = self.size[node.order], self.depth[node.order]
         return size > _SETTINGS.shown_size or depth > _SETTINGS.shown_depth
 
-    def trees(self, names: Iterator[str] | None = None) -> list[Expression]:
-        """Trees of the roots; with names for what they share."""
+    def trees(self, names: Iterator[str] | None = None, flags: bool = False) -> list[Expression]:
+        """Trees of the roots; with names for what they share, flags only if wanted."""
         uses = self._uses()
         trees: dict[int, Expression] = {}
         for node in topological_order(self.roots):
@@ -203,7 +204,7 @@ class _Forms:
             shared = uses[node.order] > 1 and not simple
             size = 1 + sum(self.size[arg.order] for arg in args)
             deep = depth > _SETTINGS.stored_depth or size > _SETTINGS.stored_size
-            if names is not None and (shared or deep) and not node.is_bool:
+            if names is not None and (shared or deep) and (flags or not node.is_bool):
                 self.definitions.append((Symbol(next(names)), tree))
                 tree, depth, size = self.definitions[-1][0], 1, 1
             trees[node.order], self.depth[node.order], self.size[node.order] = tree, depth, size

@@ -1,8 +1,10 @@
-"""A model as a C function (C99, `math.h` and nothing else)."""
+"""A model as C functions (C99, `math.h` and nothing else): its right-hand side, and its step."""
 
-from eoi_jax.models.equations.expression import Symbol
+from collections.abc import Sequence
+
 from eoi_jax.models.equations.printer import ATOM, LOGIC, Infix, code_notation
 from eoi_jax.models.export.listing import Listing
+from eoi_jax.models.export.names import comment
 from eoi_jax.models.export.program import Program
 
 _C = code_notation(
@@ -28,36 +30,98 @@ _HELPERS = {
 }
 
 
-def c_text(model: Program, name: str, version: str) -> str:
+# What the step of a file does, and how its inputs are given.
+_STEP_REMARK = """
+/*
+ * {name}_step moves the states on by one sample period h [s], from time t, as the simulation of
+ * eoi_jax does: classical Runge-Kutta steps of fourth order, `substeps` of them, each cut where
+ * dry friction brings a state to rest, which then sticks until the other forces exceed it.
+ * Inputs go in a straight line from `inputs` at t to `next_inputs` at t + h; give the same values
+ * twice for inputs that are held. Nothing is allocated, and every call does the same operations.
+ */
+"""
+_STEP = """
+{head};
+
+{head}
+{{
+    int i;
+    for (i = 0; i < substeps; i++) {{
+{drive}        {name}_substep(t + i*h/substeps, h/substeps, states, {stages});
+    }}
+}}
+"""
+_DRIVE = """\
+        double stages[{size}]; /* inputs at the start, the middle and the end */
+        int k;
+        for (k = 0; k < {size}; k++) {{
+            const double fraction = (i + 0.5*(k / {count}))/substeps;
+            const double first = inputs[k % {count}];
+            stages[k] = first + fraction*(next_inputs[k % {count}] - first);
+        }}
+"""
+
+
+def c_text(
+    model: Program, name: str, version: str, step: Program | None = None, reason: str = ""
+) -> str:
     """The file: ``void name(double t, const double *states, const double *inputs, double *rates)``.
 
     Outputs that are functions of the states have a second function, ``name_outputs``, with
-    ``double *outputs`` as its last argument.
+    ``double *outputs`` as its last argument. ``void name_step(double t, double h, int substeps,
+    double *states, const double *inputs, const double *next_inputs)`` moves the states on by a
+    sample.
 
     Args:
         model: what to write.
         name: of the function, an identifier.
         version: of this package.
+        step: states at the end of a step, with the inputs at its start, middle and end.
+        reason: why there is none.
     """
     listing = _listing(model)
     top = "\n".join(listing.top(" *", ("[", "]", "0"), version))
-    functions, called = [_function(listing, name, "rates")], set(listing.called)
+    arguments = "double t, const double *states, const double *inputs, double *"
+    functions = [_function(listing, f"void {name}({arguments}rates)", "rates")]
+    called = set(listing.called)
     if model.outputs:
         of_outputs = _listing(model.of_outputs)
-        functions.append(_function(of_outputs, f"{name}_outputs", "outputs"))
+        head = f"void {name}_outputs({arguments}outputs)"
+        functions.append(_function(of_outputs, head, "outputs"))
         called |= of_outputs.called
+    if step is not None:
+        of_step = _listing(step)
+        functions.append(_step(of_step, name, len(model.inputs)))
+        called |= of_step.called
+    elif reason:
+        top += f"\n * No function for a step: {comment(reason, 400)}"
     helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
     return f"/*\n{top}\n */\n#include <math.h>\n\n{helpers}" + "\n".join(functions)
 
 
 def _listing(model: Program) -> Listing:
-    return Listing(model, _C, "const double {} = {};", " /* {} */")
+    return Listing(model, _C, "const double {} = {};", " /* {} */", "const int {} = {};")
 
 
-def _function(listing: Listing, name: str, result: str) -> str:
-    """A function with its declaration; `result` is its last argument, which it fills."""
+def _step(listing: Listing, name: str, count: int) -> str:
+    """A Runge-Kutta step, and the function that does as many as a sample needs."""
+    inner = f"static void {name}_substep(double t, double h, double *states, const double *inputs)"
+    outer = (
+        f"void {name}_step(double t, double h, int substeps, double *states, "
+        "const double *inputs,\n    const double *next_inputs)"
+    )
+    drive = _DRIVE.format(size=3 * count, count=count) if count else ""
+    body = _STEP.format(head=outer, drive=drive, name=name, stages="stages" if count else "inputs")
+    if not count:
+        body = body.replace("    int i;\n", "    int i;\n    (void)next_inputs;\n")
+    remark = _STEP_REMARK.format(name=name)
+    return _function(listing, inner, "states") + remark.rstrip("\n") + body
+
+
+def _function(listing: Listing, head: str, result: str) -> str:
+    """A function with its declaration; `result` is the argument that it fills."""
     rates = listing.model.rates
-    unread = [*_unread(listing), *([] if rates else [result])]
+    unread = [*_unread(listing, result), *([] if rates else [result])]
     body = [
         *listing.parameters(),
         *listing.elements(lambda vector, k: f"{vector}[{k}]"),
@@ -65,18 +129,17 @@ def _function(listing: Listing, name: str, result: str) -> str:
         *listing.definitions(),
         *(f"{result}[{k}] = {listing.code(tree)};" for k, tree in enumerate(rates)),
     ]
-    head = f"void {name}(double t, const double *states, const double *inputs, double *{result})"
     lines = "\n".join(f"    {line}" for line in body)
     return f"{head};\n\n{head}\n{{\n{lines}\n}}\n"
 
 
-def _unread(listing: Listing) -> list[str]:
+def _unread(listing: Listing, result: str) -> Sequence[str]:
     """Arguments of the function of which compilers would say that nothing reads them."""
     model, used = listing.model, listing.used
     vectors = {"states": model.states, "inputs": model.inputs}
     names = [
         vector
         for vector, variables in vectors.items()
-        if not any(variable.symbol in used for variable in variables)
+        if vector != result and not any(variable.symbol in used for variable in variables)
     ]
-    return names if Symbol("t") in used else [*names, "t"]
+    return [*names, *(listing.names[one] for one in model.arguments if one not in used)]

@@ -4,7 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from eoi_jax.models.equations.expression import Expression, Symbol, functions_of, symbols_of
+from eoi_jax.models.equations.expression import (
+    Expression,
+    Symbol,
+    functions_of,
+    is_flag,
+    symbols_of,
+)
 from eoi_jax.models.equations.printer import Notation, written
 from eoi_jax.models.export.names import comment, header, identifiers
 from eoi_jax.models.export.program import Program
@@ -19,12 +25,14 @@ class Listing:
         notation: of the language, its own names apart.
         assigned: a line that gives a name (first) a value (second).
         remark: of a unit, at the end of such a line.
+        assigned_flag: as `assigned`, for what is true or false.
     """
 
     model: Program
     notation: Notation
     assigned: str
     remark: str
+    assigned_flag: str = ""
 
     @cached_property
     def names(self) -> dict[Symbol, str]:
@@ -76,6 +84,7 @@ class Listing:
     def definitions(self) -> list[str]:
         """What is worked out before the rates."""
         return [
-            self.assigned.format(self.names[symbol], self.code(tree))
+            form.format(self.names[symbol], self.code(tree))
             for symbol, tree in self.model.definitions
+            for form in (self.assigned_flag if is_flag(tree) else self.assigned,)
         ]

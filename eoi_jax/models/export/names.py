@@ -77,7 +77,7 @@ def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
         *((symbol, symbol.name) for symbol, _ in model.definitions),
         *((symbol, symbol.name) for symbol, _ in model.output_definitions),
     ]
-    names: dict[Symbol, str] = {Symbol("t"): "t"}
+    names = {symbol: symbol.name for symbol in model.arguments}
     for symbol, name in named:
         names[symbol] = identifier(name, names.values(), words)
     return names

@@ -5,7 +5,7 @@ gets a name.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -59,6 +59,7 @@ class Program:
         outputs: those that are functions of the states.
         output_formulas: what they are.
         output_definitions: parts that these share.
+        arguments: what the formulas depend on besides states, inputs and parameters.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Program:
     outputs: tuple[Variable, ...] = ()
     output_formulas: tuple[Expression, ...] = ()
     output_definitions: tuple[tuple[Symbol, Expression], ...] = ()
+    arguments: tuple[Symbol, ...] = (Symbol("t"),)
 
     @property
     def of_outputs(self) -> "Program":
@@ -141,8 +143,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         note = f"{source} behind its lag; starts at the first value of {source}"
         states.append(Variable(Symbol(name), name, plant.units.get(source, ""), note))
         rates.append(node)
-    reserved = {*plant.names, *plant.inputs, *(variable.name for variable in states)}
-    free = (name for i in itertools.count(1) if (name := f"w{i}") not in reserved)
+    free = unused_names((*plant.names, *plant.inputs, *(variable.name for variable in states)))
     trees, definitions = shared_formulas(rates, free)
     algebraic = [j for j, degree in enumerate(plant.degrees) if degree == 0]
     output_trees, output_definitions = shared_formulas([f[j] for j in algebraic], free)
@@ -173,6 +174,16 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(output_trees),
         tuple(output_definitions),
     )  # fmt: skip
+
+
+def unused_names(reserved: Collection[str]) -> Iterator[str]:
+    """Names w1, w2, … for parts of formulas.
+
+    Args:
+        reserved: names that mean something else.
+    """
+    taken = set(reserved)
+    return (name for i in itertools.count(1) if (name := f"w{i}") not in taken)
 
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:

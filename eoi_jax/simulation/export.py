@@ -16,10 +16,10 @@ from eoi_jax.models.export.program import Program, program
 from eoi_jax.models.export.table import table_of
 from eoi_jax.models.export.tex import latex_text
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.traced_step import step_program, with_sticking_outputs
 
 _FUNCTIONS: dict[str, Callable[[Program, str, str], str]] = {
     "python": python_text,
-    "c": c_text,
     "matlab": matlab_text,
 }
 SUFFIXES = {".py": "python", ".c": "c", ".m": "matlab", ".tex": "latex", ".json": "json"}
@@ -36,6 +36,13 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
     with units, values at the start, delays of inputs and where dry friction makes it set-valued.
     Outputs that are functions of the states come from a second function, ``name_outputs``, in
     MATLAB as a second result.
+
+    The C file also has ``void name_step(t, h, substeps, states, inputs, next_inputs)``, which moves
+    the states on by a sample period h [s] as `rollout` does: the same Runge-Kutta steps, as many,
+    with dry friction that sticks. Lags of inputs are states in it, which `rollout` follows exactly,
+    and inputs behind delays are given as they come out of them. It allocates nothing. Where the
+    simulation does not cover the friction of a plant, the file says so instead.
+
     Parameters are named constants. LaTeX gets the equations and a table of the parameters, JSON the
     model as text, which `load` reads back to a plant that simulates equally.
 
@@ -89,4 +96,17 @@ def model_text(plant: Plant, language: str, name: str) -> str:
     fitting = identifier(name)
     rule = "must be named as a function can be"
     check(name == fitting, "path", rule, name, f"For example {fitting}.")
-    return _FUNCTIONS[language](program(plant), name, version)
+    model = program(plant)
+    if language == "c":
+        return _c_text(plant, model, name, version)
+    return _FUNCTIONS[language](model, name, version)
+
+
+def _c_text(plant: Plant, model: Program, name: str, version: str) -> str:
+    """With the step of the simulation, where it covers the plant."""
+    try:
+        model = with_sticking_outputs(plant, model)
+        step, reason = step_program(plant, model), ""
+    except ValueError as error:
+        step, reason = None, str(error)
+    return c_text(model, name, version, step, reason)
