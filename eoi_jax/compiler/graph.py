@@ -100,6 +100,21 @@ OPERATIONS = {
 }
 
 
+@dataclass(frozen=True)
+class LinearSystem:
+    """A x = b that a function solves.
+
+    Attributes:
+        matrix: A, nodes of shape (n, n).
+        unknown: x, an input for each component.
+        right: b.
+    """
+
+    matrix: np.ndarray
+    unknown: list[Node]
+    right: list[Node]
+
+
 class Graph:
     """Nodes, each made once: equal operations on equal arguments are the same node.
 
@@ -109,12 +124,18 @@ class Graph:
         as_written: whether operands stay in their order, for formulas.
         writes_out: whether tables, and factorisations of matrices, are written out by choices among
             all their components: no formula to be read.
+        systems: linear systems that were met, whose unknowns are inputs; None where they are
+            solved.
+        named: makes nodes for a function that cannot be written out, from its name in JAX and its
+            arguments; None where there is none, or it knows none.
     """
 
     def __init__(self, *, as_written: bool = False):
         self.as_written = as_written
         self.writes_out = True
         self.branches: list[Node] | None = None
+        self.systems: list[LinearSystem] | None = None
+        self.named: Callable[[str, Sequence[np.ndarray]], np.ndarray | None] | None = None
         self._nodes: dict[tuple, Node] = {}
         self._order = itertools.count()
 
@@ -141,6 +162,17 @@ class Graph:
             args = tuple(sorted(args, key=lambda arg: arg.order))
         is_bool = args[1].is_bool if op == "select" else operation.is_bool
         return self._node(op, args, is_bool, None)
+
+    def keep(self, matrix: np.ndarray, right: list[Node]) -> LinearSystem:
+        """A linear system of `systems`; equal ones are the same."""
+        assert self.systems is not None
+        for system in self.systems:
+            if np.array_equal(system.matrix, matrix) and system.right == right:
+                return system
+        names = (("unknown", len(self.systems), k) for k in range(len(right)))
+        system = LinearSystem(matrix, [self.input(name) for name in names], right)
+        self.systems.append(system)
+        return system
 
     def _node(self, op: str, args: tuple[Node, ...], is_bool: bool, value: Any) -> Node:
         # repr, because NaN does not equal itself; `is_bool`, because True equals 1.0.

@@ -152,6 +152,13 @@ def solving_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[Close
     return closed_jaxpr(function), own
 
 
+def product_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[ClosedJaxpr, list, list]:
+    """What multiplies by the matrix in such an equation, its own operands, and the right side."""
+    counts = params["const_lengths"]
+    own, right = operands[: counts.matvec], operands[sum(counts) :]
+    return closed_jaxpr(params["jaxprs"].matvec), list(own), list(right)
+
+
 def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
     """The branches of an equation of `lax.cond` or `lax.switch`."""
     return [closed_jaxpr(branch) for branch in params["branches"]]

@@ -17,6 +17,7 @@ import numpy as np
 from eoi_jax.compiler.graph import Graph, Node, Untranslatable
 
 MOST_ROWS = 8  # the program grows with the third power
+FACTORS = "lu"  # an input in place of factors that only a kept linear system would read
 
 
 def lu(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
@@ -33,12 +34,15 @@ def lu(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]:
 
     Raises:
         Untranslatable: more than `MOST_ROWS` rows, a matrix that is not square, or where
-            factorisations are not written out.
+            factorisations are not written out and linear systems not kept.
     """
     del params
-    if not graph.writes_out and any(node.op != "constant" for node in matrix.flat):
-        raise Untranslatable("lu")
     size = _size(matrix)
+    if not graph.writes_out and any(node.op != "constant" for node in matrix.flat):
+        if graph.systems is None:
+            raise Untranslatable("lu")
+        shapes = matrix.shape, matrix.shape[:-1], matrix.shape[:-1]
+        return [np.full(shape, graph.input(FACTORS), object) for shape in shapes]
     factors = matrix.copy()
     pivots, order = (np.empty(matrix.shape[:-1], object) for _ in range(2))
     for at in np.ndindex(matrix.shape[:-2]):

@@ -21,6 +21,7 @@ from eoi_jax.compiler.jax_private import (
     Literal,
     branches_of,
     called,
+    product_part,
     scan_parts,
     solving_part,
 )
@@ -83,7 +84,7 @@ def _evaluated(
 def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.ndarray]:
     name, params = equation.primitive.name, equation.params
     if (function := called(equation)) is not None:
-        return _run(graph, function, args)
+        return _called(graph, function, params.get("name", ""), args)
     if name in _ARRAY_RULES:
         return _ARRAY_RULES[name](graph, params, *args)
     shape = equation.outvars[0].aval.shape
@@ -103,6 +104,24 @@ def _equation(graph: Graph, equation: Any, args: list[np.ndarray]) -> list[np.nd
     result = np.empty(shape, object)
     result[...] = moved
     return [result]
+
+
+def _called(
+    graph: Graph, function: ClosedJaxpr, name: str, args: list[np.ndarray]
+) -> list[np.ndarray]:
+    """What a function gives; by its name, where it cannot be written out and has one to be read."""
+    if graph.named is None:
+        return _run(graph, function, args)
+    count = len(graph.systems or [])
+    try:
+        return _run(graph, function, args)
+    except Untranslatable:
+        result = graph.named(name, args)
+        if result is None:
+            raise
+        if graph.systems is not None:
+            del graph.systems[count:]
+        return [result]
 
 
 def _scan(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
@@ -172,7 +191,28 @@ def _platform(graph: Graph, params: dict) -> list[np.ndarray]:
 
 def _linear_solve(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
     """A x = b by the function that solves it; those for other derivatives are not needed."""
-    return _run(graph, *solving_part(params, args))
+    if graph.systems is None:
+        return _run(graph, *solving_part(params, args))
+    product, factors, right = product_part(params, args)
+    if all(node.op == "constant" for array in factors for node in array.flat):
+        return _run(graph, *solving_part(params, args))
+    count = sum(array.size for array in right)
+    matrix = np.empty((count, count), object)
+    for k, unit in enumerate(np.eye(count)):  # A column by column: its product with each unit
+        parts = _shaped(constant_nodes(graph, unit), right)
+        columns = _run(graph, product, [*factors, *parts])
+        matrix[:, k] = [node for column in columns for node in column.flat]
+    sides = [node for array in right for node in array.flat]
+    flat = np.empty(count, object)
+    flat[:] = graph.keep(matrix, sides).unknown
+    return _shaped(flat, right)
+
+
+def _shaped(flat: np.ndarray, like: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Components one after the other as arrays of the shapes of others."""
+    ends = np.cumsum([array.size for array in like])[:-1]
+    parts = np.split(flat, ends)
+    return [part.reshape(array.shape) for part, array in zip(parts, like, strict=True)]
 
 
 def _jvp(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:

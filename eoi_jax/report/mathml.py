@@ -12,7 +12,7 @@ _WITH_SIGNS = re.compile(r"\\text\{[^}]*\\")
 _PRIMES = {"\u02d9": "′", "\u00a8": "″"}
 _ELEMENTS = frozenset(
     ("mrow", "mi", "mn", "mo", "mtext", "mspace", "mfrac", "msqrt", "msub", "msup", "msubsup",
-     "mover", "munder", "mstyle", "mpadded")
+     "mover", "munder", "mstyle", "mpadded", "mtable", "mtr", "mtd")
 )  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from eoi_jax._types import Input, Scalar, Theta
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Symbol
-from eoi_jax.models.equations.from_plant import SymbolicPlant, shared_formulas
-from eoi_jax.models.export.program import Program, Variable, unused_names
+from eoi_jax.models.equations.from_plant import SymbolicPlant, shared_formulas, unused_names
+from eoi_jax.models.export.program import Program, Variable
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import advanced, frictional, output_of
 

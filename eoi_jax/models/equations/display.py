@@ -1,11 +1,13 @@
 """A model's equations as text and LaTeX: the declared part, and what was added to it.
 
-The declared part is traced (a model of text is its own formula), and so are effects. What has no
-formula, because it looks into a table or runs until something happens, is shown as f(…) with the
-names of what it may depend on.
+The declared part is traced (a model of text is its own formula), and so are effects. What a model
+solves for its accelerations is shown as the matrix equation that it is; lines with ``where`` say
+what its entries are, and what a long formula repeats. What has no formula, because it looks into a
+table or runs until something happens, is shown as f(…) with the names of what it may depend on.
 """
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,7 +30,8 @@ from eoi_jax.models.equations.printer import (
     written,
     written_term,
 )
-from eoi_jax.models.equations.system import TextDynamics, TextInternal
+from eoi_jax.models.equations.right_sides import MatrixEquation, RightSides, right_sides
+from eoi_jax.models.equations.system import Equations, TextDynamics
 from eoi_jax.models.parameters import parameter_type
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.velocities import velocity_rows
@@ -59,9 +62,10 @@ def equation_text(plant: Plant, added: Sequence[Any] = (), *, numeric: bool = Fa
 
     Returns:
         ``angle'' = -a·sin(angle) - b·angle' + d·voltage - coulomb_friction·sign(angle')``; states
-        of the model's own and of effects, and effects of an input, are lines under it.
+        of the model's own and of effects, and effects of an input, are lines under it. Coupled
+        inertia is ``M·[q1''; q2''] = F``, with lines ``where M11 = …``.
     """
-    lines, changes = _lines(plant, added, numeric, TEXT, "→")
+    lines, changes = _lines(plant, added, numeric, _IN_TEXT)
     equations = [" ".join([f"{lhs} = {rhs}".rstrip(), *terms]) for lhs, rhs, terms in lines]
     return "\n".join([*equations, *(f"with {change}" for change in changes)])
 
@@ -83,18 +87,42 @@ def equation_lines(
         Left side, declared right side ("" where there is nothing but what was added) and the terms
         that were added, of each equation; then what happens to inputs.
     """
-    return _lines(plant, added, numeric, LATEX, r"\to")
+    return _lines(plant, added, numeric, _IN_LATEX)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How lines are written.
+
+    Attributes:
+        notation: of formulas.
+        arrow: between an input and what the model gets instead.
+        explains: before a name that a line explains.
+        coupled: lines of a matrix equation: left side and right side.
+    """
+
+    notation: Notation
+    arrow: str
+    explains: str
+    coupled: Callable[[MatrixEquation, Collection[str]], list[tuple[str, str]]]
 
 
 def _lines(
-    plant: Plant, added: Sequence[Any], numeric: bool, notation: Notation, arrow: str
+    plant: Plant, added: Sequence[Any], numeric: bool, form: _Form
 ) -> tuple[list[tuple[str, str, list[str]]], list[str]]:
     values: dict[str, float] = plant.parameters if numeric else {}
     for item in added:
         values = {**values, **item.parameters} if numeric else values
-    equations, changes = equations_of(plant, added)
-    lines = []
-    for equation in equations:
+    notation = form.notation
+    system = equations_of(plant, added)
+    lines, entries = [], []
+    reserved = {*plant.names, *plant.inputs, *plant.outputs, *internal_names(plant)}
+    for coupled in system.coupled:
+        first, *named = form.coupled(_with_values(coupled, values), reserved)
+        reserved |= {name for names, _ in named for name in names.split(" = ")}
+        lines.append((*first, []))
+        entries += [(f"{form.explains}{name}", rhs, []) for name, rhs in named]
+    for equation in system.equations:
         terms = [valued(term, values) for term in equation.added]
         rhs, write_first = "", written
         if equation.declared is not None and not (terms and equation.declared == Number(0.0)):
@@ -102,40 +130,103 @@ def _lines(
         term_texts = [write_first(term, notation) for term in terms[:1]]
         term_texts += [written_term(term, notation) for term in terms[1:]]
         lines.append((written(equation.lhs, notation), rhs, term_texts))
-    return lines, [
-        f"{written(drive, notation)} {arrow} {written(valued(changed, values), notation)}"
-        for drive, changed in changes
+    for symbol, tree in system.definitions:
+        name = f"{form.explains}{written(symbol, notation)}"
+        entries.append((name, written(valued(tree, values), notation), []))
+    return [*lines, *entries], [
+        f"{written(drive, notation)} {form.arrow} {written(valued(changed, values), notation)}"
+        for drive, changed in system.changes
     ]
+
+
+def _with_values(equation: MatrixEquation, values: dict[str, float]) -> MatrixEquation:
+    matrix = tuple(tuple(valued(tree, values) for tree in row) for row in equation.matrix)
+    right = tuple(valued(tree, values) for tree in equation.right)
+    return MatrixEquation(matrix, equation.unknown, right)
+
+
+def _coupled_text(equation: MatrixEquation, reserved: Collection[str]) -> list[tuple[str, str]]:
+    """``M·[x; y] = F``, and an entry a line, equal ones together."""
+    matrix, right = _letter("MAHDEG", reserved), _letter("FbhrpQ", reserved)
+    unknown = "; ".join(written(symbol, TEXT) for symbol in equation.unknown)
+    size = len(equation.unknown)
+    named = [
+        (f"{matrix}{i + 1}{j + 1}", equation.matrix[i][j]) for i in range(size) for j in range(size)
+    ]
+    alike: dict[str, list[str]] = {}
+    for name, tree in named:
+        alike.setdefault(written(tree, TEXT), []).append(name)
+    lines = [(f"{matrix}·[{unknown}]", right)]
+    lines += [(" = ".join(names), entry) for entry, names in alike.items()]
+    return lines + [
+        (f"{right}{i + 1}", written(tree, TEXT)) for i, tree in enumerate(equation.right)
+    ]
+
+
+def _letter(letters: str, reserved: Collection[str]) -> str:
+    """One that names nothing else, alone or with indices."""
+    first_parts = {re.sub(r"_?\d+$", "", name) for name in reserved}
+    return next((letter for letter in letters if letter not in first_parts), f"{letters[0]}_")
+
+
+def _coupled_latex(equation: MatrixEquation, reserved: Collection[str]) -> list[tuple[str, str]]:
+    """One line, with matrices."""
+    del reserved
+    columns = ([(entry,) for entry in side] for side in (equation.unknown, equation.right))
+    unknown, right = map(_matrix_latex, columns)
+    return [(f"{_matrix_latex(equation.matrix)} {unknown}", right)]
+
+
+def _matrix_latex(rows: Iterable[Sequence[Expression]]) -> str:
+    lines = (" & ".join(written(entry, LATEX) for entry in row) for row in rows)
+    body = r" \\ ".join(lines)
+    return rf"\begin{{pmatrix}} {body} \end{{pmatrix}}"
+
+
+_IN_TEXT = _Form(TEXT, "→", "where ", _coupled_text)
+_IN_LATEX = _Form(LATEX, r"\to", r"\text{where } ", _coupled_latex)
 
 
 # -- the equations ----------------------------------------------------------------------------
 
 
-def equations_of(
-    plant: Plant, added: Sequence[Any] = ()
-) -> tuple[list[Equation], list[tuple[Symbol, Expression]]]:
+@dataclass(frozen=True)
+class _System:
+    """All equations.
+
+    Attributes:
+        equations: of outputs, of internal states, of states of effects.
+        coupled: matrix equations, for outputs that have none of their own, or for names.
+        definitions: named parts of all these.
+        changes: inputs with what the model gets instead.
+    """
+
+    equations: list[Equation]
+    coupled: Sequence[MatrixEquation]
+    definitions: Sequence[tuple[Symbol, Expression]]
+    changes: list[tuple[Symbol, Expression]]
+
+
+def equations_of(plant: Plant, added: Sequence[Any] = ()) -> _System:
     """The equations of a plant and of what was added to it, as formulas.
 
     Args:
         plant: as declared.
         added: as in `equation_text`.
-
-    Returns:
-        Equations of the outputs, of internal states, of states of effects; then inputs with what
-        the model gets instead.
     """
     states = internal_names(plant)
-    f = _right_sides(plant, plant.dynamics, plant.derivative, "f", len(plant.outputs))
-    g = _right_sides(plant, plant.internal, plant.internal_rate, "g", len(states))
-    outer = zip(plant.outputs, plant.degrees, f, strict=True)
+    placements = [_placed(plant, item) for item in added]
+    extended = {p.output for p in placements if not p.on_input and p.through is None}
+    sides = _right_sides(plant, extended)
+    outer = zip(plant.outputs, plant.degrees, sides.f, strict=True)
     equations = [Equation(Symbol(name, degree), rhs) for name, degree, rhs in outer]
-    equations += [Equation(Symbol(name, 1), rhs) for name, rhs in zip(states, g, strict=True)]
+    inner = zip(states, sides.g, strict=True)
+    equations += [Equation(Symbol(name, 1), rhs) for name, rhs in inner]
     changes: list[tuple[Symbol, Expression]] = []
     count = len(states)
-    for item in added:
-        formulas = _EffectFormulas(plant, _placed(plant, item), count)
-        count += item.effect.states
-        placed = formulas.placed
+    for placed in placements:
+        formulas = _EffectFormulas(plant, placed, count)
+        count += placed.effect.states
         if placed.on_input:
             drive = Symbol(plant.inputs[placed.channel])
             changes.append((drive, formulas.changed(drive)))
@@ -148,23 +239,31 @@ def equations_of(
             equations[len(plant.outputs) + placed.channel].added.append(formulas.change())
         rates = zip(formulas.states, formulas.rates(), strict=True)
         equations += [Equation(Symbol(name, 1), None, [rate]) for name, rate in rates]
-    return equations, changes
+    shown = [equation for equation in equations if equation.declared is not None or equation.added]
+    return _System(shown, sides.coupled, sides.definitions, changes)
 
 
-def _right_sides(
-    plant: Plant, model: Any, function: Callable[..., Any], letter: str, count: int
-) -> Sequence[Expression]:
-    """What f or g of a plant returns; a model of text is its own formula."""
-    trees: Sequence[Expression | None] | None
-    if isinstance(model, TextDynamics | TextInternal):
-        text = model.equations
-        written_trees = text.highest if isinstance(model, TextDynamics) else text.internal
-        trees = [text.written_out(tree) for tree in written_trees]
-    else:
-        trees = SymbolicPlant(plant).formulas(function) if count else []
-    if trees is not None and None not in trees:
-        return trees  # type: ignore[return-value]
-    return [_unknown(plant, letter if count == 1 else f"{letter}{j + 1}") for j in range(count)]
+def _right_sides(plant: Plant, extended: Collection[int]) -> RightSides:
+    """What f and g of a plant return; a model of text is its own formula."""
+    if isinstance(plant.dynamics, TextDynamics):
+        return _of_text(plant.dynamics.equations)
+    sides = right_sides(plant, extended)
+    if sides is not None:
+        return sides
+    ny, nz = len(plant.outputs), len(internal_names(plant))
+    f = (_unknown(plant, "f" if ny == 1 else f"f{j + 1}") for j in range(ny))
+    g = (_unknown(plant, "g" if nz == 1 else f"g{j + 1}") for j in range(nz))
+    return RightSides(tuple(f), tuple(g))
+
+
+def _of_text(text: Equations) -> RightSides:
+    """With definitions put in; where that would be too long to read, with the definitions."""
+    f, g = ([text.written_out(tree) for tree in trees] for trees in (text.highest, text.internal))
+    if None not in (*f, *g):
+        return RightSides(tuple(f), tuple(g))  # type: ignore[arg-type]
+    definitions = ((Symbol(name), tree) for name, tree in text.defined.items())
+    used = tuple(pair for pair in definitions if not isinstance(pair[1], Number))
+    return RightSides(text.highest, text.internal, (), used)
 
 
 def _unknown(plant: Plant, name: str) -> Expression:

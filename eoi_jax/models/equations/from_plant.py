@@ -5,7 +5,8 @@ which they were written; operations become trees, and what stands for one thing 
 power, a guarded root, a clip.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,14 @@ from eoi_jax._checks import check
 from eoi_jax.compiler.graph import Graph, Node, Untranslatable, is_value, topological_order
 from eoi_jax.compiler.trace import translate
 from eoi_jax.models.effects.effect import internal_names
-from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
+from eoi_jax.models.equations.expression import (
+    Call,
+    Expression,
+    Number,
+    Operation,
+    Symbol,
+    parts_of,
+)
 from eoi_jax.models.plant import Plant, State
 
 
@@ -29,6 +37,9 @@ class FormulaSettings:
     stored_size: int = 60  # parts in a file, for the same reason; two of them make a formula
     shown_depth: int = 100  # levels of one that is shown
     shown_size: int = 400  # parts of one that is shown
+    whole_size: int = 60  # parts up to which it is shown without names for what it repeats
+    repeated_size: int = 5  # parts from which on what it repeats has a name then
+    most_parts: int = 1500  # of all that is shown of a model
 
 
 _SETTINGS = FormulaSettings()
@@ -136,6 +147,72 @@ def shared_formulas(
     return forms.trees(names, flags), forms.definitions
 
 
+def readable_formulas(
+    nodes: Sequence[Node], names: Iterator[str]
+) -> tuple[list[Expression], list[tuple[Symbol, Expression]]] | None:
+    """Formulas to be read: whole if they are short, else what they repeat has a name.
+
+    Args:
+        nodes: what is wanted.
+        names: for what is repeated.
+
+    Returns:
+        As of `shared_formulas`; None where a name or a constant is none of a formula, or parts are
+        too many to be read.
+    """
+    for node in topological_order(nodes):
+        if node.op == "constant" and not np.isfinite(node.value):
+            return None
+        if node.op == "input" and not isinstance(node.value, Symbol | Call):
+            return None
+    forms = _Forms(nodes)
+    trees = forms.trees()
+    if all(forms.size[node.order] <= _SETTINGS.whole_size for node in nodes):
+        return trees, []
+    forms = _Forms(nodes)
+    size, depth, repeated = _SETTINGS.shown_size, _SETTINGS.shown_depth, _SETTINGS.repeated_size
+    trees = forms.trees(names, limits=(size, depth, repeated))
+    parts = sum(map(_count, (*trees, *(tree for _, tree in forms.definitions))))
+    return (trees, forms.definitions) if parts <= _SETTINGS.most_parts else None
+
+
+def _count(tree: Expression) -> int:
+    """Parts of a tree."""
+    return 1 + sum(map(_count, parts_of(tree)))
+
+
+def named_function(graph: Graph, name: str, args: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Nodes for a table, as a function of where it is looked up; None for any other function.
+
+    Args:
+        graph: owner of the nodes.
+        name: of the function in JAX.
+        args: its arguments.
+    """
+    if name.strip("_") != "interp":
+        return None
+    places, *tables = args
+    values = [node for table in tables for node in table.flat if node.op != "constant"]
+    result = np.empty(places.shape, object)
+    for at in np.ndindex(places.shape):
+        nodes = [places[at], *values]
+        inputs = (node for node in topological_order(nodes) if node.op == "input")
+        if not all(isinstance(node.value, Symbol | Call) for node in inputs):
+            return None
+        result[at] = graph.input(Call("interp", tuple(_Forms(nodes).trees())))
+    return result
+
+
+def unused_names(reserved: Collection[str]) -> Iterator[str]:
+    """Names w1, w2, … for parts of formulas.
+
+    Args:
+        reserved: names that mean something else.
+    """
+    reserved = set(reserved)
+    return (name for i in itertools.count(1) if (name := f"w{i}") not in reserved)
+
+
 def plain_formulas(nodes: Sequence[Node]) -> list[Expression]:
     """Formulas of nodes, nothing shared.
 
@@ -182,7 +259,7 @@ class _Forms:
         self.depth: dict[int, int] = {}
         self.definitions: list[tuple[Symbol, Expression]] = []
         for node in topological_order(roots):
-            is_signal = node.op == "input" and not node.value.parameter
+            is_signal = node.op == "input" and not getattr(node.value, "parameter", False)
             self.varies[node.order] = is_signal or any(self.varies[arg.order] for arg in node.args)
 
     def is_long(self, node: Node) -> bool:
@@ -190,8 +267,17 @@ class _Forms:
         size, depth = self.size[node.order], self.depth[node.order]
         return size > _SETTINGS.shown_size or depth > _SETTINGS.shown_depth
 
-    def trees(self, names: Iterator[str] | None = None, flags: bool = False) -> list[Expression]:
-        """Trees of the roots; with names for what they share, flags only if wanted."""
+    def trees(
+        self,
+        names: Iterator[str] | None = None,
+        flags: bool = False,
+        limits: tuple[int, int, int] = (_SETTINGS.stored_size, _SETTINGS.stored_depth, 2),
+    ) -> list[Expression]:
+        """Trees of the roots; with names for what they share, flags only if wanted.
+
+        Parts beyond the first two limits (size, depth) have a name too, shared ones below the third
+        have none.
+        """
         uses = self._uses()
         trees: dict[int, Expression] = {}
         for node in topological_order(self.roots):
@@ -203,7 +289,8 @@ class _Forms:
             simple = not args or (kind in _SHORT and not self._form(args[0])[1])
             shared = uses[node.order] > 1 and not simple
             size = 1 + sum(self.size[arg.order] for arg in args)
-            deep = depth > _SETTINGS.stored_depth or size > _SETTINGS.stored_size
+            deep = size > limits[0] or depth > limits[1]
+            shared &= size >= limits[2]
             if names is not None and (shared or deep) and (flags or not node.is_bool):
                 self.definitions.append((Symbol(next(names)), tree))
                 tree, depth, size = self.definitions[-1][0], 1, 1

@@ -142,4 +142,4 @@ def _unread(listing: Listing, result: str) -> Sequence[str]:
         for vector, variables in vectors.items()
         if vector != result and not any(variable.symbol in used for variable in variables)
     ]
-    return [*names, *(listing.names[one] for one in model.arguments if one not in used)]
+    return [*names, *(listing.names[symbol] for symbol in model.arguments if symbol not in used)]

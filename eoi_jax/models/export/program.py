@@ -4,8 +4,7 @@ f and g are traced whatever they are written in and whatever effects were added;
 gets a name.
 """
 
-import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -16,7 +15,12 @@ from eoi_jax.models.augmented import actuators
 from eoi_jax.models.effects import ActuatorLag
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Expression, Symbol
-from eoi_jax.models.equations.from_plant import SymbolicPlant, plain_formulas, shared_formulas
+from eoi_jax.models.equations.from_plant import (
+    SymbolicPlant,
+    plain_formulas,
+    shared_formulas,
+    unused_names,
+)
 from eoi_jax.models.equations.system import TextDynamics
 from eoi_jax.models.input_strength import input_strengths
 from eoi_jax.models.plant import Plant
@@ -174,16 +178,6 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(output_trees),
         tuple(output_definitions),
     )  # fmt: skip
-
-
-def unused_names(reserved: Collection[str]) -> Iterator[str]:
-    """Names w1, w2, … for parts of formulas.
-
-    Args:
-        reserved: names that mean something else.
-    """
-    taken = set(reserved)
-    return (name for i in itertools.count(1) if (name := f"w{i}") not in taken)
 
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:

@@ -268,7 +268,7 @@ def test_an_effect_that_cannot_be_traced_is_named_with_its_parameters():
     assert equation_text(rig(), [item]) == "y'' = tabulated(a)"
 
 
-def test_a_formula_that_is_too_long_to_read_is_named_by_what_it_depends_on():
+def test_a_formula_that_is_too_long_to_read_has_names_for_what_it_repeats():
     def doubled(t, x, u, p):
         value = x.y[0] * p.a
         for _ in range(12):
@@ -276,8 +276,23 @@ def test_a_formula_that_is_too_long_to_read_is_named_by_what_it_depends_on():
         return value
 
     plant = eoi.Plant(doubled, {"a": 1.0})
-    assert equation_text(plant) == "y' = f(y, u, a)"
-    assert equation_text(plant, numeric=True) == "y' = f(y, u, a)"
+    first, *parts = equation_text(plant).splitlines()
+    assert first == "y' = sin(w6)·w6"
+    assert parts[:2] == ["where w1 = sin(y·a)·y·a", "where w2 = sin(sin(w1)·w1)·sin(w1)·w1"]
+    assert len(parts) == 6
+    assert "where w1 = sin(y·1)·y·1" in equation_text(plant, numeric=True)
+
+
+def test_a_formula_of_too_many_parts_is_named_by_what_it_depends_on():
+    weights = np.random.default_rng(0).normal(size=(24, 24, 2))
+
+    def network(t, x, u, p):
+        first = jnp.tanh(weights[:, 0, 0] * x.y[0])
+        second = jnp.tanh(weights[:, :, 0] @ first)
+        third = jnp.tanh(weights[:, :, 1] @ second)
+        return p.a * jnp.sum(jnp.tanh(weights[:, :, 0].T @ third) * jnp.tanh(second * third))
+
+    assert equation_text(eoi.Plant(network, {"a": 1.0})) == "y' = f(y, u, a)"
 
 
 def test_a_plant_with_effects_is_printed_whole():
