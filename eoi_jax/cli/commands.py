@@ -329,7 +329,9 @@ def export(
     run: Run,
     language: Annotated[
         str | None,
-        typer.Option(help="python, c, matlab, latex or json; default: by suffix of the file."),
+        typer.Option(
+            help="python, c, matlab, idnlgrey, latex or json; default: by suffix of the file."
+        ),
     ] = None,
     output: Annotated[
         Path | None,

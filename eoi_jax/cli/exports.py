@@ -9,12 +9,12 @@ from eoi_jax._checks import check, check_choice
 from eoi_jax.cli import run_folder
 from eoi_jax.cli.terminal import Outcome
 from eoi_jax.compiler import jax_setup
-from eoi_jax.models.export.export import LANGUAGES, SUFFIXES
-from eoi_jax.models.export.export import export as export_model
 from eoi_jax.report.parameter_export import export_parameters
 from eoi_jax.report.parameters import LEVEL
 from eoi_jax.report.provenance import json_values
 from eoi_jax.report.robot_export import export_robot
+from eoi_jax.simulation.export import LANGUAGES, suffix_of
+from eoi_jax.simulation.export import export as export_model
 from eoi_jax.uncertainty.uncertainty import Uncertainty
 
 # A comma in front of the next attribute; others stand between the arguments of a function.
@@ -41,8 +41,7 @@ def export(run: Path, language: str | None, target: Path | None, trust: bool = F
         rule, advice = "must be given without --output", f"Choose from {', '.join(LANGUAGES)}."
         check(language is not None, "--language", rule, "nothing", advice)
         check_choice("--language", str(language), LANGUAGES)
-        suffix = next(key for key, value in SUFFIXES.items() if value == language)
-        target = (run if run.is_dir() else run.parent) / f"model{suffix}"
+        target = (run if run.is_dir() else run.parent) / f"model{suffix_of(str(language))}"
     path = export_model(run_folder.plant_of_run(run, trust), target, language)
     return Outcome({"model": str(path)}, str(path), path)
 

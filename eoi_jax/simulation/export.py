@@ -9,6 +9,7 @@ from eoi_jax._checks import check, check_choice
 from eoi_jax.models.equations.text_model import model_json
 from eoi_jax.models.export.c import c_text
 from eoi_jax.models.export.files import write_content
+from eoi_jax.models.export.idnlgrey import idnlgrey_function, idnlgrey_script
 from eoi_jax.models.export.matlab import matlab_text
 from eoi_jax.models.export.names import identifier
 from eoi_jax.models.export.numpy_python import python_text
@@ -23,7 +24,7 @@ _FUNCTIONS: dict[str, Callable[[Program, str, str], str]] = {
     "matlab": matlab_text,
 }
 SUFFIXES = {".py": "python", ".c": "c", ".m": "matlab", ".tex": "latex", ".json": "json"}
-LANGUAGES = tuple(SUFFIXES.values())
+LANGUAGES = (*SUFFIXES.values(), "idnlgrey")
 
 
 def export(model: Any, path: str | Path, language: str | None = None) -> Path:
@@ -46,13 +47,17 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
     Parameters are named constants. LaTeX gets the equations and a table of the parameters, JSON the
     model as text, which `load` reads back to a plant that simulates equally.
 
+    ``"idnlgrey"`` is for MATLAB's System Identification Toolbox: a function ``[dx, y] = name(t, x,
+    u, p1, p2, …, varargin)``, and beside it the script ``name_idnlgrey.m``, which builds the object
+    with parameters, bounds, units and initial states.
+
     The formulas are those that JAX traces, so any model of arithmetic on states, inputs and
     parameters can be exported; values agree to rounding where they are real and finite.
 
     Args:
         model: a `Plant`, or any result with a `plant` (`Identification`, `Discovery`, …).
         path: of the file; the suffix says the language where `language` is None.
-        language: ``"python"``, ``"c"``, ``"matlab"``, ``"latex"`` or ``"json"``.
+        language: ``"python"``, ``"c"``, ``"matlab"``, ``"latex"``, ``"json"`` or ``"idnlgrey"``.
 
     Returns:
         The path.
@@ -71,13 +76,23 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
         check(path.suffix in SUFFIXES, "path", rule, path, advice)
         language = SUFFIXES[path.suffix]
     check_choice("language", language, LANGUAGES)
-    text = model_text(plant, language, path.stem)  # type: ignore[arg-type]
-
-    write_content(path, text.encode())
+    texts = model_texts(plant, language, path.stem)  # type: ignore[arg-type]
+    for name, text in texts.items():
+        write_content(path.with_stem(name), text.encode())
     return path
 
 
-def model_text(plant: Plant, language: str, name: str) -> str:
+
+def suffix_of(language: str) -> str:
+    """That of a file in a language.
+
+    Args:
+        language: one of `LANGUAGES`.
+    """
+    return next((key for key, value in SUFFIXES.items() if value == language), ".m")
+
+
+def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
     """What `export` writes.
 
     Args:
@@ -86,20 +101,24 @@ def model_text(plant: Plant, language: str, name: str) -> str:
         name: of the function.
 
     Returns:
-        The text of the file.
+        The text of each file, by its name without suffix.
     """
     version = version_of("eoi_jax")
     if language == "json":
-        return model_json(table_of(plant), version)
+        return {name: model_json(table_of(plant), version)}
     if language == "latex":
-        return latex_text(program(plant), version)
+        return {name: latex_text(program(plant), version)}
     fitting = identifier(name)
     rule = "must be named as a function can be"
     check(name == fitting, "path", rule, name, f"For example {fitting}.")
     model = program(plant)
+    if language == "idnlgrey":
+        script = idnlgrey_script(plant, model, name, version)
+        function = idnlgrey_function(plant, model, name, version)
+        return {f"{name}_idnlgrey": script, name: function}
     if language == "c":
-        return _c_text(plant, model, name, version)
-    return _FUNCTIONS[language](model, name, version)
+        return {name: _c_text(plant, model, name, version)}
+    return {name: _FUNCTIONS[language](model, name, version)}
 
 
 def _c_text(plant: Plant, model: Program, name: str, version: str) -> str:

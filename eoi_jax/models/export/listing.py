@@ -1,6 +1,6 @@
 """What the program languages share: names, expressions, comments, and what of a model they use."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,9 +57,23 @@ class Listing:
         """An expression."""
         return written(tree, replace(self.notation, symbol=self.names.__getitem__))
 
-    def top(self, mark: str, indices: tuple[str, str, str], version: str) -> list[str]:
-        """What the file is, as comments: brackets of an index, and the first one."""
-        text = header(self.model, self.names, indices, version)
+    def reading(self, trees: Sequence[Expression]) -> "Listing":
+        """The same, of a model that has these formulas too.
+
+        Args:
+            trees: of its variables.
+        """
+        return replace(self, model=replace(self.model, rates=(*self.model.rates, *trees)))
+
+    def top(
+        self,
+        mark: str,
+        indices: tuple[str, str, str],
+        version: str,
+        vectors: tuple[str, str, str] = ("states", "inputs", "outputs"),
+    ) -> list[str]:
+        """What the file is, as comments: brackets of an index, and the first one; vectors."""
+        text = header(self.model, self.names, indices, version, vectors)
         return [f"{mark} {line}".rstrip() for line in text.splitlines()]
 
     def parameters(self) -> list[str]:

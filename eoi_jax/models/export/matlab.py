@@ -52,22 +52,45 @@ def matlab_text(model: Program, name: str, version: str) -> str:
         name: of the function, an identifier; MATLAB finds it by the name of the file.
         version: of this package.
     """
-    listing = Listing(model.of_both, _MATLAB, "{} = {};", "  % {}")
+    listing = listing_of(model.of_both)
     body = [
         *listing.top("%", ("(", ")", "1"), version),
         *listing.parameters(),
         *listing.elements(lambda vector, k: f"{vector}({k + 1})"),
         *listing.definitions(),
-        *_filled(listing, "rates", model.rates),
-        *(_filled(listing, "outputs", model.output_formulas) if model.outputs else []),
+        *filled(listing, "rates", model.rates),
+        *(filled(listing, "outputs", model.output_formulas) if model.outputs else []),
     ]
-    helpers = "".join(text for key, text in _HELPERS.items() if key in listing.called)
     results = "[rates, outputs]" if model.outputs else "rates"
     lines = "\n".join([f"function {results} = {name}(t, states, inputs)", *body, "end"])
-    return f"{lines}\n{helpers}"
+    return f"{lines}\n{helpers(listing)}"
 
 
-def _filled(listing: Listing, vector: str, trees: Sequence[Expression]) -> list[str]:
-    """A column and its elements."""
+def listing_of(model: Program) -> Listing:
+    """A model in MATLAB's language.
+
+    Args:
+        model: what is written.
+    """
+    return Listing(model, _MATLAB, "{} = {};", "  % {}")
+
+
+def helpers(listing: Listing) -> str:
+    """Functions at the end of a file that its formulas call.
+
+    Args:
+        listing: of these formulas.
+    """
+    return "".join(text for key, text in _HELPERS.items() if key in listing.called)
+
+
+def filled(listing: Listing, vector: str, trees: Sequence[Expression]) -> list[str]:
+    """Lines of a column and its elements.
+
+    Args:
+        listing: of the model.
+        vector: name of the column.
+        trees: its elements.
+    """
     elements = (f"{vector}({k}) = {listing.code(tree)};" for k, tree in enumerate(trees, 1))
     return [f"{vector} = zeros({len(trees)}, 1);", *elements]

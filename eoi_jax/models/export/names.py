@@ -79,7 +79,8 @@ def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
     ]
     names = {symbol: symbol.name for symbol in model.arguments}
     for symbol, name in named:
-        names[symbol] = identifier(name, names.values(), words)
+        if symbol not in names:
+            names[symbol] = identifier(name, names.values(), words)
     return names
 
 
@@ -95,7 +96,13 @@ def comment(text: str, length: int = 100) -> str:
     return line if len(line) <= length else line[: length - 1] + "…"
 
 
-def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], version: str) -> str:
+def header(
+    model: Program,
+    names: Mapping[Symbol, str],
+    index: Sequence[str],
+    version: str,
+    vectors: Sequence[str] = ("states", "inputs", "outputs"),
+) -> str:
     """What a file says first, a line each, without the signs of a comment.
 
     Args:
@@ -104,8 +111,10 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
         index: how the first state and input are written, before and after the number, and
             that number: ``("[", "]", "0")``.
         version: of this package.
+        vectors: names of those that hold states, inputs and outputs.
     """
     prefix, after, first = index
+    x, u, y = vectors
 
     def element(vector: str, k: int, variable: Variable, note: str) -> str:
         name = f"{names[variable.symbol]}{_unit(variable.unit)}"
@@ -121,16 +130,16 @@ def header(model: Program, names: Mapping[Symbol, str], index: Sequence[str], ve
     ]
     for k, variable in enumerate(model.states, int(first)):
         note = comment("; ".join(filter(None, (variable.note, _start(model, variable.symbol)))))
-        lines.append(element("states", k, variable, note))
+        lines.append(element(x, k, variable, note))
     lines.append("Inputs:" if model.inputs else "Inputs: none")
     for k, variable in enumerate(model.inputs, int(first)):
         late = " + ".join(model.delays.get(variable.name, ()))
         note = f"its value {comment(late)} seconds ago" if late else ""
-        lines.append(element("inputs", k, variable, note))
+        lines.append(element(u, k, variable, note))
     if model.outputs:
         lines.append("Outputs that are functions of these, at t with the inputs from t on:")
     for k, variable in enumerate(model.outputs, int(first)):
-        lines.append(element("outputs", k, variable, ""))
+        lines.append(element(y, k, variable, ""))
     for variable, value in model.parameters:
         if any(variable.name in late for late in model.delays.values()):
             lines.append(f"  {names[variable.symbol]} = {value!r}{_unit(variable.unit)}: a delay")
