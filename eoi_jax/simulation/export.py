@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from eoi_jax._checks import check, check_choice
+from eoi_jax.models.equations.display import equation_lines
+from eoi_jax.models.equations.right_sides import right_sides
 from eoi_jax.models.equations.text_model import model_json
 from eoi_jax.models.export.c import c_text
 from eoi_jax.models.export.files import write_content
@@ -107,7 +109,7 @@ def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
     if language == "json":
         return {name: model_json(table_of(plant), version)}
     if language == "latex":
-        return {name: latex_text(program(plant), version)}
+        return {name: _latex_text(plant, version)}
     fitting = identifier(name)
     rule = "must be named as a function can be"
     check(name == fitting, "path", rule, name, f"For example {fitting}.")
@@ -119,6 +121,16 @@ def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
     if language == "c":
         return {name: _c_text(plant, model, name, version)}
     return {name: _FUNCTIONS[language](model, name, version)}
+
+
+def _latex_text(plant: Plant, version: str) -> str:
+    """With matrix equations, where the model solves such; a lag would be none of their names."""
+    model = program(plant)
+    sides = None if model.lags else right_sides(plant)
+    if sides is None or not sides.coupled:
+        return latex_text(model, version)
+    lines, _ = equation_lines(plant)
+    return latex_text(model, version, [(lhs, rhs) for lhs, rhs, _ in lines])
 
 
 def _c_text(plant: Plant, model: Program, name: str, version: str) -> str:

@@ -85,6 +85,12 @@ def test_the_estimate_of_a_run_is_exported(run, tmp_path):
     assert found["a"] != 76.0
 
 
+def test_a_language_of_two_files_is_chosen_by_its_name(run, tmp_path):
+    done = called("export", run, "--language", "idnlgrey", "--output", tmp_path / "rig.m")
+    assert done.exit_code == 0, done.output
+    assert {path.name for path in tmp_path.iterdir()} == {"rig.m", "rig_idnlgrey.m"}
+
+
 OWN = """
 from pathlib import Path
 import jax.numpy as jnp

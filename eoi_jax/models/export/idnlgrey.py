@@ -90,9 +90,8 @@ def _remarks(model: Program) -> list[str]:
         lines.append(f"The input {comment(source)} acts {late!r} s late: delay it in the data.")
     for symbol, start in model.starts.items():
         if symbols_of(start):
-            lines.append(
-                f"{comment(symbol.name)} starts where parameters say: here at their values."
-            )
+            name = comment(symbol.name)
+            lines.append(f"{name} starts where parameters say: here at their values.")
     if model.rough:
         lines.append("Dry friction makes dx jump with the sign of a velocity: a solver with small")
         lines.append("steps chatters there, and does not stick.")

@@ -1,5 +1,6 @@
 """A model in LaTeX: the equations, and a table of the parameters."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from eoi_jax.models.equations.expression import Number, Symbol
@@ -8,12 +9,16 @@ from eoi_jax.models.export.names import comment, identifiers
 from eoi_jax.models.export.program import Program
 
 
-def latex_text(model: Program, version: str) -> str:
+def latex_text(
+    model: Program, version: str, equations: Sequence[tuple[str, str]] | None = None
+) -> str:
     """A piece of a document that uses ``amsmath``.
 
     Args:
         model: what to write.
         version: of this package.
+        equations: left and right sides in LaTeX, where the model's formulas are not to be read, as
+            solutions of linear systems; None: those formulas.
     """
     names = identifiers(model, as_text=True)
     # Derivatives of an output are shown by dots, not by names of their own.
@@ -25,15 +30,19 @@ def latex_text(model: Program, version: str) -> str:
 
     notation = replace(LATEX, symbol=symbol_latex)
     parameters = {variable.name: symbol_latex(variable.symbol) for variable, _ in model.parameters}
-    definitions = (*model.definitions, *model.output_definitions)
-    lines = [f"{symbol_latex(symbol)} &= {written(tree, notation)}" for symbol, tree in definitions]
-    for variable, tree in zip(model.states, model.rates, strict=True):
-        base, order = Symbol(variable.symbol.name), variable.symbol.order + 1
-        if tree != Symbol(base.name, order):  # else the next of its chain
-            lhs = LATEX.symbol(Symbol(names[base], order))
-            lines.append(f"{lhs} &= {written(tree, notation)}")
-    for variable, tree in zip(model.outputs, model.output_formulas, strict=True):
-        lines.append(f"{symbol_latex(variable.symbol)} &= {written(tree, notation)}")
+    if equations is None:
+        equations = [
+            (symbol_latex(symbol), written(tree, notation))
+            for symbol, tree in (*model.definitions, *model.output_definitions)
+        ]
+        for variable, tree in zip(model.states, model.rates, strict=True):
+            base, order = Symbol(variable.symbol.name), variable.symbol.order + 1
+            if tree != Symbol(base.name, order):  # else the next of its chain
+                lhs = LATEX.symbol(Symbol(names[base], order))
+                equations.append((lhs, written(tree, notation)))
+        for variable, tree in zip(model.outputs, model.output_formulas, strict=True):
+            equations.append((symbol_latex(variable.symbol), written(tree, notation)))
+    lines = [f"{lhs} &= {rhs}" for lhs, rhs in equations]
     for source, delays in model.delays.items():
         delayed, times = symbol_latex(Symbol(source)), " + ".join(parameters[d] for d in delays)
         lines.append(rf"&\text{{with }} {delayed} \text{{ taken at }} t - ({times})")

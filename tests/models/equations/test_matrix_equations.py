@@ -197,6 +197,13 @@ def test_a_table_is_a_function_of_where_it_is_looked_up():
     assert equation_text(plant) == "y'' = u - k·interp(y)"
 
 
+def test_an_exported_document_has_matrices(tmp_path):
+    text = eoi.export(arm(), tmp_path / "arm.tex").read_text(encoding="utf-8")
+    assert text.count(r"\begin{pmatrix}") == 3
+    assert r"\begin{cases}" not in text  # no elimination with its pivots
+    assert r"$c_{2}$ & $0.2$ &" in text
+
+
 def test_latex_and_the_page_have_matrices():
     latex = equation_latex(arm())
     assert latex.count(r"\begin{pmatrix}") == latex.count(r"\end{pmatrix}") == 3
