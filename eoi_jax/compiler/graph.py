@@ -115,6 +115,21 @@ class LinearSystem:
     right: list[Node]
 
 
+@dataclass(frozen=True)
+class Factor:
+    """L of A = L Lᵀ, an input for each component, where it is kept for linear systems.
+
+    Attributes:
+        lower: L, zero above the diagonal.
+        matrix: A, whose lower triangle counts.
+        halves: solutions y of L y = b so far, inputs, with b.
+    """
+
+    lower: np.ndarray
+    matrix: np.ndarray
+    halves: list[tuple[list[Node], list[Node]]]
+
+
 class Graph:
     """Nodes, each made once: equal operations on equal arguments are the same node.
 
@@ -126,6 +141,7 @@ class Graph:
             all their components: no formula to be read.
         systems: linear systems that were met, whose unknowns are inputs; None where they are
             solved.
+        factors: Cholesky factors that were met, likewise; None where they are written out.
         named: makes nodes for a function that cannot be written out, from its name in JAX and its
             arguments; None where there is none, or it knows none.
     """
@@ -135,6 +151,7 @@ class Graph:
         self.writes_out = True
         self.branches: list[Node] | None = None
         self.systems: list[LinearSystem] | None = None
+        self.factors: list[Factor] | None = None
         self.named: Callable[[str, Sequence[np.ndarray]], np.ndarray | None] | None = None
         self._nodes: dict[tuple, Node] = {}
         self._order = itertools.count()

@@ -14,7 +14,7 @@ import functools
 
 import numpy as np
 
-from eoi_jax.compiler.graph import Graph, Node, Untranslatable
+from eoi_jax.compiler.graph import Factor, Graph, Node, Untranslatable
 
 MOST_ROWS = 8  # the program grows with the third power
 FACTORS = "lu"  # an input in place of factors that only a kept linear system would read
@@ -86,6 +86,8 @@ def triangular_solve(graph: Graph, params: dict, matrix: np.ndarray, right: np.n
     matrix = np.swapaxes(matrix, -1, -2) if params["transpose_a"] else matrix
     if not params["left_side"]:
         matrix, right, lower = (*(np.swapaxes(x, -1, -2) for x in (matrix, right)), not lower)
+    if matrix.ndim == 2 and (kept := _kept_solution(graph, matrix, right, lower)) is not None:
+        return [kept if params["left_side"] else kept.T]
     solution = right.copy()
     turns = range(size) if lower else range(size - 1, -1, -1)
     for at in np.ndindex(solution.shape[:-2]):
@@ -116,6 +118,12 @@ def cholesky(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]
     del params
     size = _size(matrix)
     factor = np.full(matrix.shape, graph.constant(0.0), object)
+    is_constant = all(node.op == "constant" for node in matrix.flat)
+    if graph.factors is not None and matrix.ndim == 2 and not is_constant:
+        for i, j in zip(*np.tril_indices(size), strict=True):
+            factor[i, j] = graph.input(("factor", len(graph.factors), i, j))
+        graph.factors.append(Factor(factor, matrix, []))
+        return [factor]
     for at in np.ndindex(matrix.shape[:-2]):
         a, lower = matrix[at], factor[at]
         for j in range(size):
@@ -128,6 +136,31 @@ def cholesky(graph: Graph, params: dict, matrix: np.ndarray) -> list[np.ndarray]
                 else:
                     lower[i, j] = graph.make("div", remainder, lower[j, j])
     return [factor]
+
+
+def _kept_solution(
+    graph: Graph, matrix: np.ndarray, right: np.ndarray, lower: bool
+) -> np.ndarray | None:
+    """L y = b, or Lᵀ x = y, which is A x = b, of a factor that is kept; None for another matrix."""
+    for k, factor in enumerate(graph.factors or []):
+        places = np.tril_indices(len(factor.lower))
+        if not np.array_equal((matrix if lower else matrix.T)[places], factor.lower[places]):
+            continue
+        solution = np.empty(right.shape, object)
+        for column in range(right.shape[1]):
+            side = list(right[:, column])
+            if lower:
+                names = (("half", k, len(factor.halves), i) for i in range(len(side)))
+                solution[:, column] = half = [graph.input(name) for name in names]
+                factor.halves.append((half, side))
+            else:
+                known = (b for half, b in factor.halves if half == side)
+                if (b := next(known, None)) is None:
+                    return None
+                upper = np.where(np.tri(len(b), dtype=bool), factor.matrix, factor.matrix.T)
+                solution[:, column] = graph.keep(upper, b).unknown
+        return solution
+    return None
 
 
 def _size(matrix: np.ndarray) -> int:

@@ -1,6 +1,6 @@
 r"""The right sides of a plant's equations, to be read.
 
-Where a model solves a linear system for its accelerations (`jnp.linalg.solve` or `inv` of a mass
+Where a model solves a linear system for its accelerations (`solve`, `inv` or `cho_solve` of a mass
 matrix), the system is what its author wrote down, $M(q)\,\ddot q = b$, and is kept; its solution
 would be pages long. A long formula gets names for what it repeats, as in a paper.
 """
@@ -75,9 +75,16 @@ def right_sides(plant: Plant, extended: Collection[int] = ()) -> RightSides | No
     Returns:
         None where there is no formula, or none that can be read.
     """
+    kept = _right_sides(plant, extended, keeps_factors=True)
+    # A Cholesky factor may be of use itself: it is then written out.
+    return kept or _right_sides(plant, extended, keeps_factors=False)
+
+
+def _right_sides(plant: Plant, extended: Collection[int], keeps_factors: bool) -> RightSides | None:
     symbolic = SymbolicPlant(plant)
     graph = symbolic.graph
     graph.writes_out, graph.systems = False, []
+    graph.factors = [] if keeps_factors else None
     graph.named = partial(named_function, graph)
     try:
         f = symbolic.nodes(plant.derivative)

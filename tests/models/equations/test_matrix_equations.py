@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.scipy.linalg import cho_factor, cho_solve
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -43,6 +44,8 @@ SOLVED = {
     "solve": jnp.linalg.solve,
     "inv": lambda mass, force: jnp.linalg.inv(mass) @ force,
     "einsum": lambda mass, force: jnp.einsum("ij,j->i", jnp.linalg.inv(mass), force),
+    "cholesky": lambda mass, force: cho_solve(cho_factor(mass), force),
+    "cholesky_lower": lambda mass, force: cho_solve(cho_factor(mass, lower=True), force),
     "by_hand": by_hand,
     "half": lambda mass, force: 0.5 * jnp.linalg.solve(0.5 * mass, force),
 }
@@ -110,7 +113,7 @@ def test_the_formulas_that_are_shown_are_the_model(name, extended):
     np.testing.assert_allclose(g, plant.internal_rate(*arguments), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["solve", "inv", "einsum"])
+@pytest.mark.parametrize("name", ["solve", "inv", "einsum", "cholesky", "cholesky_lower"])
 def test_a_solved_system_is_shown_as_it_is_written_down(name):
     assert equation_text(arm(SOLVED[name])).splitlines() == ["M·[q1''; q2''] = F", *PARTS]
 
@@ -187,6 +190,13 @@ def test_an_inverse_by_hand_has_names_for_what_it_repeats():
     assert len(parts) >= 3
     assert all(line.startswith("where w") for line in parts)
     assert max(map(len, text.splitlines())) < 90
+
+
+def test_a_factor_that_is_no_part_of_a_solution_is_written_out():
+    text = equation_text(arm(lambda mass, force: jnp.linalg.cholesky(mass) @ force))
+    assert "M" not in text
+    assert "f1" not in text
+    assert "sqrt(" in text
 
 
 def test_a_table_is_a_function_of_where_it_is_looked_up():
