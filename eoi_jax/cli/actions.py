@@ -40,8 +40,6 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
-from eoi_jax.simulation.export import LANGUAGES, suffix_of
-from eoi_jax.simulation.export import export as export_model
 from eoi_jax.simulation.validate import Validation, validate, validated_alike
 
 _NOT_IN_LOOP = "[controller] is not in the loop: the recorded inputs drive {}"

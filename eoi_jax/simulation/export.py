@@ -84,7 +84,6 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
     return path
 
 
-
 def suffix_of(language: str) -> str:
     """That of a file in a language.
 
