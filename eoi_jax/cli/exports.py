@@ -55,8 +55,10 @@ def check_single(options: Mapping[str, object]) -> None:
     Raises:
         ValueError: several were given.
     """
-    given = [name for name, value in options.items() if value]
-    check(len(given) < 2, given[0] if given else "", "must stand alone", " and ".join(given))
+    entries = [name for name, value in options.items() if value]
+    check(
+        len(entries) < 2, entries[0] if entries else "", "must stand alone", " and ".join(entries)
+    )
 
 
 def parameters(run: Path, target: Path | None, trust: bool = False) -> Outcome:

@@ -97,13 +97,13 @@ def find_drifts(
     found = _most_likely_split(rows, used, scored, settings)
     if found is None:
         return ()
-    split, before, after = found
+    split, earlier, after = found
     noise = _residual_variance(rows, used, split, settings)
     if noise is None:
         return ()
     place, theta = records[rows.record[split]], np.asarray(plant.theta)[used]
-    values = [theta + part.estimate for part in (before, after)]
-    variances = [noise[0] * np.diagonal(part.covariance) for part in (before, after)]
+    values = [theta + part.estimate for part in (earlier, after)]
+    variances = [noise[0] * np.diagonal(part.covariance) for part in (earlier, after)]
     drifts = []
     for k, i in enumerate(used):
         total = variances[0][k] + variances[1][k]
@@ -144,13 +144,13 @@ def _most_likely_split(
     ]
     best, largest = None, 0.0
     for k, place in enumerate(places):
-        before = NormalEquations(*(total[k] for total in totals))
+        earlier = NormalEquations(*(total[k] for total in totals))
         after = NormalEquations(*(total[-1] - total[k] for total in totals))
-        if before.determined() and after.determined():
-            change = after.estimate - before.estimate
-            wald = change @ np.linalg.solve(before.covariance + after.covariance, change)
+        if earlier.determined() and after.determined():
+            change = after.estimate - earlier.estimate
+            wald = change @ np.linalg.solve(earlier.covariance + after.covariance, change)
             if wald > largest:
-                best, largest = (int(place), before, after), wald
+                best, largest = (int(place), earlier, after), wald
     return best
 
 

@@ -42,14 +42,14 @@ def _affine_parameters(structure: Any, dtype: Any) -> Bool[np.ndarray, " np"]:
 
 def _is_affine_in(plant: Plant, i: int, scalar: Any, line: list[Any]) -> bool:
     # Scalars: of an array, what reads an element reads all of them.
-    def named(value: Array, others: list[Array]) -> Any:
-        return parameter_type(plant.names)(*others[:i], value, *others[i:])
+    def named(value: Array, values: list[Array]) -> Any:
+        return parameter_type(plant.names)(*values[:i], value, *values[i:])
 
-    def f(value: Array, others: list[Array], t: Array, y: Array, z: Array, u: Array) -> Array:
-        return jnp.asarray(plant.dynamics(t, State(y, z), u, named(value, others)))
+    def f(value: Array, values: list[Array], t: Array, y: Array, z: Array, u: Array) -> Array:
+        return jnp.asarray(plant.dynamics(t, State(y, z), u, named(value, values)))
 
-    def hidden(value: Array, others: list[Array], t: Array, y: Array, z: Array, u: Array) -> Any:
-        p = named(value, others)
+    def hidden(value: Array, values: list[Array], t: Array, y: Array, z: Array, u: Array) -> Any:
+        p = named(value, values)
         rate = None if plant.internal is None else plant.internal(t, State(y, z), u, p)
         start = plant.internal_initial(p) if callable(plant.internal_initial) else None
         acted = None if plant.actuator is None else plant.actuator(t[None], u[None], p)

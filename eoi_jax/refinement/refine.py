@@ -335,9 +335,9 @@ def _with_best_hold(
 
     choice = chosen_hold(error, rule, records, better)
     if choice.best != rule:
-        again = _refined(plant, with_hold(records, choice.best), question)
-        if again.status.fits:
-            result = again
+        repeated = _refined(plant, with_hold(records, choice.best), question)
+        if repeated.status.fits:
+            result = repeated
         else:
             choice = replace(choice, best=rule)
     complete = bool(np.all(np.isfinite(list(choice.values.values()))))
@@ -358,9 +358,9 @@ def _from_the_start(plant: Plant, skewed: SkewedFit, question: _Question) -> Ref
 
     Only then it is compared with that start as well.
     """
-    again = _refined(plant, skewed.fit.records, question)
-    if again.status.fits and not clearly_smaller(skewed.error, mean_error(again), np.inf):
-        return again
+    repeated = _refined(plant, skewed.fit.records, question)
+    if repeated.status.fits and not clearly_smaller(skewed.error, mean_error(repeated), np.inf):
+        return repeated
     return _again(question, plant, skewed.fit, skewed.fit.plant, question.window or np.inf)
 
 
@@ -457,8 +457,8 @@ def _from_passes(
     if not question.from_passes:
         passes = identify(nominal, records)
         if passes.status.fits:
-            again = replace(question, from_passes=True)
-            result = _refined(passes.plant, records, again)
+            repeated = replace(question, from_passes=True)
+            result = _refined(passes.plant, records, repeated)
             if not result.status.fits:
                 return unanswered(nominal, records, None, result.status)
             return replace(result, notes=(*result.notes, _FROM_PASSES.format(mode)))

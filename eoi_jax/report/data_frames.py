@@ -103,11 +103,11 @@ def discovery_frame(result: Discovery) -> Any:
         result: of `discover`.
     """
     added = {(effect.effect.name, acts_on(effect)) for effect in result.added}
-    rows = [
-        (rank, tried.effect, acts_on(tried), (tried.effect, acts_on(tried)) in added,
-         tried.explained, tried.score, tried.remark)
-        for rank, tried in enumerate(result.ranking, 1)
-    ]  # fmt: skip
+    rows = []
+    for rank, candidate in enumerate(result.ranking, 1):
+        name, place = candidate.effect, acts_on(candidate)
+        evidence = candidate.explained, candidate.score, candidate.remark
+        rows.append((rank, name, place, (name, place) in added, *evidence))
     names = ("rank", "effect", "at", "added", "explained", "score", "remark")
     attributes = {"status": result.status.code, "explained": result.explained}
     return _frame(names, rows, attributes)
@@ -120,9 +120,9 @@ def remaining_frame(result: Remaining) -> Any:
         result: of `remaining`.
     """
     rows = [
-        (" + ".join(tried.names), tried.share, tried.significance,
-         tried.significance < result.level)
-        for tried in (*result.ranking, *result.pairs)
+        (" + ".join(candidate.names), candidate.share, candidate.significance,
+         candidate.significance < result.level)
+        for candidate in (*result.ranking, *result.pairs)
     ]  # fmt: skip
     names = ("candidate", "share", "significance", "significant")
     return _frame(names, rows, {"level": result.level})

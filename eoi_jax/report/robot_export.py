@@ -56,16 +56,16 @@ def export_robot(result: Any, robot: str | Path, path: str | Path, joints: Joint
     Source: URDF, http://wiki.ros.org/urdf/XML/joint; MJCF,
         https://mujoco.readthedocs.io/en/stable/XMLreference.html; errors by the delta method.
     """
-    known, path = estimate_of(result), Path(path)
+    estimates, path = estimate_of(result), Path(path)
     check(not path.exists(), "path", "must be a file that does not exist", path)
     rule = 'must be a dict of attributes by joint, {"shoulder": {"damping": "b"}}'
     good = isinstance(joints, Mapping) and all(isinstance(row, Mapping) for row in joints.values())
     check(good and any(joints.values()), "joints", rule, joints)
     file = read_robot(robot)
-    targets = tuple(_targets(file, known, joints))
-    written = _quantities(known, targets)
+    targets = tuple(_targets(file, estimates, joints))
+    written = _quantities(estimates, targets)
     _check_signs(written, targets)
-    notes = [note for target in targets for note in _unit_notes(target, known.units)]
+    notes = [note for target in targets for note in _unit_notes(target, estimates.units)]
     content: dict[str, dict[str, float]] = {}
     for target in targets:
         content.setdefault(target.joint, {})[target.attribute] = written.parameters[target.name]
@@ -102,32 +102,32 @@ class _Target:
         return value_of(self.formula, {Symbol(name): value for name, value in values.items()}, m)
 
 
-def _targets(file: RobotFile, known: Uncertainty, joints: JointMap) -> Iterator[_Target]:
-    names = {name: Symbol(name) for name in known.parameters}
+def _targets(file: RobotFile, estimates: Uncertainty, joints: JointMap) -> Iterator[_Target]:
+    names = {name: Symbol(name) for name in estimates.parameters}
     for joint, attributes in joints.items():
         file.check_joint(joint)
-        for attribute, given in attributes.items():
+        for attribute, entry in attributes.items():
             file.check_attribute(joint, attribute)
             field = f"joints[{joint}].{attribute}"
-            number = not isinstance(given, str)
+            number = not isinstance(entry, str)
             rule = "must be a number or a formula of parameters"
-            check(not number or np.isfinite(real(given)), field, rule, given)
-            formula = Number(float(given)) if number else parse(given, names, field)
+            check(not number or np.isfinite(real(entry)), field, rule, entry)
+            formula = Number(float(entry)) if number else parse(entry, names, field)
             strangers = [symbol.name for symbol in symbols_of(formula) if symbol.name not in names]
             check(not strangers, field, "must use parameters only", ", ".join(strangers))
-            yield _Target(joint, attribute, file.unit(joint, attribute), str(given), formula)
+            yield _Target(joint, attribute, file.unit(joint, attribute), str(entry), formula)
 
 
-def _quantities(known: Uncertainty, targets: Sequence[_Target]) -> Uncertainty:
+def _quantities(estimates: Uncertainty, targets: Sequence[_Target]) -> Uncertainty:
     """The values with their covariance."""
-    theta = {name: np.float64(value) for name, value in known.parameters.items()}
+    theta = {name: np.float64(value) for name, value in estimates.parameters.items()}
     with np.errstate(all="ignore"):
         values = {target.name: float(target.value(theta, np)) for target in targets}
     for target in targets:
         value = values[target.name]
         check(bool(np.isfinite(value)), target.field, "must be finite", f"{value} of {target.text}")
     units = {target.name: target.unit for target in targets}
-    quantities = known.physical(
+    quantities = estimates.physical(
         lambda p: {target.name: target.value(p._asdict(), jnp) for target in targets}, units
     )
     return replace(quantities, parameters=values)  # in double precision, whatever that of JAX
@@ -149,9 +149,9 @@ def _check_signs(written: Uncertainty, targets: Sequence[_Target]) -> None:
 
 def _unit_notes(target: _Target, units: Mapping[str, str]) -> Iterator[str]:
     """A sentence where the unit of a value is not known; an error where it is another one."""
-    wanted, given = dimension(target.unit), _dimension_of(target.formula, units)
+    wanted, entry = dimension(target.unit), _dimension_of(target.formula, units)
     names = sorted(symbol.name for symbol in symbols_of(target.formula))
-    if wanted is None or given is None:
+    if wanted is None or entry is None:
         if names:
             unit = f" in {target.unit}" if target.unit else " in SI units"
             yield f"{target.name}: {target.text} is taken to be{unit}; its unit is not known"
@@ -159,9 +159,9 @@ def _unit_notes(target: _Target, units: Mapping[str, str]) -> Iterator[str]:
     listed = ", ".join(f"{name} in {units[name]}" for name in names)
     rule = f"must be in {target.unit}"
     advice = "Multiply by what makes a force or torque of it, such as the inertia."
-    check(given.powers == wanted.powers, target.field, rule, f"{target.text} with {listed}", advice)
-    equal = np.isclose(given.factor, wanted.factor, rtol=1e-9)
-    advice = f"Write ({target.text})*{given.factor / wanted.factor:.10g}."
+    check(entry.powers == wanted.powers, target.field, rule, f"{target.text} with {listed}", advice)
+    equal = np.isclose(entry.factor, wanted.factor, rtol=1e-9)
+    advice = f"Write ({target.text})*{entry.factor / wanted.factor:.10g}."
     check(bool(equal), target.field, rule, f"{target.text} with {listed}", advice)
 
 

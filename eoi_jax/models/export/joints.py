@@ -141,8 +141,8 @@ class RobotFile:
             self_closing = content[head - 2 : head] == b"/>"
             return (head - 2, head, b">" + tag + b"</joint>") if self_closing else (head, head, tag)
         lines = re.search(rb"\r?\n[ \t]*\Z", content[head : joint.first_child])
-        behind = joint.start + len(content[joint.start : joint.end].rstrip())
-        return behind, behind, (lines[0] if lines else b"") + tag
+        place = joint.start + len(content[joint.start : joint.end].rstrip())
+        return place, place, (lines[0] if lines else b"") + tag
 
 
 def read_robot(path: str | Path) -> RobotFile:
@@ -251,10 +251,10 @@ def _attribute_edits(
 ) -> list[tuple[int, int, bytes]]:
     """Edits (start, stop, text) that give the tag at a place these attributes."""
     end, missing, edits = _tag_end(content, start), dict(texts), []
-    behind = start + re.match(rb"<[^\s/>]+", content[start:end]).end()  # type: ignore[union-attr]
+    place = start + re.match(rb"<[^\s/>]+", content[start:end]).end()  # type: ignore[union-attr]
     for attribute in _ATTRIBUTE.finditer(content, start, end):
-        behind = attribute.end()
+        place = attribute.end()
         text = missing.pop(attribute[1], None)
         if text is not None:
             edits.append((attribute.start(2) + 1, attribute.end(2) - 1, text))
-    return [*edits, (behind, behind, _written(missing))] if missing else edits
+    return [*edits, (place, place, _written(missing))] if missing else edits

@@ -44,15 +44,15 @@ def python_text(model: Program, name: str, version: str) -> str:
         version: of this package.
     """
     listing = _listing(model)
-    about = "d/dt of the states, an array like the states."
+    remark = "d/dt of the states, an array like the states."
     lines = [
         *listing.top("#", ("[", "]", "0"), version),
         "import numpy as np",
-        *_function(listing, name, "rates", about),
+        *_function(listing, name, "rates", remark),
     ]
     if model.outputs:
-        about = "Outputs that are functions of the states, of the inputs that hold from t on."
-        lines += _function(_listing(model.of_outputs), f"{name}_outputs", "outputs", about)
+        remark = "Outputs that are functions of the states, of the inputs that hold from t on."
+        lines += _function(_listing(model.of_outputs), f"{name}_outputs", "outputs", remark)
     return "\n".join(lines) + "\n"
 
 
@@ -60,7 +60,7 @@ def _listing(model: Program) -> Listing:
     return Listing(model, _NUMPY, "{} = {}", "  # {}")
 
 
-def _function(listing: Listing, name: str, result: str, about: str) -> list[str]:
+def _function(listing: Listing, name: str, result: str, remark: str) -> list[str]:
     """Lines of a function that returns the formulas of the listing as an array."""
     model = listing.model
     body = [*listing.parameters(), *listing.elements(lambda vector, k: f"{vector}[{k}]")]
@@ -77,7 +77,7 @@ def _function(listing: Listing, name: str, result: str, about: str) -> list[str]
         "",
         "",
         f"def {name}(t, states, inputs):",
-        f'    """{about}"""',
+        f'    """{remark}"""',
         *(f"    {line}" for line in body),
         # Branches that are not taken are worked out as well, and may not be finite.
         '    with np.errstate(all="ignore"):',
