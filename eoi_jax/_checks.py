@@ -1,4 +1,4 @@
-"""Checks of arguments; all errors of wrong calls are worded here.
+"""Checks of arguments; all errors of wrong calls are worded here, and counts in any sentence.
 
 Every message has the field in backquotes, the rule, the invalid value, and what to do. All checks
 raise `ValueError`.
@@ -10,6 +10,8 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
+
+Whole = int | np.integer
 
 
 class RecordWarning(UserWarning):
@@ -161,6 +163,33 @@ def printable(text: str, keep: str = "") -> str:
         for character in text
     )
     return "".join(characters)
+
+
+def counted(number: Whole, noun: str) -> str:
+    """A number with its noun: ``1 gap``, ``2 gaps``, ``0 passes``.
+
+    Args:
+        number: of things.
+        noun: in singular; it may have words before it, as in ``single missing sample``.
+    """
+    ending = "es" if noun.endswith(("s", "x", "ch", "sh")) else "s"
+    return f"{number} {noun}{'' if number == 1 else ending}"
+
+
+def timed(number: Whole, period: float, noun: str = "sample") -> str:
+    """A number of samples with the time that they take: ``250 samples (2.5 s)``.
+
+    Args:
+        number: of samples.
+        period: between two of them [s].
+        noun: what they are called, in singular.
+    """
+    return f"{counted(number, noun)} ({number * period:.5g} s)"
+
+
+def is_or_are(number: Whole) -> str:
+    """The verb behind a number of things."""
+    return "is" if number == 1 else "are"
 
 
 def _short(value: object) -> str:

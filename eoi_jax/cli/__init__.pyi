@@ -1,5 +1,6 @@
 from . import actions as actions
 from . import build as build
+from . import built_in as built_in
 from . import commands as commands
 from . import config as config
 from . import exports as exports

@@ -12,9 +12,10 @@ import msgspec
 import numpy as np
 
 from eoi_jax._atomic import write_file, write_folder
-from eoi_jax._checks import check
+from eoi_jax._checks import check, counted, is_or_are
 from eoi_jax._status import Status
 from eoi_jax.cli import build, html_report, run_folder
+from eoi_jax.cli.built_in import built_in, built_in_names
 from eoi_jax.cli.config import Config, IdentifyTable, load
 from eoi_jax.cli.signals import ExitCode
 from eoi_jax.cli.summary import (
@@ -24,7 +25,7 @@ from eoi_jax.cli.summary import (
     sweep_summary,
 )
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.cli.terminal import Outcome, ProgressCallback
+from eoi_jax.cli.terminal import Outcome, ProgressCallback, shell_word
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.inspection import inspect as inspect_file
@@ -244,7 +245,9 @@ def sweep(
     config_text = _with_command(f"eoi sweep{_config_argument(config)}", source)
     run_folder.write_sweep(folder, result, best_lane, summary, text, config_text)
     if not result.attrs["finished"]:
-        remaining = f"{summary['statuses'].get('not_run', 0)} of {summary['lanes']} lanes"
+        remaining = (
+            f"{summary['statuses'].get('not_run', 0)} of {counted(summary['lanes'], 'lane')}"
+        )
         complaint = f"interrupted with {remaining} to run; the same command continues"
         return Outcome(summary, code=ExitCode.INTERRUPTED, complaint=complaint)
     if best_lane is None:
@@ -348,7 +351,8 @@ def init(
     )
     notes = "\n".join(f"- {line}" for line in (*inspection.notes, *inspection.advice))
     text = (
-        f"Guesses:\n{guesses}\n{notes}\n\n{config_path} written; next: eoi identify {config_path}"
+        f"Guesses:\n{guesses}\n{notes}\n\n{config_path} written; "
+        f"next: eoi identify {shell_word(config_path)}"
     )
     return Outcome({"config": str(config_path), **facts}, text, config_path)
 
@@ -393,7 +397,7 @@ def _prepare(
 ) -> tuple[Path, run_folder.Job]:
     """The path of the config, and its model and records."""
     jax_setup.configure()
-    source = _built_in(example) if config is None else config_file(config)
+    source = built_in(example) if config is None else config_file(config)
     settings = load(source)
     if changes:
         table = msgspec.structs.replace(settings.identify, **changes)
@@ -415,18 +419,10 @@ def config_file(config: Path) -> Path:
     """
     if config.exists() or config.suffix or config.name != str(config):
         return config
-    built_in = _built_in(config.name)
-    names = ", ".join(sorted(path.stem for path in built_in.parent.glob("*.toml")))
-    rule = f"must be a file that exists, or a built-in config: {names}"
-    check(built_in.is_file(), "config", rule, config)
-    return built_in
-
-
-def _built_in(name: str) -> Path:
-    """A built-in config: inside an installed package, beside the package in a source tree."""
-    package = Path(__file__).parents[1]
-    folders = [package / "configs", package.parent / "configs"]
-    return next((folder for folder in folders if folder.is_dir()), folders[0]) / f"{name}.toml"
+    path = built_in(config.name)
+    rule = f"must be a file that exists, or a built-in config: {', '.join(built_in_names())}"
+    check(path.is_file(), "config", rule, config)
+    return path
 
 
 def _identify(
@@ -486,7 +482,7 @@ def _unused(settings: Config) -> list[str]:
     """Notes on tables of a config that a discovery does not use, and on its hold."""
     tables = {"[observer]": settings.observer, "[identify]": settings.identify}
     names = [name for name, table in tables.items() if table not in (None, IdentifyTable())]
-    verb, notes = "is" if len(names) == 1 else "are", _hold_notes(settings)
+    verb, notes = is_or_are(len(names)), _hold_notes(settings)
     if names:
         text = f"{' and '.join(names)} {verb} not used: a discovery chooses these for every model"
         notes.append(text)
@@ -566,7 +562,7 @@ def _write_run(folder: Path, write: Callable[[Path], None]) -> None:
 
 def _config_argument(config: Path | None) -> str:
     """The config in a command line; empty for the built-in one."""
-    return "" if config is None else f" {config}"
+    return "" if config is None else f" {shell_word(config)}"
 
 
 def _with_command(command: str, source: Path) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from eoi_jax._checks import check, check_choice
+from eoi_jax._checks import check, check_choice, counted
 from eoi_jax.cli.config import (
     ChirpTable,
     Config,
@@ -327,7 +327,8 @@ def _read(
         check(
             len(columns) == len(channels),
             f"{name}.{field}",
-            f"must name {len(channels)} column(s), for {owner} {', '.join(channels) or 'none'}",
+            f"must name {counted(len(channels), 'column')}, for {owner} "
+            f"{', '.join(channels) or 'none'}",
             ", ".join(columns) or "none",
         )
     rule = "must be columns that are neither inputs nor outputs"
@@ -486,10 +487,11 @@ def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
         check_choice("simulate.initial", name, model.outputs)
         values = np.atleast_1d(value)
         j = model.outputs.index(name)
+        most = counted(model.degrees[j], "value")
         check(
             len(values) <= model.degrees[j],
             f"simulate.initial.{name}",
-            f"must have at most {model.degrees[j]} value(s): the output and its derivatives",
+            f"must have at most {most}: the output and its derivatives",
             list(values),
             "" if model.degrees[j] else "It is a function of the states; these start in [model].",
         )

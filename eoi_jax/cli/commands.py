@@ -14,6 +14,7 @@ import typer
 
 from eoi_jax import cli
 from eoi_jax.cli.options import (
+    LANGUAGES,
     RUNS,
     AsJson,
     Data,
@@ -28,6 +29,7 @@ from eoi_jax.cli.options import (
     Source,
     Trust,
     complete_config,
+    complete_language,
     complete_robot,
 )
 from eoi_jax.cli.terminal import (
@@ -330,7 +332,9 @@ def export(
     language: Annotated[
         str | None,
         typer.Option(
-            help="python, c, matlab, idnlgrey, latex or json; default: by suffix of the file."
+            help=f"{', '.join(LANGUAGES[:-1])} or {LANGUAGES[-1]}; default: by suffix of the file.",
+            show_default=False,
+            autocompletion=complete_language,
         ),
     ] = None,
     output: Annotated[

@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
+from eoi_jax.cli.built_in import built_in_names
+
 RUNS = Path("runs")
+# Those of `models/export/export.py`, which completion does not import.
+LANGUAGES = ("python", "c", "matlab", "latex", "json")
 DATA_FILES = (
     ".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet", ".mat", ".h5", ".hdf5", ".npz", ".xlsx",
 )  # fmt: skip
@@ -36,6 +40,25 @@ def complete_config(incomplete: str) -> list[str]:
         incomplete: the typed text.
     """
     return _paths(incomplete, (".toml",))
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Configs, folders, and names of built-in configs that no file or folder hides.
+
+    Args:
+        incomplete: the typed text.
+    """
+    names = [name for name in built_in_names() if name.startswith(incomplete)]
+    return [*complete_config(incomplete), *(name for name in names if not Path(name).exists())]
+
+
+def complete_language(incomplete: str) -> list[str]:
+    """Languages of `eoi export`.
+
+    Args:
+        incomplete: the typed text.
+    """
+    return [name for name in LANGUAGES if name.startswith(incomplete)]
 
 
 def complete_data(incomplete: str) -> list[str]:
@@ -69,7 +92,7 @@ Source = Annotated[
     Path | None,
     typer.Argument(
         help="TOML file, or the name of a built-in config; default: a built-in example.",
-        autocompletion=complete_config,
+        autocompletion=complete_source,
         show_default=False,
     ),
 ]

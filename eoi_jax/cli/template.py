@@ -14,6 +14,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
+from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
@@ -62,7 +63,7 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     _check_columns(inspections, [*inputs, outputs[0]])
     name = _plain_name(inspection.path.name.split(".")[0]) or "run"
     blocks = [
-        _head(inspection, name),
+        _head(inspection, name, target),
         _model_lines(inspection, inputs, output, order, values),
         _data_lines(inspections, inputs, output, outputs[1:], target),
         _option_lines(),
@@ -168,7 +169,7 @@ def _least_squares(
 # -- the text -----------------------------------------------------------------------------
 
 
-def _head(inspection: Inspection, name: str) -> str:
+def _head(inspection: Inspection, name: str, target: Path) -> str:
     guesses = [
         f"{channel.name}: {channel.role}, {channel.why}"
         for channel in inspection.channels
@@ -176,7 +177,7 @@ def _head(inspection: Inspection, name: str) -> str:
     ][:20]
     lines = [
         f"# Drafted by `eoi init` from {_one_line(inspection.path.name)}: ready to run:",
-        f"#   eoi identify {name}.toml",
+        f"#   eoi identify {_one_line(shell_word(target))}",
         "# Everything in it is a guess from the values and names of the columns:",
         *(f"#   {_one_line(line)}" for line in guesses),
         *(f"# {_one_line(line)}" for line in (*inspection.notes, *inspection.advice)),

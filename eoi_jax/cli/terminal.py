@@ -6,6 +6,7 @@ Exit status: 0 answer, 1 no answer (with the reason), 2 invalid call or data, 13
 import contextlib
 import json
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -200,6 +201,16 @@ def say(text: object, err: bool = False) -> None:
     except OSError:  # discard its buffer, which would be written again at the end
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def shell_word(path: Path) -> str:
+    """A path as a word of a command line, quoted where the shell asks for it.
+
+    Args:
+        path: one that begins with a hyphen is no option behind ``./``.
+    """
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def stop(code: int, message: str, as_json: bool, summary: dict[str, Any] | None = None) -> NoReturn:

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax._checks import check, check_choice
+from eoi_jax._checks import check, check_choice, counted, is_or_are, timed
 from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.data.input_holds import Columns, Hold, by_hold, hold_of_each, hold_text
 from eoi_jax.data.noise import white_noise
@@ -112,7 +112,9 @@ def read_signals(name: str, values: Any) -> Signals:
 
 def check_lengths(stamps: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
     """Check equal lengths, the smallest length, and that there is an output."""
-    rows = f"{len(stamps)} stamps, {len(u)} input rows, {len(y)} output rows"
+    rows = ", ".join([
+        counted(len(stamps), "stamp"), counted(len(u), "input row"), counted(len(y), "output row"),
+    ])  # fmt: skip
     check(
         len(u) == len(y) == len(stamps),
         "time, inputs, outputs",
@@ -135,7 +137,7 @@ def channel_names(
             return tuple(str(label) for label in labels)
         return (letter,) if count == 1 else tuple(f"{letter}{i + 1}" for i in range(count))
     names = (declared,) if isinstance(declared, str) else tuple(declared)
-    check(len(names) == count, field, f"must name {count} channels", names)
+    check(len(names) == count, field, f"must name {counted(count, 'channel')}", names)
     return names
 
 
@@ -188,8 +190,8 @@ def drop_repeats(
         )
     distinct = np.concatenate([[True], spacing > 0])
     notes.append(
-        f"{repeats.size} of {stamps.size} stamps repeat the previous stamp with equal values "
-        "and were dropped."
+        "Stamps that repeat the previous stamp with equal values were dropped: "
+        f"{repeats.size} of {stamps.size}."
     )
     check(
         int(distinct.sum()) >= SHORTEST,
@@ -218,7 +220,8 @@ def finite_samples(
     if bad:
         rows = np.any(list(bad.values()), axis=0)
         listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
-        notes.append(f"{rows.sum()} of {len(rows)} samples are not finite ({listed}): masked.")
+        share = f"{rows.sum()} of {counted(len(rows), 'sample')} {is_or_are(rows.sum())}"
+        notes.append(f"{share} not finite ({listed}): masked.")
     counts = {key: int(column.sum()) for key, column in zip(y_names, y_good.T, strict=True)}
     counts |= {", ".join(u_names): int(u_good.sum())} if u_names else {}
     fewest = min(counts, key=lambda key: counts[key])
@@ -255,11 +258,16 @@ def rate_notes(
         holes = len(own_segments(position)) - 1
         text = f"`{key}` is measured every {period:.3g} samples ({period * sample_period:.3g} s): "
         text += "free runs are scored there, passes interpolate between by a cubic spline"
-        notes.append(f"{text}; {holes} gaps." if holes else f"{text}.")
+        notes.append(f"{text}; {counted(holes, 'gap')}." if holes else f"{text}.")
 
 
 def known_inputs(
-    names: tuple[str, ...], inputs: Inputs, inputs_known: Mask, hold: Hold, notes: list[str]
+    names: tuple[str, ...],
+    inputs: Inputs,
+    inputs_known: Mask,
+    hold: Hold,
+    sample_period: float,
+    notes: list[str],
 ) -> Mask:
     """Where all inputs are known: as measured, or because a short gap leaves no doubt.
 
@@ -271,6 +279,7 @@ def known_inputs(
         inputs: on the grid, filled in linearly.
         inputs_known: where all of them were measured.
         hold: between the samples.
+        sample_period: of the grid [s].
         notes: of the record; a sentence where a value is interpolated.
     """
     if not names:
@@ -286,13 +295,13 @@ def known_inputs(
         interpolated += int(complete[start] and not np.all(is_held))
     if interpolated:
         notes.append(
-            f"Inputs are interpolated at {interpolated} single missing samples, between two that "
-            "were measured."
+            f"Inputs are interpolated at {counted(interpolated, 'single missing sample')}, between "
+            "two that were measured."
         )
     missing = runs(~complete)
     inner = [(start, stop) for start, stop in missing if start > 0 and stop < len(inputs_known)]
     if inner:
-        listed = f"{(~complete).sum()} samples in {len(missing)} gaps"
+        listed = f"{timed((~complete).sum(), sample_period)} in {counted(len(missing), 'gap')}"
         notes.append(f"Inputs are unknown at {listed}: free runs start again after each.")
     return complete
 
@@ -311,8 +320,9 @@ def place(
     inputs_known[index], measured[index] = good
     if count > index.size:
         notes.append(
-            f"{count - index.size} of {count} samples are missing from the uniform grid "
-            f"of {grid.sample_period:g} s: masked."
+            f"{timed(count - index.size, grid.sample_period)} of {count} "
+            f"{is_or_are(count - index.size)} missing from the uniform grid of "
+            f"{grid.sample_period:g} s: masked."
         )
     if inputs_known.all() and measured.all():
         return u, y, inputs_known, measured
@@ -360,7 +370,8 @@ def interpolate(
     dense = [column for column, rows in zip(measured.T, measured_rows.T, strict=True)
              if not is_slow(rows)]  # fmt: skip
     valid = np.all([inputs_known, *dense], axis=0)
-    masked = f"; {gaps} gaps, {(~valid).sum()} grid points masked" if not valid.all() else ""
+    points = timed((~valid).sum(), h, "grid point")
+    masked = "" if valid.all() else f"; {counted(gaps, 'gap')}, {points} masked"
     held = "their means over each step (held)"
     by = held if hold == "zero" else f"their hold ({hold_text(hold, names)})"
     notes.append(

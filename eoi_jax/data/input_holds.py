@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from eoi_jax._checks import check, check_choice
+from eoi_jax._checks import check, check_choice, counted
 from eoi_jax._types import Signals
 
 HOLDS = ("zero", "linear", "smooth")
@@ -47,7 +47,9 @@ def read_hold(hold: Any, names: Sequence[str], automatic: bool = True) -> Hold:
         words = [hold[key] for key in names]
     else:
         is_list = isinstance(hold, Sequence) and not isinstance(hold, bytes)
-        rule = f"must be {', '.join(HOLDS)}, or such a word for each of the {len(names)} inputs"
+        rule = (
+            f"must be {', '.join(HOLDS)}, or such a word for each of {counted(len(names), 'input')}"
+        )
         check(is_list and len(hold) == len(names), "hold", rule, hold)
         words = [*map(str, hold)]
     for key, word in zip(names, words, strict=True):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_choice
+from eoi_jax._checks import RecordWarning, check, check_choice, counted
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
@@ -205,7 +205,7 @@ def inspect(
     channels = _assign_roles(channels, table, clock, numbers)
     channels = _with_named_roles(channels, named)
     left_out = [
-        f"`{key}` of {len(values)} values"
+        f"`{key}` of {counted(len(values), 'value')}"
         for key, values in table.columns.items()
         if len(values) != samples
     ]
@@ -508,8 +508,8 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
     count, first = clock.backwards
     if count:
         advice.append(
-            f"Time goes back {count} times, first at row {first}: sort the rows, or split the "
-            "record there (slice)."
+            f"Time goes back {counted(count, 'time')}, first at row {first}: sort the rows, or "
+            "split the record there (slice)."
         )
     moving = [*by_role["output"], *by_role["input"]]
     if not count:
@@ -520,10 +520,8 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         if channel.band is not None and clock.sample_period:
             nyquist = 0.5 / clock.sample_period
             if channel.changes is not None and channel.changes * samples < 5:
-                advice.append(
-                    f"`{channel.name}` changes {channel.changes * samples:.0f} times only: little "
-                    "excitation."
-                )
+                times = counted(round(channel.changes * samples), "time")
+                advice.append(f"`{channel.name}` changes {times} only: little excitation.")
             elif channel.band > 0.5 * nyquist and channel.changes and channel.changes > STAIRCASE:
                 advice.append(
                     f"`{channel.name}` moves up to half the Nyquist frequency: sample faster."
@@ -537,7 +535,8 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         if channel.quantum and channel.high is not None and channel.low is not None:
             levels = (channel.high - channel.low) / channel.quantum
             if levels < 50:
-                advice.append(f"`{channel.name}` takes {levels + 1:.0f} levels only: coarse.")
+                values = counted(round(levels) + 1, "level")
+                advice.append(f"`{channel.name}` takes {values} only: coarse.")
     missing = [
         f"`{channel.name}` {channel.missing}"
         for channel in channels

@@ -8,7 +8,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from eoi_jax._checks import check, check_choice, check_positive
+from eoi_jax._checks import check, check_choice, check_positive, timed
 from eoi_jax.data.input_holds import HOLDS, Hold, HoldArgument, suggested_hold
 from eoi_jax.data.record import Record
 
@@ -60,7 +60,7 @@ class LongRecord(Sequence[Record]):
         check(
             lengths["u"] == lengths["y"],
             "inputs",
-            f"must be as long as the outputs, {lengths['y']} samples",
+            f"must be as long as the outputs, {timed(lengths['y'], sample_period)}",
             lengths["u"],
         )
         check(lengths["y"] >= _SHORTEST, "outputs", f"must hold {_SHORTEST} samples", lengths["y"])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_choice, check_positive
+from eoi_jax._checks import RecordWarning, check, check_choice, check_positive, counted
 from eoi_jax._display import Result, text
 from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
@@ -188,7 +188,7 @@ class Record(Result):
         inputs, outputs, u_valid, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
-        certain = known_inputs(u_names, inputs, u_valid, input_hold, notes)
+        certain = known_inputs(u_names, inputs, u_valid, input_hold, grid.sample_period, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
             warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
@@ -336,7 +336,7 @@ class Record(Result):
             ValueError: not a finite time for each input.
         """
         steps = np.asarray(delays, dtype=float) / self.sample_period
-        rule = f"must hold a time for each of the {self.inputs.shape[1]} inputs"
+        rule = f"must hold a time for each of {counted(self.inputs.shape[1], 'input')}"
         check(steps.shape == (self.inputs.shape[1],), "delays", rule, f"shape {steps.shape}")
         rule = "must hold finite times"
         check(bool(np.all(np.isfinite(steps))), "delays", rule, delays)

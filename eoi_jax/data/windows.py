@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax._checks import counted, is_or_are, timed
 from eoi_jax.data.masks import transient_samples
 from eoi_jax.data.record import Record
 
@@ -157,25 +158,32 @@ def restart_notes(record: Record, parts: int, shortest: int) -> list[str]:
         return []
     unscored = len(segments) - parts
     text = f"Inputs of {record.name} are unknown in gaps, behind which free runs start again: "
-    text += f"{parts} parts with a start of their own"
+    text += f"{counted(parts, 'part')} with a start of "
+    text += "its own" if parts == 1 else "their own"
     if unscored:
-        text += f"; {unscored} others are not scored, shorter than {shortest} samples"
+        text += f"; {counted(unscored, 'other')} {is_or_are(unscored)} not scored, shorter than "
+        text += timed(shortest, record.sample_period)
     return [f"{text}."]
 
 
 def late_starts(record: Record, runs: Plan, initial_samples: int, single: bool) -> list[str]:
     """Notes on samples that are not scored, as no state can be estimated at a planned start."""
-    reason = f"fewer than {runs.need} of the first {initial_samples} samples are valid"
+    first = timed(initial_samples, record.sample_period)
+    reason = f"fewer than {runs.need} of the first {first} are valid"
     if single and runs.late:
         begun = record.time[runs.starts[0]]
         return [f"The free run on {record.name} starts at t = {begun:g} s: before, {reason}."]
     count, notes = len(runs.starts) + runs.lost, []
     if runs.late:
         notes.append(
-            f"{runs.late} of {count} windows on {record.name} start late: at first {reason}."
+            f"{runs.late} of {counted(count, 'window')} on {record.name} "
+            f"{'starts' if runs.late == 1 else 'start'} late: at first {reason}."
         )
     if runs.lost:
-        notes.append(f"{runs.lost} of {count} windows on {record.name} are not scored: {reason}.")
+        notes.append(
+            f"{runs.lost} of {counted(count, 'window')} on {record.name} {is_or_are(runs.lost)} "
+            f"not scored: {reason}."
+        )
     return notes
 
 

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import is_or_are
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.estimation.regression.identifiability import (
     groups_of,
@@ -78,7 +79,7 @@ class CommonFactor:
             return f"no trace in the data of {names}: no output depends on it, {advice}"
         text = f"{names} have a common factor and cannot be told apart by any record"
         if self.combinations:
-            verb = "is" if len(self.combinations) == 1 else "are"
+            verb = is_or_are(len(self.combinations))
             text = f"{text}, only {listed(self.combinations)} {verb} determined"
         return f"{text}: {advice}"
 

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from eoi_jax._checks import check, check_kind, check_positive
+from eoi_jax._checks import check, check_kind, check_positive, timed
 from eoi_jax.data.masks import constant, over_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import (
@@ -54,7 +54,13 @@ def held_out_records(
         for fitted in records:
             shared = _count_common_samples(record, fitted)
             rule = "must not hold samples that the fit sees"
-            check(shared == 0, name, rule, f"{shared} samples of {fitted.name}", advice)
+            check(
+                shared == 0,
+                name,
+                rule,
+                f"{timed(shared, record.sample_period)} of {fitted.name}",
+                advice,
+            )
     return checked
 
 
@@ -111,11 +117,12 @@ def check_scored_records(
         runs = [plan(part, head, window, plant.rows) for part in parts]
         burn_in = f" and a burn-in of {record.burn_in:g} s" if record.burn_in else ""
         pairs = list(zip(parts, runs, strict=True))
+        period = record.sample_period
         check(
             any(np.any(run.score[:, None] & part.output_valid) for part, run in pairs),
             f"{name}[{record.name}]",
-            f"must have valid samples after the {head} that start {subject}",
-            f"{len(record)} samples, {_count_measured(record)} of them valid{burn_in}",
+            f"must have valid samples after the {timed(head, period)} that start {subject}",
+            f"{timed(len(record), period)}, {_count_measured(record)} of them valid{burn_in}",
             "Give a longer record, or one with fewer gaps.",
         )
         notes += restart_notes(record, len(parts), head + 1)

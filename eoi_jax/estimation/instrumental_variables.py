@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eoi_jax._checks import counted
 from eoi_jax.data.masks import over_samples
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import too_short
@@ -155,7 +156,7 @@ def instrumental_estimate(
             return InstrumentalEstimate(
                 theta, covariance, freedom, iteration, runs.windows, bound, rows_by_sample
             )
-    return f"they did not converge within {max_iterations} passes"
+    return f"they did not converge within {counted(max_iterations, 'pass')}"
 
 
 def correct_bias(
@@ -203,9 +204,9 @@ def correct_bias(
     if corrected.rows is not None:
         rows = replace(corrected.rows, record=np.asarray(used)[corrected.rows.record])
         corrected = replace(corrected, rows=rows)
-    text = f"instrumental variables in {corrected.passes} passes"
+    text = f"instrumental variables in {counted(corrected.passes, 'pass')}"
     if corrected.windows > 1:
-        text += f", runs restarted {corrected.windows - 1} times a record"
+        text += f", runs restarted {counted(corrected.windows - 1, 'time')} a record"
     return corrected, (f"{text}: {reason}",)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import jax
 import numpy as np
 
-from eoi_jax._checks import check, check_kind
+from eoi_jax._checks import check, check_kind, counted
 from eoi_jax.compiler.jax_setup import check_process
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
@@ -39,7 +39,8 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
             check(
                 signals.shape[1] == len(names),
                 f"records[{record.name}].{kind}",
-                f"must have {len(names)} channels ({', '.join(names)}) for `{plant.name}`",
+                f"must have {counted(len(names), 'channel')} ({', '.join(names)}) for "
+                f"`{plant.name}`",
                 f"{signals.shape[1]} ({', '.join(labels)})",
                 _extra_inputs(names, labels) if kind == "inputs" else "",
             )

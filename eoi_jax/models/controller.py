@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._checks import check, check_choice, check_count, check_positive, real
+from eoi_jax._checks import check, check_choice, check_count, check_positive, counted, real
 from eoi_jax._types import Scalar
 
 Law = Callable[[Any, Any, Any, Any], Any]
@@ -74,7 +74,7 @@ class Controller:
         states = check_count("states", states, 0)
         values = None if initial is None else tuple(np.atleast_1d(initial).astype(float).tolist())
         if values is not None:
-            rule = f"must hold {states} finite values, as many as `states`"
+            rule = f"must hold {counted(states, 'finite value')}, as many as `states`"
             good = len(values) == states and bool(np.all(np.isfinite(values)))
             check(good, "initial", rule, values)
         fields = {

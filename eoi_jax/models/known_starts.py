@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import check, check_choice, check_kind, real
+from eoi_jax._checks import check, check_choice, check_kind, counted, real
 
 # By output: its value at the start of a record, then those of its derivatives; None: not known.
 StartItems = tuple[tuple[str, tuple[float | None, ...]], ...]
@@ -41,7 +41,8 @@ def checked_starts(
         values = tuple(value) if is_sequence and not isinstance(value, str) else (value,)
         check(degree > 0, field, "must be left out: the output is a function of the states", value,
               "Give the starts of these states with `internal_initial`.")  # fmt: skip
-        rule = f"must be at most {degree} values, the output and its derivatives below the highest"
+        rule = f"must be at most {counted(degree, 'value')}: the output, then its derivatives"
+        rule += " below the highest"
         check(0 < len(values) <= degree, field, rule, value, _FORM)
         numbers = [None if number is None else real(number) for number in values]
         good = all(number is None or np.isfinite(number) for number in numbers)

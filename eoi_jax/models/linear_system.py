@@ -16,7 +16,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax._checks import check
+from eoi_jax._checks import check, counted, is_or_are
 from eoi_jax.models.plant import Plant
 
 _TINY = 1e-9  # relative to a row's largest entry: a smaller coefficient is rounding
@@ -88,7 +88,8 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
         b.shape[1] == 1 and c.shape[0] == 1,
         "system",
         "must have no zeros where it has several inputs or outputs",
-        f"{len(a)} states, of which {sum(degrees)} are outputs and their derivatives",
+        f"{counted(len(a), 'state')}, of which {sum(degrees)} {is_or_are(sum(degrees))} outputs "
+        "and their derivatives",
         "Measure more outputs, leave out unobservable states, or take one channel.",
     )
     return _zero_dynamics_plant(a, b, c, degrees[0], u_names, y_names, name)
@@ -111,7 +112,7 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
         num, den = (_polynomial(getattr(system, key)) for key in ("num", "den"))
         check(len(num) < len(den), "system", "must have fewer zeros than poles",
-              f"{len(num) - 1} zeros, {len(den) - 1} poles",
+              f"{counted(len(num) - 1, 'zero')}, {counted(len(den) - 1, 'pole')}",
               "An output that follows its input at once has no dynamics to identify.")  # fmt: skip
         parts = [np.atleast_2d(matrix) for matrix in tf2ss(num, den)]
     a, b, c, d = parts
@@ -133,7 +134,7 @@ def _polynomial(coefficients: Any) -> np.ndarray:
             len(coefficients) == 1,
             "system",
             "must be one transfer function",
-            f"{len(coefficients)} channels",
+            counted(len(coefficients), "channel"),
             "Convert it to state space first.",
         )
         coefficients = coefficients[0]
@@ -185,7 +186,7 @@ def _chain_plant(
         observable,
         "system",
         "must have states that follow from its outputs and their derivatives",
-        f"{len(a)} states of which some do not show",
+        f"{counted(len(a), 'state')} of which some do not show",
         "Take a minimal realisation (control.minreal).",
     )
     inverse = np.linalg.inv(chain)

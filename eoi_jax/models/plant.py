@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._checks import check, check_choice, check_kind, is_whole, real
+from eoi_jax._checks import check, check_choice, check_kind, counted, is_whole, real
 from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
@@ -254,7 +254,7 @@ class Plant(eqx.Module):
             check(
                 shape == (len(self.names),),
                 "parameters",
-                f"must be {len(self.names)} values ({', '.join(self.names)})",
+                f"must be {counted(len(self.names), 'value')} ({', '.join(self.names)})",
                 f"shape {shape}",
             )
         return eqx.tree_at(lambda plant: plant.theta, self, theta)

@@ -17,7 +17,7 @@ import numpy as np
 
 from eoi_jax import _display
 from eoi_jax._atomic import write_file
-from eoi_jax._checks import check
+from eoi_jax._checks import check, counted
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
@@ -265,7 +265,7 @@ def _declared(fields: dict[str, Any]) -> dict[str, str]:
         description[key] = "none" if bare[key][0] is None else "a function"
     start = bare["internal_initial"][0]
     description["internal_initial"] = (
-        f"{len(start['tuple'])} values" if "tuple" in start else "a function"
+        counted(len(start["tuple"]), "value") if "tuple" in start else "a function"
     )
     return description
 

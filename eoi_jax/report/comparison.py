@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import counted
 from eoi_jax.comparison.compare import Comparison, Entry
 from eoi_jax.report.style import WIDE, fix_theme, logarithmic, new_figure, series, themed, with_unit
 from eoi_jax.report.tables import columns, with_error
@@ -29,7 +30,7 @@ def comparison_text(result: Comparison) -> str:
         "time: of the second call; first: of the first call, which may include compilation"
     )
     sections = [
-        f"{result.plant.name}: {len(result.entries)} methods",
+        f"{result.plant.name}: {counted(len(result.entries), 'method')}",
         _scores(result, outputs),
         _parameters(result),
         endings,

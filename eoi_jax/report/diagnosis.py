@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import counted
 from eoi_jax._status import Status
 from eoi_jax.discovery.diagnosis import Cross, Diagnosis, Map
 from eoi_jax.report.style import (
@@ -236,7 +237,7 @@ def windows(diagnosis: Diagnosis) -> Iterator[str]:
             f"{window.record} {window.start:.4g}–{window.stop:.4g} s" for window in poor[:4]
         )
         remainder = f" and {len(poor) - 4} more" if len(poor) > 4 else ""
-        share = f"{len(poor)} of {len(diagnosis.windows)} windows"
+        share = f"{len(poor)} of {counted(len(diagnosis.windows), 'window')}"
         yield (
             f"There is no excitation in {share} ({intervals}{remainder}): the plant hardly moves, "
             "and they carry almost no information."

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import printable
+from eoi_jax._checks import counted, printable
 from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
@@ -23,7 +23,9 @@ def inspection_text(inspection: Inspection, max_rows: int = 40) -> str:
     Returns:
         Several lines of at most about 100 characters.
     """
-    size = f"{inspection.samples} rows, {len(inspection.channels)} columns"
+    size = ", ".join(
+        [counted(inspection.samples, "row"), counted(len(inspection.channels), "column")]
+    )
     blocks = [f"{printable(str(inspection.path))}: {size}", _clock_text(inspection)]
     rows = [("column", "looks like", "unit", "min", "max", "missing", "noise", "step", "band")]
     ranks = ("time", "input", "output", "other", "constant", "text")
@@ -31,7 +33,7 @@ def inspection_text(inspection: Inspection, max_rows: int = 40) -> str:
     rows += [_row(channel) for channel in ordered[:max_rows]]
     table = columns(rows, "<<<>>>>>>")
     if len(ordered) > max_rows:
-        table += f"\nand {len(ordered) - max_rows} more columns: --json lists all"
+        table += f"\nand {counted(len(ordered) - max_rows, 'more column')}: --json lists all"
     blocks.append(table)
     guesses = [channel for channel in ordered if channel.role in ("input", "output")][:12]
     if guesses:
@@ -52,11 +54,12 @@ def _clock_text(inspection: Inspection) -> str:
         return f"time: none; every {clock.sample_period:g} s ({clock.why})"
     period, (low, high) = clock.sample_period, clock.spacing
     scale = "" if clock.factor == 1.0 else f", {clock.factor:g} s per unit"
+    gaps = counted(clock.gaps[0], "gap")
     lines = [
         f"time: `{clock.column}`{scale} ({clock.why})",
         f"  every {period:.6g} s ({1 / period:.6g} Hz) for {clock.duration:.6g} s",
         f"  stamps {low:.4g} to {high:.4g} s apart, jitter {100 * (clock.jitter or 0.0):.2g} %",
-        f"  {clock.gaps[0]} gaps, {clock.repeated} repeated, {clock.backwards[0]} backwards",
+        f"  {gaps}, {clock.repeated} repeated, {clock.backwards[0]} backwards",
     ]
     if clock.others:
         lines.append(f"  other candidates: {', '.join(clock.others)}")
@@ -122,7 +125,9 @@ def inspection_figure(inspection: Inspection, max_signals: int = 6) -> Any:
         _draw_steps(grid[-1], time, clock.sample_period or 1.0)
     roles = [channel.role for channel in inspection.channels]
     hidden = sum(role in ("input", "output", "other") for role in roles) - count
-    title = printable(inspection.path.name) + (f" ({hidden} more columns)" if hidden > 0 else "")
+    title = printable(inspection.path.name) + (
+        f" ({counted(hidden, 'more column')})" if hidden > 0 else ""
+    )
     figure.suptitle(title, fontsize=12, parse_math=False)
     return figure
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eoi_jax._checks import counted
 from eoi_jax.report.free_runs import simulated_outputs
 from eoi_jax.report.style import shortened
 from eoi_jax.report.tables import columns, validation_text
@@ -122,7 +123,8 @@ def models_text(runs: Sequence[tuple[str, Validation]]) -> str:
             cells = (f"{run.fit[j]:.2f}", f"{run.rmse[j]:.5g}", first.units[j])
             rows.append((name, output, *cells))
     length = "whole records" if first.window is None else f"windows of {first.window:g} s"
-    head = f"Free runs of {len(runs)} models on {len(first.records)} record(s), {length}"
+    records = counted(len(first.records), "record")
+    head = f"Free runs of {counted(len(runs), 'model')} on {records}, {length}"
     notes = dict.fromkeys(f"Note: {name}: {note}" for name, run in runs for note in run.notes)
     return "\n".join([head, columns(rows, "<<>><"), *notes])
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import counted
 from eoi_jax.report.style import ACCENT, fix_theme, logarithmic, new_figure, series, themed
 from eoi_jax.report.tables import columns
 
@@ -32,7 +33,7 @@ def sweep_text(sweep: Any, best: Any) -> str:
     """
     lanes = sweep["status"].size
     counts = ", ".join(f"{count} {name}" for name, count in statuses(sweep).items())
-    sections = [f"{sweep.attrs['plant']}: {lanes} lanes: {counts}"]
+    sections = [f"{sweep.attrs['plant']}: {counted(lanes, 'lane')}: {counts}"]
     if best is None:
         return sections[0]
     rows = [("", "best")]
@@ -101,7 +102,7 @@ def sweep_figure(sweep: Any, best: Any = None, max_gains: int = 5) -> Any:
         _mark(panels[j, i], best, names[i], j)
     if "cutoff" in varying:
         figure.colorbar(scatters[0], ax=panels, label=_LABELS["cutoff"])
-    figure.suptitle(f"{sweep.attrs['plant']}: {index.isel(output=0).size} lanes")
+    figure.suptitle(f"{sweep.attrs['plant']}: {counted(index.isel(output=0).size, 'lane')}")
     return fix_theme(figure)
 
 

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import counted, timed
+from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
@@ -98,6 +100,12 @@ def validation_rows(result: Validation) -> list[tuple[str, ...]]:
     return rows
 
 
+def _mean_period(records: Sequence[Record]) -> float:
+    """The sample period of records; of records that differ, the mean over their samples."""
+    return float(np.average([record.sample_period for record in records],
+                            weights=[len(record) for record in records]))  # fmt: skip
+
+
 def highest_derivative(plant: Plant) -> str:
     """What y^(r) is called: the output itself where all relative degrees are zero."""
     return "highest derivative" if any(plant.degrees) else "output"
@@ -113,11 +121,11 @@ def identification_answer(result: Identification, validation: Validation | None 
     if not result.status.ok:
         return f"No answer: {result.status}"
     count = sum(name not in result.plant.fixed for name in result.parameters)
-    samples = sum(len(record) for record in result.records)
-    parameters = f"{count} parameter{'s' if count != 1 else ''}"
+    samples = timed(sum(map(len, result.records)), _mean_period(result.records))
+    parameters = counted(count, "parameter")
     share = 100 * float(np.max(result.unexplained))
     sentence = (
-        f"{parameters} of {result.plant.name} identified from {samples} samples in pass "
+        f"{parameters} of {result.plant.name} identified from {samples} in pass "
         f"{result.best_pass + 1} of {len(result.index)}; {share:.2g} % of the "
         f"{highest_derivative(result.plant)} remains unexplained"
     )
@@ -301,7 +309,7 @@ def refinement_table(result: Refinement) -> str:
         row = f"{name:<{width}}  {initial[name]:>11.6g}  {value:>11.6g}  {error:>12}"
         lines.append(f"{row}  {units.get(name, '')}".rstrip())
     length = "whole records" if result.window is None else f"windows of {result.window:g} s"
-    lines.append(f"rmse of {len(result.starts)} run(s), {length}:")
+    lines.append(f"rmse of {counted(len(result.starts), 'run')}, {length}:")
     for name, initial_rmse, rmse in zip(
         result.plant.outputs, result.before, result.rmse, strict=True
     ):
@@ -312,9 +320,10 @@ def refinement_table(result: Refinement) -> str:
 def validation_text(result: Validation) -> str:
     """Errors of the free run, a line for each output; then notes."""
     width = max(len("output"), *(len(key) for key in result.outputs))
+    scored = timed(result.scored, _mean_period(result.predictions))
     runs = "Free run" if result.window is None else f"Free runs in windows of {result.window:g} s"
     lines = [
-        f"{runs}, {len(result.predictions)} record(s), {result.scored} samples scored",
+        f"{runs}, {counted(len(result.predictions), 'record')}, {scored} scored",
         f"{'output':<{width}}  {'rmse':>11}  {'nrmse':>8}  {'fit [%]':>8}  unit",
     ]
     rows = zip(result.outputs, result.rmse, result.nrmse, result.fit, result.units, strict=True)
@@ -328,9 +337,10 @@ def validation_text(result: Validation) -> str:
 def profile_text(result: Profile) -> str:
     """Interval and effective number of samples; then notes."""
     low, high = result.interval
+    points = counted(len(result.values), "point")
     lines = [
         f"{result.name}: {result.estimate:.6g}, {100 * result.level:.4g} % interval "
         f"{low:.6g} … {high:.6g} {result.unit}".rstrip(),
-        f"profile of {len(result.values)} points, {result.samples:.3g} effective samples",
+        f"profile of {points}, {result.samples:.3g} effective samples",
     ]
     return "\n".join([*lines, *(f"- {note}" for note in result.notes)])

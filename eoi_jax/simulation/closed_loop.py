@@ -36,7 +36,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import check, check_choice, check_kind
+from eoi_jax._checks import check, check_choice, check_kind, timed
 from eoi_jax.data.record import Record
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
@@ -294,7 +294,7 @@ def _closed_record(
         missing = int(np.sum(~np.all(record.output_valid[samples], axis=1)))
         check(missing == 0 or not memory, f"records[{record.name}].outputs",
               "must be measured at every sample, as the state of the controller follows from them",
-              f"{missing} missing samples",
+              timed(missing, record.sample_period, "missing sample"),
               "Split the record there, or use windows with the recorded input.")  # fmt: skip
         replayed = replayed_along(controller, record, references, inputs, samples)
         stretches.append((samples, replayed))

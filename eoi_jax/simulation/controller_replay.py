@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._checks import check
+from eoi_jax._checks import check, counted
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.noise import quanta
 from eoi_jax.data.record import Record
@@ -216,7 +216,7 @@ def _reason(
         values = np.linalg.lstsq(design, u - fixed, rcond=1e-10)[0]
         remaining = np.sqrt(np.mean((u - fixed - design @ values) ** 2))
         if remaining <= _SETTINGS.explains * size:
-            parts = [f"a delay of {delay} sample(s) (`delay={delay}`)"] if delay else []
+            parts = [f"a delay of {counted(delay, 'sample')} (`delay={delay}`)"] if delay else []
             parts += [f"a factor of {values[0]:.4g}"] if scaled else []
             parts += [f"an offset of {values[int(scaled)]:.4g}"] if shifted else []
             return f"With {' and '.join(parts)} the law would leave {remaining:.2g}."

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import expm
 
+from eoi_jax._checks import counted
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
@@ -165,8 +166,8 @@ def restarted(count: int, growth: ErrorGrowth, subject: str, window: float | Non
     """
     size = f"grows to {growth.largest:.2g} times the noise" if growth.growing else "ends it"
     return (
-        f"{subject} in {count} windows of {window or growth.window:.3g} s, each from a state of "
-        "its own: the plant is unstable, and a whole free run says nothing, for the "
+        f"{subject} in {counted(count, 'window')} of {window or growth.window:.3g} s, each from a "
+        "state of its own: the plant is unstable, and a whole free run says nothing, for the "
         f"error of its start {size}."
     )
 

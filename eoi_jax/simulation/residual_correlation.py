@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from eoi_jax._checks import check, check_count, real
+from eoi_jax._checks import check, check_count, counted, real
 from eoi_jax.data.record import Record
 
 
@@ -150,7 +150,7 @@ def _checked(signal: np.ndarray, name: str, lags: int, level: float) -> np.ndarr
     check(signal.ndim == 1, name, "must be one signal over time, (N,)", f"shape {signal.shape}")
     check_count("lags", lags)
     check(0.0 < real(level) < 1.0, "level", "must lie in (0, 1)", level)
-    check(lags < len(signal), "lags", f"must be less than the {len(signal)} samples", lags)
+    check(lags < len(signal), "lags", f"must be less than {counted(len(signal), 'sample')}", lags)
     return signal
 
 

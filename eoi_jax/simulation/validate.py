@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax._blas import one_thread
-from eoi_jax._checks import check, check_count, check_positive
+from eoi_jax._checks import check, check_count, check_positive, counted, timed
 from eoi_jax._display import Result
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
@@ -328,28 +328,32 @@ def _check_record(
         head,
     )
     unscored = max(head, transient_samples(record))
-    rule = f"must have valid samples after the first {unscored}, which are not scored"
+    period = record.sample_period
+    first = timed(unscored, period)
+    rule = f"must have valid samples after the first {first}, which are not scored"
     good = bool(np.any(scored_samples(record, unscored)))
-    check(good, f"record {record.name}", rule, f"{len(record)} samples",
+    check(good, f"record {record.name}", rule, timed(len(record), period),
           "Lower `initial_samples`, or the record's burn-in.")  # fmt: skip
     if window is not None:
         check_positive("window", window)
-        count = round(window / record.sample_period)
-        rule = f"must be longer than {head} samples, which start each run"
-        check(count > head, "window", rule, f"{count} samples")
+        count = round(window / period)
+        rule = f"must be longer than {timed(head, period)}, which start each run"
+        check(count > head, "window", rule, timed(count, period))
     longest = max(stop - start for start, stop in record.input_segments())
     check(
         longest > head,
         f"record {record.name}",
-        f"must have known inputs for more than {head} samples, from which a free run starts",
-        f"{longest} samples at most between two gaps",
+        f"must have known inputs for more than {timed(head, period)}, from which a free run starts",
+        f"{timed(longest, period)} at most between two gaps",
         "Fill in the inputs where they are certain, or lower `initial_samples`.",
     )
     parts = [part for _, part in driven_parts(record, head + 1)]
     runs = [plan(part, head, window, plant.rows) for part in parts]
     most = max(runs, key=lambda part_runs: part_runs.available - part_runs.need)
-    rule = f"must have {most.need} valid samples among {head}, from which a free run "
-    rule += "starts, and others that follow in it"
+    rule = (
+        f"must have {counted(most.need, 'valid sample')} among {timed(head, period)}, from which "
+    )
+    rule += "a free run starts, and others that follow in it"
     scored = [np.any(part_runs.score[:, None] & part.output_valid, axis=0)
               for part_runs, part in zip(runs, parts, strict=True)]  # fmt: skip
     check(bool(np.any(scored)), f"record {record.name}", rule,

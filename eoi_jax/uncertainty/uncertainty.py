@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax._checks import check, check_kind, real
+from eoi_jax._checks import check, check_kind, is_or_are, real
 from eoi_jax._display import Result
 from eoi_jax.estimation.common_factors import listed
 from eoi_jax.estimation.identify import Identification
@@ -300,8 +300,9 @@ def _weak(
             continue
         sentence = f"{listed(involved)} can hardly be told apart, only to within {worst:.0%}"
         if combinations:
-            verb = "is" if len(combinations) == 1 else "are"
-            sentences.append(f"{sentence}; {listed(combinations)} {verb} surer")
+            sentences.append(
+                f"{sentence}; {listed(combinations)} {is_or_are(len(combinations))} surer"
+            )
         else:
             change = format_direction(direction, theta, names)
             sentences.append(f"{sentence}: a change of {change} hardly shows")

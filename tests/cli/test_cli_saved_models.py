@@ -141,8 +141,8 @@ def test_a_complete_model_leaves_white_errors_and_a_wrong_one_does_not():
 def test_several_files_are_records_of_one_validation(folder):
     done = called("validate", "runs/good", "new.csv", "other.csv")
     assert done.exit_code == 0, done.output
-    assert "Free run, 2 record(s)" in done.stdout
-    assert "Free runs in windows of 4 s, 2 record(s)" in done.stdout
+    assert "Free run, 2 records" in done.stdout
+    assert "Free runs in windows of 4 s, 2 records" in done.stdout
     assert "1 % of the lags are outside by chance" in done.stdout
     rows = [line.split() for line in done.stdout.splitlines() if line.startswith(("new", "other"))]
     assert [row[:3] for row in rows] == [

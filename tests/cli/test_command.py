@@ -21,6 +21,7 @@ from eoi_jax.cli.commands import app
 from eoi_jax.cli.options import complete_config, complete_data
 from eoi_jax.cli.terminal import progress, say
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.models.export.export import LANGUAGES
 
 START = [sys.executable, "-c", "from eoi_jax.cli.main import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -105,25 +106,39 @@ def test_every_command_has_help_with_examples_and_takes_json_and_quiet(name: str
     assert all(line.strip().startswith("eoi ") for line in examples), "one wraps at 80 columns"
 
 
+def completed(tmp_path: Path, words: str) -> set[str]:
+    """What the tab key offers behind these words, as bash asks for it."""
+    position = str(len(words.split(" ")) - 1)
+    more = {"_EOI_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": position}
+    return set(call(tmp_path, **more).stdout.split())
+
+
 def test_a_shell_completes_commands_configs_and_data_files(tmp_path: Path):
     (tmp_path / "rig.toml").write_text("")
     (tmp_path / "run.csv").write_text("")
     (tmp_path / "notes.doc").write_text("")
     (tmp_path / "more").mkdir()
 
-    def completed(words: str) -> set[str]:
-        position = str(len(words.split(" ")) - 1)
-        more = {"_EOI_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": position}
-        done = call(tmp_path, **more)
-        return set(done.stdout.split())
-
-    assert {"identify", "inspect", "init"} <= completed("eoi i")
-    assert completed("eoi identify ") == {"rig.toml", "more/"}
-    assert completed("eoi inspect r") == {"run.csv"}
+    assert {"identify", "inspect", "init"} <= completed(tmp_path, "eoi i")
+    assert completed(tmp_path, "eoi init run.csv --output ") == {"rig.toml", "more/"}
+    assert completed(tmp_path, "eoi inspect r") == {"run.csv"}
     shown = call(
         tmp_path, "--show-completion", "bash", _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1"
     )
     assert "_EOI_COMPLETE" in shown.stdout
+
+
+def test_a_shell_completes_the_languages_of_export(tmp_path: Path):
+    assert completed(tmp_path, "eoi export runs/emps --language ") == set(LANGUAGES)
+    assert completed(tmp_path, "eoi export runs/emps --language m") == {"matlab"}
+
+
+def test_a_shell_completes_built_in_configs_that_no_folder_hides(tmp_path: Path):
+    (tmp_path / "pendulum").mkdir()
+    (tmp_path / "pens.toml").write_text("")
+    offered = completed(tmp_path, "eoi identify pen")
+    assert offered == {"pendulum/", "pens.toml", "pendulum_lab", "pendulum_sweep"}
+    assert {"level_tank", "emps", "pens.toml"} <= completed(tmp_path, "eoi discover ")
 
 
 def test_completion_of_a_folder_that_is_not_there_is_empty(tmp_path: Path):

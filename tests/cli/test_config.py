@@ -358,7 +358,7 @@ def test_a_mistake_is_named_with_its_rule(
     ("change", "field", "rule"),
     [
         (("files", "file"), "a key of [data]", "`files`"),
-        (('inputs = ["u"]', 'inputs = ["u", "v"]'), "`data.inputs`", "1 column(s)"),
+        (('inputs = ["u"]', 'inputs = ["u", "v"]'), "`data.inputs`", "1 column,"),
         (('outputs = ["y"]', "outputs = []"), "`data.outputs`", "none"),
         (("scale = { u = 2.0 }", "scale = { u = 'two' }"), "`data.scale.u`", "a number"),
         (("slice = [0, 20]", "slice = [0]"), "`validation.slice`", "length 2"),

@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from eoi_jax.cli import actions, build, config
+from eoi_jax.cli import build, config
+from eoi_jax.cli.actions import config_file
 from eoi_jax.estimation.identify import identify
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -53,9 +54,9 @@ def test_every_shipped_config_gives_an_answer(path: Path, request: pytest.Fixtur
 def test_a_shipped_config_goes_by_its_name(tmp_path, monkeypatch):
     """A file of that name comes first; where there is neither, the built-in ones are listed."""
     monkeypatch.chdir(tmp_path)
-    assert actions.config_file(Path("level_tank")) == CONFIGS / "level_tank.toml"
-    assert actions.config_file(Path("level_tank.toml")) == Path("level_tank.toml")
+    assert config_file(Path("level_tank")) == CONFIGS / "level_tank.toml"
+    assert config_file(Path("level_tank.toml")) == Path("level_tank.toml")
     with pytest.raises(ValueError, match=r"or a built-in config: .*level_tank, .*got leveltank"):
-        actions.config_file(Path("leveltank"))
+        config_file(Path("leveltank"))
     Path("level_tank").touch()
-    assert actions.config_file(Path("level_tank")) == Path("level_tank")
+    assert config_file(Path("level_tank")) == Path("level_tank")

@@ -60,7 +60,7 @@ def test_a_single_sample_of_another_input_is_interpolated_and_said(hold):
     record = record_of(u, hold=hold)
     np.testing.assert_array_equal(np.flatnonzero(~record.input_valid), [100, 101, 399])
     assert record.inputs[50, 0] == pytest.approx(0.5 * (np.cos(4.9) + np.cos(5.1)))
-    assert any("interpolated at 1 single missing samples" in note for note in record.notes)
+    assert any("interpolated at 1 single missing sample," in note for note in record.notes)
 
 
 def test_without_inputs_nothing_is_unknown():
@@ -92,7 +92,7 @@ def test_a_hole_in_a_slow_output_is_a_gap_of_that_output_alone():
     record = record_of(y=y).bridged
     assert record.output_valid[:, 0].all()
     np.testing.assert_array_equal(np.flatnonzero(~record.output_valid[:397, 1]), range(97, 160))
-    assert any("; 1 gaps." in note for note in record.notes)
+    assert any("; 1 gap." in note for note in record.notes)
 
 
 def test_a_record_without_missing_samples_is_its_own_bridged_record():

@@ -125,9 +125,9 @@ MISTAKES = [
     ({"valve": "zero", "flow": "zero"}, r"`hold` must say how each .* got nothing for sun\. Leave"),
     ({**MIXED, "wind": "zero"}, r"`hold\[wind\]` must be of an input of the record, valve, flow"),
     ({**MIXED, "sun": "auto"}, r"`hold\[sun\]` must be one of zero, linear, smooth, got 'auto'"),
-    (("zero", "linear"), "`hold` must be zero, linear, smooth, or such a word for each of the 3"),
+    (("zero", "linear"), "`hold` must be zero, linear, smooth, or such a word for each of 3"),
     (["zero", "linear", 3], r"`hold\[sun\]` must be one of zero, linear, smooth, got '3'"),
-    (0.5, "`hold` must be zero, linear, smooth, or such a word for each of the 3 inputs, got 0.5"),
+    (0.5, "`hold` must be zero, linear, smooth, or such a word for each of 3 inputs, got 0.5"),
 ]
 
 

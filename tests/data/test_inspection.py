@@ -107,7 +107,7 @@ def test_jitter_gaps_repeats_and_steps_back_are_counted(tmp_path):
     found = inspect(written(tmp_path / "run.csv", time=stamps, u=U, y=Y))
     assert found.clock.backwards == (1, 400)
     assert found.clock.repeated == 1
-    assert any("goes back 1 times, first at row 400" in line for line in found.advice)
+    assert any("goes back 1 time, first at row 400" in line for line in found.advice)
     assert channel(found, "y").noise is not None  # all else is told all the same
 
 

@@ -202,7 +202,7 @@ def test_shifted_inputs_are_those_of_the_shifted_signal():
     assert record.with_delayed_inputs([0.0]) is record
     with pytest.raises(ValueError, match="`delays` must hold finite times"):
         record.with_delayed_inputs([np.nan])
-    with pytest.raises(ValueError, match="`delays` must hold a time for each of the 1 inputs"):
+    with pytest.raises(ValueError, match="`delays` must hold a time for each of 1 input"):
         record.with_delayed_inputs([0.0, 0.1])
 
 

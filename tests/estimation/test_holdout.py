@@ -87,12 +87,12 @@ def settling(record: eoi.Record) -> eoi.Record:
 @pytest.mark.parametrize(
     ("held", "window", "message"),
     [
-        ([settling(run(2))], None, "start its free run, got 40 samples, 40 of them valid and"),
+        ([settling(run(2))], None, r"its free run, got 40 samples \(0.4 s\), 40 of them valid and"),
         ([settling(run(2))], None, r"`validation\[run 2\]` must have valid samples after the 13"),
         ([], None, r"`records\[run 1\]` must have valid samples after the 13"),
         ([run(2)], 0.5, "`window` must be longer than 0.5 s, the 50 samples of run"),
         ([run(2)], -1.0, "`window` must be positive and finite, got -1.0. It is a time"),
-        ([gaps(run(2))], 0.55, "start each free run of 0.55 s, got 1000 samples, 17 of them valid"),
+        ([gaps(run(2))], 0.55, r"of 0.55 s, got 1000 samples \(10 s\), 17 of them valid"),
     ],
 )  # fmt: skip
 def test_records_of_which_no_free_run_can_be_made_are_named(held, window, message):
@@ -109,7 +109,7 @@ def test_runs_that_start_late_are_told_of_the_records_that_judge():
         late = eoi.Record(TIME, record.inputs, y, "late")
     whole, windows = check_runs(PLANT, [run(1)], [late], None)
     assert whole.startswith("The free run on late starts at t = 0.6 s")
-    assert windows.startswith("1 of 10 windows on late are not scored: fewer than 25 of")
+    assert windows.startswith("1 of 10 windows on late is not scored: fewer than 25 of")
     assert check_runs(PLANT, [late], [run(1)], None) == []
 
 

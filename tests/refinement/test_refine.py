@@ -530,11 +530,11 @@ def test_the_answer_has_the_window_that_was_used():
     record = run(MASS, noise=1e-4)
     few = refine(MASS, record, window=1e-3, max_steps=1)
     assert few.window == pytest.approx(1000 / 125 * PERIOD)  # eight steps at least
-    assert f"125 run(s), windows of {few.window:g} s" in str(few)
+    assert f"125 runs, windows of {few.window:g} s" in str(few)
     assert refine(MASS, record, window=1.0, max_steps=1).window == 1.0
     whole = refine(MASS, record, window=1e3, max_steps=1)
     assert whole.window is None
-    assert "1 run(s), whole records" in str(whole)
+    assert "1 run, whole records" in str(whole)
 
 
 def test_a_parameter_on_its_bound_leaves_the_others_at_their_best():

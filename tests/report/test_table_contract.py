@@ -145,7 +145,7 @@ def test_tables_of_an_identification(identified):
 def test_answer_of_an_identification_names_its_best_pass(identified):
     line = tables.identification_answer(identified)
     assert line == (
-        "2 parameters of two tanks identified from 1500 samples in pass 3 of 5; 12 % of the "
+        "2 parameters of two tanks identified from 1500 samples (30 s) in pass 3 of 5; 12 % of the "
         "highest derivative remains unexplained."
     )
     held = replace(fake_validation(identified), fit=np.array([91.2, 88.76]))
@@ -199,7 +199,7 @@ def validation_table_of(held: eoi.Validation) -> list[Row]:
 def test_table_of_a_validation(identified):
     held = fake_validation(identified)
     text = str(held)
-    assert text.startswith("Free run, 1 record(s), 1234 samples scored")
+    assert text.startswith("Free run, 1 record, 1234 samples (24.68 s) scored")
     assert_rows(rows_below(text, "output"), validation_table_of(held))
 
 
@@ -241,7 +241,7 @@ def test_tables_of_a_refinement(refined, identified):
     text = str(refined)
     rows = rows_below(text, "parameter")
     assert_rows(rows[:3], refined_table_of(refined))
-    assert rows[3] == ["rmse of 1 run(s), windows of 1.5 s:"]
+    assert rows[3] == ["rmse of 1 run, windows of 1.5 s:"]
     assert rows[4:6] == [["upper: 0.789 → 0.0123 m"], ["lower: 32.1 → 4.56 cm"]]
     before, after = fake_validation(identified), fake_validation(identified, 31)
     whole = tables.refinement_text(refined, before, after)

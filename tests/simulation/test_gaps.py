@@ -34,7 +34,7 @@ def test_a_part_that_is_too_short_for_a_start_is_not_scored_and_said(cut):
     feed = without(FEED, GAP)
     feed[[580, 581, 582]] = np.nan  # leaves 40 samples between two gaps
     result = eoi.validate(CHAIN, record_of(TIME, feed, Y))
-    assert "2 parts with a start of their own; 1 others are not scored" in result.notes[0]
+    assert "2 parts with a start of their own; 1 other is not scored" in result.notes[0]
     assert result.scored == sum(eoi.validate(CHAIN, part).scored for part in cut) - 43
 
 
@@ -69,7 +69,7 @@ def test_rare_samples_make_the_start_longer():
 
 def test_an_input_that_is_never_known_long_enough_is_named():
     feed = without(FEED, np.arange(len(TIME)) % 9 < 3)
-    with pytest.raises(ValueError, match=r"known inputs for more than 6 samples, .* got 6"):
+    with pytest.raises(ValueError, match=r"known inputs for more than 6 samples .* got 6 samples"):
         eoi.validate(CHAIN, record_of(TIME, feed, Y))
 
 

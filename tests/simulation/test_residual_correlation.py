@@ -71,7 +71,7 @@ def test_signals_that_say_nothing_have_no_correlation():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda e: autocorrelation(e, 100), "`lags` must be less than the 100 samples, got 100"),
+        (lambda e: autocorrelation(e, 100), "`lags` must be less than 100 samples, got 100"),
         (lambda e: autocorrelation(e, 0), "`lags` must be an integer ≥ 1, got 0"),
         (lambda e: autocorrelation(e, 5, 1.0), r"`level` must lie in \(0, 1\), got 1.0"),
         (lambda e: cross_correlation(e, e[1:], 5), "`input` must have the length of the residual"),

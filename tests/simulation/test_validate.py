@@ -153,10 +153,10 @@ def test_windows_start_late_or_are_left_out_where_their_first_samples_are_masked
     result = validate(mass_spring_damper(true=True), with_gaps((195, 270), (600, 790)), window=1.0)
     assert result.rmse[0] < 1e-12
     assert result.scored == (150 - 5) + 80 + 150 + 151
-    few = "fewer than 25 of the first 50 samples are valid."
+    few = "fewer than 25 of the first 50 samples (0.25 s) are valid."
     assert result.notes == (
-        f"1 of 5 windows on gaps start late: at first {few}",
-        f"1 of 5 windows on gaps are not scored: {few}",
+        f"1 of 5 windows on gaps starts late: at first {few}",
+        f"1 of 5 windows on gaps is not scored: {few}",
     )
     assert np.all(np.isfinite(result.predictions[0].outputs))
 
@@ -203,7 +203,7 @@ def test_constant_output_has_no_fit_but_an_error():
 def test_table_names_output_unit_and_numbers():
     result = validate(mass_spring_damper(), swing())
     lines = str(result).splitlines()
-    assert lines[0] == "Free run, 1 record(s), 951 samples scored"
+    assert lines[0] == "Free run, 1 record, 951 samples (4.755 s) scored"
     assert lines[2].split()[0] == "position"
     assert lines[2].split()[-1] == "m"
     assert float(lines[2].split()[1]) == pytest.approx(result.rmse[0], rel=1e-4)
@@ -232,7 +232,7 @@ def test_channels_must_match_the_plant():
     ):
         validate(three_mass_spring_damper(), swing())
     both = Record(TIME, np.stack([FORCE, FORCE], axis=1), FORCE, "two")
-    with pytest.raises(ValueError, match=r"`records\[two\].inputs` must have 1 channels \(volt"):
+    with pytest.raises(ValueError, match=r"`records\[two\].inputs` must have 1 channel \(volt"):
         validate(mass_spring_damper(), both)
 
 

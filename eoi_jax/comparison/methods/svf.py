@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import counted
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
@@ -135,7 +136,8 @@ def _identified(plant: Plant, solved: WeightedSolution, number: int) -> Status:
     lost = untraced(solved.solution, plant.names, plant.free)
     if lost:
         return Status("unidentifiable", UNTRACED.format("; ".join(lost)))
-    return Status("converged", f"least squares settled after {number} step(s){rest_note(plant)}")
+    steps = counted(number, "step")
+    return Status("converged", f"least squares settled after {steps}{rest_note(plant)}")
 
 
 def rest_note(plant: Plant) -> str:

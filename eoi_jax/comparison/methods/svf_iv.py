@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import counted
 from eoi_jax._status import Status
 from eoi_jax.comparison.methods.comparator import (
     AbstractComparator,
@@ -90,9 +91,11 @@ def _rounds(
         theta = theta + moved
         if np.all(np.abs(moved) <= np.maximum(tolerance * errors, 1e-9 * np.abs(theta))):
             used = "the plant itself, linearised" if response else "fixed, as the plant integrates"
-            text = f"settled after {number} rounds; the filter is {used}{rest_note(plant)}"
+            rounds = counted(number, "round")
+            text = f"settled after {rounds}; the filter is {used}{rest_note(plant)}"
             return Estimate(named(plant, theta), named(plant, errors), Status("converged", text))
-    text = f"parameters still moved after {max_rounds} rounds: instruments of a poor model"
+    rounds = counted(max_rounds, "round")
+    text = f"parameters still moved after {rounds}: instruments of a poor model"
     status = Status("passes_exhausted", text)
     return Estimate(named(plant, theta), named(plant, errors), status)
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import counted
 from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.table import Columns, Table
 
@@ -250,7 +251,7 @@ def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
     elapsed = elapsed.astype("timedelta64[ns]")
     half_day, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
     nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half_day)])
-    midnights = f", over {nights[-1]} midnight(s)" if nights[-1] else ""
+    midnights = f", over {counted(nights[-1], 'midnight')}" if nights[-1] else ""
     notes.append(f"`{key}` holds times of day, read as elapsed time{midnights}.")
     return elapsed + nights * day
 
@@ -287,7 +288,8 @@ def _layout(lines: Sequence[str]) -> _Layout:
     names, units = _titles(header, remarks, rows[start][0], width, separator)
     used = (names is not None) + bool(units) if header else 0
     if len(header) > used and header:
-        notes.append(f"{len(header) - used} lines before the header were skipped.")
+        lines = counted(len(header) - used, "line")
+        notes.append(f"Skipped before the header: {lines}.")
     return _Layout(separator, decimal, rows[start][0], tuple(names or ()), units, tuple(notes))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._checks import check
+from eoi_jax._checks import check, counted
 from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import judged_runs
@@ -70,7 +70,7 @@ def best(
         chosen, value = lanes[int(np.argmin(values))], float(np.min(values))
         criterion = (
             "log of the held-out free run's NRMSE, summed over outputs, mean over records; "
-            f"of the {len(values)} lanes with the smallest common index"
+            f"of the {counted(len(values), 'lane')} with the smallest common index"
         )
     picked = sweep.isel(dict(zip(_LANE_DIMENSIONS, (int(i) for i in chosen), strict=True)))
     return picked.assign(score=value).assign_attrs(criterion=criterion)

@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from eoi_jax._checks import check, is_whole
+from eoi_jax._checks import check, counted, is_whole
 from eoi_jax.compiler.jax_setup import configure
 from eoi_jax.estimation.engines import AbstractEngine, Automatic
 from eoi_jax.estimation.sweep.chunk import Arrays, engines_used, precision_error, run_chunk
@@ -140,7 +140,7 @@ def _engines(
     reasons = dict.fromkeys(engine_used.reason for engine_used in used if engine_used.reason)
     stored_count = len(places) - len(unfinished)
     if stored_count:
-        share = f"{stored_count} of {len(places)} chunks"
+        share = f"{stored_count} of {counted(len(places), 'chunk')}"
         reasons[f"{share} were in the store, their engine is not recorded"] = None
     return {"engine": ", ".join(engine_names) or "none", "engine_reason": "; ".join(reasons)}
 

@@ -311,7 +311,8 @@ class _Reader:
         minimum, maximum = FUNCTIONS[name].min_arguments, FUNCTIONS[name].max_arguments
         if not minimum <= len(arguments) <= maximum:
             counts = str(minimum) if minimum == maximum else f"{minimum} to {maximum}"
-            raise self.wrong(node, f"must give {name} {counts} argument(s), got {len(arguments)}")
+            noun = "argument" if maximum == 1 else "arguments"
+            raise self.wrong(node, f"must give {name} {counts} {noun}, got {len(arguments)}")
         first = self.flag if name == "where" else self.number
         values = (
             first(arguments[0], depth),

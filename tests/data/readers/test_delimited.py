@@ -83,7 +83,7 @@ def test_skipped_lines_and_decimal_commas_are_said(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Logger 3000\n\nt;u;y\n" + rows(";", comma=True))
     notes = " ".join(read_table(path).notes)
-    assert "1 lines before the header were skipped" in notes
+    assert "Skipped before the header: 1 line." in notes
     assert "decimal commas" in notes
 
 

@@ -160,7 +160,7 @@ def test_empty_cells_are_masked_and_said(tmp_path):
     frame = pd.DataFrame({"t": T, "u": U.astype(object), "y": Y[:, 0]})
     frame.loc[7, "u"] = None
     frame.to_csv(path, index=False)
-    with pytest.warns(RecordWarning, match="1 of 50 samples are not finite"):
+    with pytest.warns(RecordWarning, match="1 of 50 samples is not finite"):
         assert not read(path).valid[7]
 
 
