@@ -5,6 +5,7 @@ import os
 import pty
 import re
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from typer.testing import CliRunner
 from eoi_jax.cli import exports
 from eoi_jax.cli.commands import app
 from eoi_jax.cli.options import complete_config, complete_data
-from eoi_jax.cli.terminal import progress, say
+from eoi_jax.cli.terminal import progress, say, shell_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.models.export.export import LANGUAGES
 
@@ -369,6 +370,24 @@ def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, 
         == "motor.toml\n"
     )
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_the_next_command_is_quoted_and_names_the_file_that_was_written(
+    tmp_path: Path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    motor(tmp_path / "my rig's run.csv")
+    done = CliRunner().invoke(app, ["init", "my rig's run.csv", "--output", "new rig/first.toml"])
+    assert done.exit_code == 0, done.output
+    command = shlex.split(done.stdout.partition("next: ")[2])
+    assert command == ["eoi", "identify", "new rig/first.toml"]
+    comment = Path(command[-1]).read_text().splitlines()[1]
+    assert shlex.split(comment.removeprefix("#")) == command
+
+
+def test_a_path_is_a_word_of_the_shell():
+    assert shell_word(Path("my rig.toml")) == "'my rig.toml'"
+    assert shell_word(Path("-x.toml")) == "./-x.toml"  # no option
 
 
 def test_init_takes_several_files_and_the_names_of_columns(tmp_path: Path, monkeypatch):
