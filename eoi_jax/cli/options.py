@@ -8,8 +8,8 @@ import typer
 from eoi_jax.cli.built_in import built_in_names
 
 RUNS = Path("runs")
-# Those of `models/export/export.py`, which completion does not import.
-LANGUAGES = ("python", "c", "matlab", "latex", "json")
+# Those of `eoi_jax.export`, which completion does not import.
+LANGUAGES = ("python", "c", "matlab", "latex", "json", "idnlgrey")
 DATA_FILES = (
     ".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet", ".mat", ".h5", ".hdf5", ".npz", ".xlsx",
 )  # fmt: skip

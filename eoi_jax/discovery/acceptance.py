@@ -64,7 +64,7 @@ def unless_denied(status: Status, first: Round) -> Status:
     if status.code != "unexplained" or fit is None or first.chosen.atoms:
         return status
     share, _, _ = _power_explained(first, first, first.declared.residual, fit.residual)
-    names = " and ".join(names_of([atom.placed for atom in fit.atoms]))
+    names = labels_of([atom.placed for atom in fit.atoms])
     denial = Status("unexplained", _DENIED.format(names, share))
     return denial if share >= _MAIN_SHARE else status
 
@@ -121,7 +121,7 @@ def judged(
         return answered(share, relative_residual)
     if unrivalled and share >= _MAIN_SHARE:
         return Status("explained", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
-    return Status("unexplained", _PARTLY.format(" and ".join(names_of(placed)), share, description))
+    return Status("unexplained", _PARTLY.format(labels_of(placed), share, description))
 
 
 def answered(share: float, relative_residual: float) -> Status:
@@ -132,6 +132,11 @@ def answered(share: float, relative_residual: float) -> Status:
 def _residual_text(relative_residual: float) -> str:
     share = f"{relative_residual:.2g} of the highest derivative (rms)"
     return share if relative_residual > 0.0 else "nothing beyond the noise"
+
+
+def labels_of(placed: Sequence[Placed]) -> str:
+    """The effects as words of a sentence, with their forms and without duplicates."""
+    return " and ".join(dict.fromkeys(location.effect.label for location in placed))
 
 
 def names_of(placed: Sequence[Placed]) -> tuple[str, ...]:

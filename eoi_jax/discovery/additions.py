@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from eoi_jax.discovery.ranking import ends
 from eoi_jax.discovery.refit import SEARCHED
 from eoi_jax.discovery.result import Added
 from eoi_jax.estimation.covariance import Certainty
@@ -11,6 +10,7 @@ from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import ActuatorLag, InputDelay
+from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
@@ -48,9 +48,11 @@ def size_is_known(
 
 def uncertain_effects(added: Sequence[Added]) -> list[str]:
     """Notes on effects of which every standard error exceeds half of its parameter."""
+    labels = [addition.label for addition in added]
     return [
-        f"{UNCERTAIN} {addition.effect.name.replace('_', ' ')}: every parameter of it has a "
-        "standard error above half of its value"
+        f"{UNCERTAIN} {addition.label.replace('_', ' ')}"
+        f"{f' at {addition.position}' if labels.count(addition.label) > 1 else ''}: every "
+        "parameter of it has a standard error above half of its value"
         for addition in added
         if not size_is_known(addition.parameters, addition.parameters, addition.standard_errors)
     ]

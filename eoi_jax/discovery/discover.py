@@ -22,7 +22,14 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.acceptance import answered, explained, judged, names_of, unless_denied
+from eoi_jax.discovery.acceptance import (
+    answered,
+    explained,
+    judged,
+    labels_of,
+    names_of,
+    unless_denied,
+)
 from eoi_jax.discovery.additions import (
     GRID_END,
     REFIT_STATUS,
@@ -46,13 +53,7 @@ from eoi_jax.discovery.in_free_runs import (
 from eoi_jax.discovery.parsimony import simpler
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import polished
-from eoi_jax.discovery.refit import (
-    free_runs,
-    not_simulated,
-    on_bounds,
-    refitted,
-    window_of,
-)
+from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted, window_of
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
@@ -62,11 +63,7 @@ from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records, resting_outputs
-from eoi_jax.estimation.identify import (
-    Identification,
-    declared_index,
-    estimate,
-)
+from eoi_jax.estimation.identify import Identification, declared_index, estimate
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
@@ -395,8 +392,7 @@ def _polished(
     length = "" if short is None else f" over windows of {short:.3g} s"
     notes.append(f"refined{length}: {better.refinement.status}")
     if better.placed:
-        names = " and ".join(name.replace("_", " ") for name in names_of(better.placed))
-        notes.append(f"found in the free run alone: {names}")
+        notes.append(f"found in the free run alone: {labels_of(better.placed).replace('_', ' ')}")
     result = better.refinement
     fit = as_fit(task.prepared, result)
     refined_effects = [
@@ -452,7 +448,7 @@ def _answer(
             break
         refusal = not_simulated(model)
         if refusal:
-            notes.append(_UNCHECKED.format(" and ".join(names_of(placed)), share, refusal))
+            notes.append(_UNCHECKED.format(labels_of(placed), share, refusal))
             rounds[0].refused.update(dict.fromkeys(placed, NO_FREE_RUN))
             status = Status("unexplained", _NOT_SIMULATED)
             continue
@@ -466,10 +462,10 @@ def _answer(
             status, wide_set = verdict, placed
             placed, fit, after = _plainest(task, placed, refit, runs, rounds[0])
             if placed != wide_set:
-                notes.append(_WIDER_LAW.format(" and ".join(names_of(wide_set)), share))
+                notes.append(_WIDER_LAW.format(labels_of(wide_set), share))
                 share, status = _share_of_simpler(task, placed, fit, rounds)
             break
-        notes.append(_REFUSED.format(" and ".join(names_of(placed))))
+        notes.append(_REFUSED.format(labels_of(placed)))
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _FREE_RUN_WORSE)
     accepted = placed if fit is not task.declared else ()

@@ -9,7 +9,7 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS, hold_text
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.acceptance import names_of
+from eoi_jax.discovery.acceptance import labels_of, names_of
 from eoi_jax.discovery.additions import (
     GRID_END,
     added_effect,
@@ -234,7 +234,7 @@ def with_further_effects(
     assert windows is not None
     searched = [note for note in discovery.notes if GRID_END in note]
     notes = [*_lasting(discovery, answer), *searched, *hints]
-    notes.append(_FURTHER.format(" and ".join(names_of(further)), ratio) if further else _BETTER)
+    notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         after=judged_runs(fit.plant, answer.judging),
@@ -248,7 +248,7 @@ def with_further_effects(
 def _signals_of(plant: Plant, placed: Placed) -> str:
     """A product by its signals, any other effect by its name."""
     if not isinstance(placed.effect, Product):
-        return placed.effect.name.replace("_", " ")
+        return placed.effect.label.replace("_", " ")
     output = plant.outputs[placed.output]
     signals = {"y": output, "v": f"{output}'", "u": (*plant.inputs, "u")[0]}
     return "the product of " + " and ".join(signals[key] for key in placed.effect.factors)
@@ -264,7 +264,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
     if best.placed and ratio < CONFIRMED and not _imitates(discovery, best):
-        names = " and ".join(names_of(best.placed))
+        names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
         found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)

@@ -7,6 +7,7 @@ import numpy as np
 from eoi_jax.discovery.result import Evidence
 from eoi_jax.discovery.round import Round, values_of
 from eoi_jax.models.augmented import Placed
+from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 
 
@@ -42,7 +43,7 @@ def ranking(plant: Plant, rounds: Sequence[Round], added: Sequence[Placed]) -> t
         name, channel = placed.effect.name, channels[placed.channel]
         rows[placed] = Evidence(
             name, channel, parameters, max(share, 0.0), float(score), remark,
-            *ends(plant, placed),
+            *ends(plant, placed), placed.effect.form,
         )  # fmt: skip
     chosen = set(added) | set(scores)
     # A set that only the held-out records refuse comes first: the records of the fit support it.
@@ -55,11 +56,3 @@ def ranking(plant: Plant, rounds: Sequence[Round], added: Sequence[Placed]) -> t
         return placed not in chosen, placed not in denied, row.remark != "", -row.score
 
     return tuple(rows[placed] for placed in sorted(rows, key=priority))
-
-
-def ends(plant: Plant, placed: Placed) -> tuple[str, str]:
-    """Names of an effect's reference output and of the input that it acts with; "" for none."""
-    return (
-        "" if placed.against is None else plant.outputs[placed.against],
-        "" if placed.through is None else plant.inputs[placed.through],
-    )

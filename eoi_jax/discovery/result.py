@@ -1,15 +1,17 @@
 """The result of `discover`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from eoi_jax._display import Result
 from eoi_jax._status import EngineUsed, Status
+from eoi_jax._types import WHERE_SET
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.effects.effect import AbstractEffect, labelled
 from eoi_jax.models.equations.display import equation_latex, equation_text
+from eoi_jax.models.placements import position_text
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import Validation
 
@@ -28,6 +30,7 @@ class Evidence:
         remark: why it was excluded, or "".
         against: for an effect between two outputs, the reference of its displacement; or "".
         through: the input together with which it acts on everything this drives; or "".
+        form: which of the effects of this name it is, as `above` of an end stop; or "".
     """
 
     effect: str
@@ -38,6 +41,17 @@ class Evidence:
     remark: str
     against: str = ""
     through: str = ""
+    form: str = field(default="", metadata=WHERE_SET)
+
+    @property
+    def label(self) -> str:
+        """Name and form: ``end_stop (above)``."""
+        return labelled(self.effect, self.form)
+
+    @property
+    def position(self) -> str:
+        """Where it acts, in words."""
+        return position_text(self.output, self.against, self.through)
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,16 @@ class Added:
     sentence: str
     against: str = ""
     through: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name and form of the effect."""
+        return labelled(self.effect.name, self.effect.form)
+
+    @property
+    def position(self) -> str:
+        """Where it acts, in words."""
+        return position_text(self.output, self.against, self.through)
 
 
 @dataclass(frozen=True)

@@ -394,7 +394,7 @@ def _residual_peaks(omega: np.ndarray, residual: np.ndarray, power: np.ndarray) 
 
 
 def _effect_names(effects: Iterable[Placed]) -> str:
-    return " and ".join(sorted({placed.effect.name for placed in effects}))
+    return " and ".join(sorted({placed.effect.label for placed in effects}))
 
 
 def _products(model: Plant, atom: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:

@@ -16,6 +16,39 @@ from eoi_jax.models.effects.effect import (
 from eoi_jax.models.plant import Plant
 
 
+def position_text(channel: str, against: str = "", through: str = "") -> str:
+    """Where an effect acts, in words: ``x1``, ``x1 towards x2``, ``x1 beside force``.
+
+    Args:
+        channel: the output, input or internal state.
+        against: the reference of its displacement; "" for none.
+        through: the input together with which it acts; "" for none.
+    """
+    if against:
+        return f"{channel} towards {against}"
+    return f"{channel} beside {through}" if through else channel
+
+
+def ends(plant: Plant, placed: Placed) -> tuple[str, str]:
+    """Names of an effect's reference output and of the input that it acts with; "" for none."""
+    return (
+        "" if placed.against is None else plant.outputs[placed.against],
+        "" if placed.through is None else plant.inputs[placed.through],
+    )
+
+
+def placed_label(plant: Plant, placed: Placed) -> str:
+    """An effect as no other candidate of the plant is called: ``end_stop (above) at x1``."""
+    return f"{placed.effect.label}{place_text(plant, placed)}"
+
+
+def place_text(plant: Plant, placed: Placed) -> str:
+    """Where an effect acts, as the end of a phrase; "" where there is one place only."""
+    channels, pair = placed.effect.channels(plant), ends(plant, placed)
+    place = position_text(channels[placed.channel], *pair)
+    return f" at {place}" if len(channels) > 1 or placed.on_state or any(pair) else ""
+
+
 def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
     """Every effect at every channel to which it applies."""
     placed, coupled = [], plant.coupled

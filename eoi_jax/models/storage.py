@@ -67,6 +67,7 @@ class MissingEffect:
     kind: str
     fields: dict[str, Any]
     depends_on = "t"  # abscissa of its figure in reports
+    form = ""
 
     def __getattr__(self, attribute: str) -> Any:
         if attribute.startswith("__"):

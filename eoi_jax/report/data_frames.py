@@ -19,7 +19,6 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report.discovery import acts_on
 from eoi_jax.report.parameters import (
     LEVEL,
     estimate_of,
@@ -102,12 +101,12 @@ def discovery_frame(result: Discovery) -> Any:
     Args:
         result: of `discover`.
     """
-    added = {(effect.effect.name, acts_on(effect)) for effect in result.added}
+    added = {(addition.label, addition.position) for addition in result.added}
     rows = []
     for rank, candidate in enumerate(result.ranking, 1):
-        name, place = candidate.effect, acts_on(candidate)
+        label, place = candidate.label, candidate.position
         evidence = candidate.explained, candidate.score, candidate.remark
-        rows.append((rank, name, place, (name, place) in added, *evidence))
+        rows.append((rank, label, place, (label, place) in added, *evidence))
     names = ("rank", "effect", "at", "added", "explained", "score", "remark")
     attributes = {"status": result.status.code, "explained": result.explained}
     return _frame(names, rows, attributes)

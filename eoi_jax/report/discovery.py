@@ -8,8 +8,9 @@ import numpy as np
 
 from eoi_jax.discovery.acceptance import DENIED
 from eoi_jax.discovery.confirm import only_short
-from eoi_jax.discovery.result import Added, Discovery, Evidence, PartialExplanation, Texts
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect, Curve, InputCurve
+from eoi_jax.models.effects.effect import labelled
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
@@ -143,10 +144,7 @@ def _with_lead(discovery: Discovery, partial: PartialExplanation) -> Discovery:
 
 def phrase(discovery: Discovery, added: Added) -> str:
     """One effect with its parameters: ``Coulomb (dry) friction of 20.42 ± 0.08 N``."""
-    description, _, _ = added.effect.sentence.partition(":")
-    internal = isinstance(added.effect, AbstractInternalEffect)
-    channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
-    position = f" at {acts_on(added)}" if len(channels) > 1 or internal else ""
+    name_and_place = described(discovery, added)
     at_inputs, values = strengths(discovery), []
     for (name, value), parameter in zip(
         added.parameters.items(), added.effect.parameters, strict=True
@@ -162,24 +160,21 @@ def phrase(discovery: Discovery, added: Added) -> str:
             text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
         values.append((parameter.name, text))
     if isinstance(added.effect, Curve | InputCurve):
-        return f"{description}{position}"
+        return name_and_place
     if len(values) == 1:
-        return f"{description}{position} of {values[0][1]}"
-    return f"{description}{position} ({', '.join(f'{name} {text}' for name, text in values)})"
+        return f"{name_and_place} of {values[0][1]}"
+    return f"{name_and_place} ({', '.join(f'{name} {text}' for name, text in values)})"
 
 
-def acts_on(candidate: Added | Evidence) -> str:
-    """The channel of an effect, in words.
-
-    Args:
-        candidate: added or only tried.
-    """
-    input_name = f" beside {candidate.through}" if candidate.through else ""
-    return (
-        f"{candidate.output} towards {candidate.against}"
-        if candidate.against
-        else f"{candidate.output}{input_name}"
-    )
+def described(discovery: Discovery, added: Added) -> str:
+    """One effect in words, with what tells it apart from others: form and place."""
+    description, _, _ = added.effect.sentence.partition(":")
+    # The sentence of a curve says its signal.
+    form = "" if isinstance(added.effect, Curve | InputCurve) else added.effect.form
+    internal = isinstance(added.effect, AbstractInternalEffect)
+    channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
+    needs_place = len(channels) > 1 or internal or added.against or added.through
+    return labelled(description, form) + (f" at {added.position}" if needs_place else "")
 
 
 def change_table(discovery: Discovery) -> str:
@@ -296,17 +291,19 @@ def candidate_table(discovery: Discovery, count: int = 5) -> str:
 
 def candidate_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of a table of all candidates that were not added, the header first; or none."""
-    added = {(added_effect.effect.name, acts_on(added_effect)) for added_effect in discovery.added}
+    added = {(addition.label, addition.position) for addition in discovery.added}
+    # A file of an older version has no forms.
+    added |= {(addition.effect.name, addition.position) for addition in discovery.added}
     candidates = [
         candidate
         for candidate in discovery.ranking
-        if (candidate.effect, acts_on(candidate)) not in added
+        if (candidate.label, candidate.position) not in added
     ]
     rows = [("other candidate", "at", "explains alone", "score", "")] if candidates else []
     for candidate in candidates:
         share = f"{100 * candidate.explained:.3g} %"
         score = f"{candidate.score:.4g}" if np.isfinite(candidate.score) else "-"
-        rows.append((candidate.effect, acts_on(candidate), share, score, candidate.remark))
+        rows.append((candidate.label, candidate.position, share, score, candidate.remark))
     return rows
 
 

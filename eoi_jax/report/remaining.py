@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.models.placements import place_text, placed_label
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.score_test import Candidate
 from eoi_jax.report.style import (
@@ -47,7 +48,7 @@ def remaining_figure(result: Remaining, opacity: float = 0.35) -> Any:
             alpha=1.0 if significant else opacity,
             label="significant" if significant else "not significant",
         )
-    names = [" + ".join(candidate.names).replace("_", " ") for candidate in candidates]
+    names = [_label(result, candidate).replace("_", " ") for candidate in candidates]
     axes.set_yticks(np.arange(len(candidates)), [shortened(name) for name in names])
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
@@ -63,24 +64,34 @@ def _first_candidates(result: Remaining, effects: int = 8, pairs: int = 4) -> li
 
 def remaining_text(result: Remaining) -> str:
     """The first effects and pairs of the ranking, and the errors on held-out records."""
-    rows = [f"{'effect':<42} {'share':>8} {'by chance':>10}  values"]
-    for candidate in _first_candidates(result):
+    candidates = _first_candidates(result)
+    width = max([42, *(len(_label(result, candidate)) for candidate in candidates)])
+    rows = [f"{'effect':<{width}} {'share':>8} {'by chance':>10}  values"]
+    for candidate in candidates:
         values = ", ".join(f"{name} {value:.4g}" for name, value in candidate.values.items())
-        label = " + ".join(candidate.names)
+        label = _label(result, candidate)
         share, significance = 100 * candidate.share, candidate.significance
-        rows.append(f"{label:<42} {share:>6.1f} % {significance:>10.2g}  {values}")
+        rows.append(f"{label:<{width}} {share:>6.1f} % {significance:>10.2g}  {values}")
     if result.held_out is not None:
         rmse = _numbers(result.held_out.rmse)
         rows += [
-            f"held out with {' + '.join(trial.candidate.names)}: {rmse} before, "
+            f"held out with {_label(result, trial.candidate)}: {rmse} before, "
             f"{_numbers(trial.held_out.rmse)} after"
             for trial in result.trials
         ]
     if result.best is None:
         refused = "None of them reduces the error on held-out records."
         return "\n".join([*rows, refused if result.trials else "None of them is significant."])
-    lacks = " and ".join(placed.effect.sentence for placed in result.best.placed)
-    return "\n".join([*rows, f"The model lacks {lacks}."])
+    lacks = [
+        f"{placed.effect.sentence}{place_text(result.plant, placed)}"
+        for placed in result.best.placed
+    ]
+    return "\n".join([*rows, f"The model lacks {' and '.join(lacks)}."])
+
+
+def _label(result: Remaining, candidate: Candidate) -> str:
+    """The effects of a candidate, each with what tells it apart from the others."""
+    return " + ".join(placed_label(result.plant, placed) for placed in candidate.placed)
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -730,6 +730,16 @@ def test_an_effect_of_unknown_size_is_said(errors, told):
     assert all("overflow" in note and "half" in note for note in notes)
 
 
+def test_two_effects_of_unknown_size_are_told_apart_by_their_outputs():
+    both = [
+        Added(effects.CoulombFriction(), output, {"friction": 1.0}, {"friction": 9.0}, "friction")
+        for output in ("cart", "arm")
+    ]
+    notes = uncertain_effects(both)
+    assert "coulomb friction at cart: " in notes[0]
+    assert "coulomb friction at arm: " in notes[1]
+
+
 @pytest.mark.parametrize("began", [0.0, 86_400.0], ids=["at the first sample", "a day before"])
 @pytest.mark.parametrize(
     "effect", [effects.ConstantOffset(), effects.Drift()], ids=["offset", "drift"]

@@ -193,7 +193,7 @@ def test_a_model_that_is_an_object_is_given_again_on_loading(drawn, tmp_path):
         ("inputs", {"inputs": ("voltage",)}, "u, got voltage"),
         ("outputs", {"outputs": ("angle",)}, "y, got angle"),
         ("internal", {"internal": None, "internal_initial": None}, "a function, got none"),
-        ("internal_initial", {"internal_initial": [0.0]}, "a function, got 1 values"),
+        ("internal_initial", {"internal_initial": [0.0]}, "a function, got 1 value"),
         ("actuator", {"actuator": None}, "a function, got none"),
     ],
 )

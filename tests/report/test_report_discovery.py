@@ -10,13 +10,13 @@ from found import DECLARED, HELD_OUT, HIDDEN, Jerk, discovery
 import eoi_jax as eoi
 from eoi_jax import effects, plants
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.result import Added
+from eoi_jax.discovery.result import Added, Evidence
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.models.storage import save
 from eoi_jax.report import discovery_figures, tables
 from eoi_jax.report.contents import discovery_contents
-from eoi_jax.report.discovery import answer, discovery_text
+from eoi_jax.report.discovery import answer, described, discovery_text
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +181,31 @@ def test_share_ambiguity_advice_candidates_and_notes_are_told(found):
     assert not any(line[:2] == ["coulomb_friction", "position"] for line in lines)  # it is in
     assert "- run 1: a note." in text
     assert max(map(len, text.splitlines()[1:])) <= 120
+
+
+def test_candidates_of_one_name_are_told_apart(found):
+    stops = [
+        Evidence("end_stop", "position", {}, 0.1, 1.0, "", form=stop.form)
+        for stop in (effects.EndStop(+1), effects.EndStop(-1))
+    ]
+    text = discovery_text(dataclasses.replace(found, ranking=(*found.ranking, *stops)))
+    names = [" ".join(line.split()[:3]) for line in text.splitlines()]
+    assert names.count("end_stop (above) position") == 1
+    assert names.count("end_stop (below) position") == 1
+
+
+def test_effects_of_one_name_are_told_apart_by_form_and_place(found):
+    frictions = [
+        Added(effects.CoulombFriction(), output, {}, {}, "Coulomb (dry) friction")
+        for output in ("cart", "arm")
+    ]
+    stop = Added(effects.EndStop(-1), "arm", {}, {}, "an end stop: contact on one side")
+    two = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, 2, outputs=("cart", "arm"))
+    both = dataclasses.replace(found, plant=two, added=(*frictions, stop))
+    assert [described(both, added) for added in both.added] == [
+        "Coulomb (dry) friction at cart", "Coulomb (dry) friction at arm",
+        "an end stop (below) at arm",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

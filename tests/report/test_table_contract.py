@@ -635,7 +635,7 @@ def test_table_of_what_remains(refined, identified):
     lines = str(known).splitlines()
     for line, each_of in zip(lines[1:], (one, two, both), strict=False):
         label, share, chance, values = re.split(r"\s{2,}", line.replace(" %", ""))
-        assert label == " + ".join(each_of.names)
+        assert label == " + ".join(f"{name} at upper" for name in each_of.names)
         assert float(share) == pytest.approx(100 * each_of.share, abs=0.051)
         assert float(chance) == pytest.approx(each_of.significance, rel=0.05)
         shown = dict(pair.rsplit(" ", 1) for pair in values.split(", "))
@@ -643,7 +643,7 @@ def test_table_of_what_remains(refined, identified):
             each_of.values, rel=1e-3
         )
     assert lines[4] == (
-        f"held out with leak: {', '.join(f'{v:.4g}' for v in before.rmse)} before, "
+        f"held out with leak at upper: {', '.join(f'{v:.4g}' for v in before.rmse)} before, "
         f"{', '.join(f'{v:.4g}' for v in after.rmse)} after"
     )
 

@@ -72,6 +72,13 @@ class Curve(AbstractTerm):
         return f"{self.name} {self.over} {self.times}".rstrip()
 
     @property
+    def form(self) -> str:
+        """Its signal, and the factor if it has one."""
+        names = {"v": "y'"}
+        factor = f", times {names.get(self.times, self.times)}" if self.times else ""
+        return f"of {names.get(self.over, self.over)}{factor}"
+
+    @property
     def gains(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Offset and slope, where they are parameters, then values at the knots."""
         unit = {"": "{f}", "v": "{f/v}", "u": ""}[self.times]

@@ -158,6 +158,16 @@ class AbstractEffect(ABC):
         return self.name
 
     @property
+    def form(self) -> str:
+        """Which of the effects of this name it is, in a word; "" where there is one."""
+        return ""
+
+    @property
+    def label(self) -> str:
+        """Name and form, as in tables: ``end_stop (above)``."""
+        return labelled(self.name, self.form)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains, then shapes."""
         return self.gains + self.shapes
@@ -288,6 +298,11 @@ class AbstractInternalEffect(AbstractEffect):
     @abstractmethod
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         """The contribution to y^(r) of the first output [its unit], linear in `gain`."""
+
+
+def labelled(name: str, form: str) -> str:
+    """A canonical name with the form of the effect, if it has several."""
+    return f"{name} ({form})" if form else name
 
 
 def internal_names(plant: Plant) -> tuple[str, ...]:

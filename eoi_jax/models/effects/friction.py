@@ -148,6 +148,11 @@ class AsymmetricViscousFriction(AbstractFriction):
     gains = (Parameter("slope", "{f/v}"),)
     reverses = True
 
+    @property
+    def form(self) -> str:
+        """Not that of dry friction."""
+        return "viscous"
+
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.abs(at.v)
 

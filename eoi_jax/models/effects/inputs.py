@@ -71,6 +71,11 @@ class InputQuadratic(AbstractInputEffect):
 
     odd: bool = True
 
+    @property
+    def form(self) -> str:
+        """Whether it is an odd or an even function of u."""
+        return "odd" if self.odd else "even"
+
     def grid(self, seen: Seen) -> Grid:
         size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])
         size /= np.max(np.abs(seen.u)) or 1.0

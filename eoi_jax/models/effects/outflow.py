@@ -151,6 +151,11 @@ class InternalOverflow(AbstractInternalEffect):
     caught: bool = True
 
     @property
+    def form(self) -> str:
+        """What becomes of it."""
+        return "caught" if self.caught else "lost"
+
+    @property
     def gains(self) -> tuple[Parameter, ...]:
         """The share that enters the first output."""
         return (Parameter("share", "1", lower=0.0),) if self.caught else ()

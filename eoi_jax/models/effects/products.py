@@ -37,6 +37,11 @@ class Product(AbstractTerm):
     def kind(self) -> str:
         return " ".join((self.name, *self.factors))
 
+    @property
+    def form(self) -> str:
+        """Its signals, as an equation has them."""
+        return "·".join("y'" if signal == "v" else signal for signal in self.factors)
+
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return math.prod((getattr(at, signal) for signal in self.factors), start=gain[0])
 

@@ -152,6 +152,11 @@ class EndStop(AbstractTerm):
         return f"{self.name} {self.side:+d}"
 
     @property
+    def form(self) -> str:
+        """At which end of the range it is."""
+        return "above" if self.side > 0 else "below"
+
+    @property
     def gains(self) -> tuple[Parameter, ...]:
         """Stiffness."""
         return (Parameter(f"{self._end}stiffness", "{f}/{y}", lower=0.0),)
