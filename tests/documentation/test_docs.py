@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +16,10 @@ from typing import Any
 
 import pages
 import pytest
+import typer
 
 import eoi_jax as eoi
+from eoi_jax.cli.commands import app
 from eoi_jax.models.equations.display import equation_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -103,6 +106,35 @@ def test_names_in_the_code_of_a_page_exist(path):
                     item = getattr(item, name)
 
 
+def exists(address: str) -> bool:
+    """Whether a name of the package exists: of a module, a class, or a field of one."""
+    item: Any = eoi
+    for name in address.split("."):
+        if name in getattr(item, "__dataclass_fields__", {}):
+            return True
+        if not hasattr(item, name):
+            return False
+        item = getattr(item, name)
+    return True
+
+
+@pytest.mark.parametrize("path", TEXTS)
+def test_names_in_the_text_of_a_page_exist(path):
+    for address in re.findall(r"`eoi\.([\w.]*\w)[^`]*`", (ROOT / path).read_text()):
+        assert exists(address), address
+
+
+def test_the_page_for_users_of_other_tools_names_what_exists():
+    text = (DOCS / "coming_from.md").read_text()
+    named = set(re.findall(r"eoi\.([\w.]*\w)", text)) - {"py"}
+    assert len(named) > 30
+    assert [address for address in named if not exists(address)] == []
+    commands = set(re.findall(r"`eoi ([a-z]+) ", text))
+    assert commands <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    assert all(len(re.findall(r"(?<!\\)\|", row)) == 4 for row in rows)
+
+
 # -- the site ---------------------------------------------------------------------------------
 
 
@@ -132,6 +164,34 @@ def test_formulas_are_mathml(site):
     text = (site / "method.html").read_text(encoding="utf-8")
     assert text.count("<math") > 50
     assert "$" not in re.sub(r"<(script|style|annotation).*?</\1>", "", text, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_pages_fit_a_phone_and_a_desk(site, browser, width):
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    for name in ("index", "coming_from", "other_tools", "reference/effects"):
+        browser.get_log("browser")
+        browser.get((site / f"{name}.html").as_uri())
+        wide = "return document.documentElement.scrollWidth"
+        assert browser.execute_script(wide) <= width, name
+        assert browser.get_log("browser") == [], name
+
+
+def test_pages_that_are_opened_as_files_can_be_searched(site, browser):
+    size = {"width": 1400, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get((site / "index.html").as_uri())
+    browser.execute_script("document.querySelector('[for=__search].md-header__button').click()")
+    field = browser.find_element("css selector", ".md-search__input")
+    deadline, found = time.monotonic() + 20.0, []
+    while not field.is_displayed() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    field.send_keys("stribeck")
+    while not found and time.monotonic() < deadline:
+        time.sleep(0.1)
+        found = browser.find_elements("css selector", ".md-search-result__link")
+    assert any("reference/effects.html" in link.get_attribute("href") for link in found)
 
 
 def test_the_wheel_holds_no_documentation():
