@@ -168,7 +168,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
 
 def described(discovery: Discovery, added: Added) -> str:
     """One effect in words, with what tells it apart from others: form and place."""
-    description, _, _ = added.effect.sentence.partition(":")
+    description, _, _ = added.sentence.partition(":")
     # The sentence of a curve says its signal.
     form = "" if isinstance(added.effect, Curve | InputCurve) else added.effect.form
     internal = isinstance(added.effect, AbstractInternalEffect)

@@ -367,7 +367,7 @@ def test_a_plant_without_inputs_has_no_cross_correlations():
 def test_records_that_do_not_fit_the_plant_are_refused():
     two = eoi.Record(TIME, DRIVE, np.column_stack([DRIVE, DRIVE]))
     result = eoi.identify(plant(), record(), passes=1)
-    with pytest.raises(ValueError, match="outputs` must have 1 channels"):
+    with pytest.raises(ValueError, match="outputs` must have 1 channel"):
         diagnose(result, two)
 
 

@@ -668,7 +668,7 @@ def two_channels(names=("current", "angle")):
 @pytest.mark.parametrize(
     ("plant", "record", "message"),
     [
-        (NOMINAL, two_channels(), r"outputs` must have 1 channels \(position\) .* got 2 \(current"),
+        (NOMINAL, two_channels(), r"outputs` must have 1 channel \(position\) .* got 2 \(current"),
         (MOTOR, swaying(200), r"outputs` must have 2 channels \(current, angle\)"),
         (MOTOR, two_channels(("angle", "current")), r"must come in the plant's order \(current, a"),
     ],

@@ -251,5 +251,5 @@ def test_order_and_units_must_agree(kind, names, message):
 
 def test_inputs_must_be_as_many_as_the_plant_has():
     record = Record.from_period(H, np.zeros((20, 2)), SWAY(grid(20, H)))
-    with pytest.raises(ValueError, match=r"inputs` must have 1 channels \(voltage\).*got 2"):
+    with pytest.raises(ValueError, match=r"inputs` must have 1 channel \(voltage\).*got 2"):
         check_records(SMOOTH, record)

@@ -382,7 +382,7 @@ def test_weights_that_did_not_settle_are_said(monkeypatch):
     (note,) = refine(OSCILLATOR, spoilt, huber=1.345).notes
     # From the spread of the struck samples to that of the others, which is a hundredth.
     assert "the weights of the outputs still changed by" in note
-    assert "after 1 fits" in note
+    assert "after 1 fit;" in note
     assert refine(OSCILLATOR, spoilt).notes == ()  # one output: squares have no weights
 
 

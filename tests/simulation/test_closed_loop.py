@@ -265,7 +265,7 @@ def test_references_are_inputs_of_the_record():
 
 
 def test_the_other_inputs_are_those_of_the_plant():
-    refused("must have 1 channels", measured(push=0.5))
+    refused("must have 1 channel", measured(push=0.5))
 
 
 def test_what_it_drives_are_inputs_of_the_plant():
