@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._atomic import fsync, sweep_up, write_file, write_folder
-from eoi_jax._checks import StoreWarning, check, counted
+from eoi_jax._checks import StoreWarning, check, counted, is_or_are
 from eoi_jax.estimation.sweep.chunk import CODES, OK, Arrays
 from eoi_jax.estimation.sweep.marks import Chunks, Condition, Place, digest
 from eoi_jax.estimation.sweep.plan import DIMENSIONS, Plan
@@ -96,7 +96,8 @@ class Store:
             self._clear(place, place in damaged)
         if damaged:
             number = f"{len(damaged)} of {counted(len(places), 'chunk')}"
-            message = f"{number} of the store {self._path} were damaged, and are computed again"
+            verb = is_or_are(len(damaged))
+            message = f"{number} of the store {self._path} {verb} damaged, and computed again"
             warnings.warn(message, StoreWarning, stacklevel=3)
         return unfinished
 
@@ -209,8 +210,9 @@ def _without_damage(root: Any, sweep: str, path: Any) -> dict[str, Any]:
     sound = [place for place in places if chunks.condition(place) is not Condition.DAMAGED]
     if len(sound) == len(places):
         return {}
-    number = f"{len(places) - len(sound)} of {counted(len(places), 'chunk')}"
-    message = f"{number} of the store {path} are damaged, and shown as not_run. {_RESUME}"
+    damaged = len(places) - len(sound)
+    number, verb = f"{damaged} of {counted(len(places), 'chunk')}", is_or_are(damaged)
+    message = f"{number} of the store {path} {verb} damaged, and shown as not_run. {_RESUME}"
     warnings.warn(message, StoreWarning, stacklevel=4)
     arrays = {
         name: np.full(root[name].shape, _NOT_RUN[kind[0]], kind)

@@ -141,7 +141,7 @@ def _engines(
     stored_count = len(places) - len(unfinished)
     if stored_count:
         share = f"{stored_count} of {counted(len(places), 'chunk')}"
-        reasons[f"{share} were in the store, their engine is not recorded"] = None
+        reasons[f"{share} came from the store, where their engine is not recorded"] = None
     return {"engine": ", ".join(engine_names) or "none", "engine_reason": "; ".join(reasons)}
 
 

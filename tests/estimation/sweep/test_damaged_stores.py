@@ -53,10 +53,10 @@ def test_only_the_damaged_chunk_is_computed_again(tmp_path, damage, array):
     whole = campaign.swept(store).load()
     stamps = marks(store)
     damage(campaign.chunk_of(store, array, random.Random(1)), store, random.Random(1))
-    with pytest.warns(StoreWarning, match=r"1 of 4 chunks .* damaged, and shown as not_run"):
+    with pytest.warns(StoreWarning, match=r"1 of 4 chunks .* is damaged, and shown as not_run"):
         read = eoi.open_sweep(store)
     assert np.sum(read.status.values == 0) == 2
-    with pytest.warns(StoreWarning, match=r"1 of 4 chunks .* damaged, and are computed again"):
+    with pytest.warns(StoreWarning, match=r"1 of 4 chunks .* is damaged, and computed again"):
         again = campaign.swept(store)
     assert campaign.alike(again, whole)
     changed = [path for path, stamp in marks(store).items() if stamps[path] != stamp]

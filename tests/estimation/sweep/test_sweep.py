@@ -313,10 +313,10 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on_from_there(tmp_path
     whole = many()
     same(rest.drop_attrs(), whole.drop_attrs())
     same(eoi.open_sweep(path), whole)
-    assert "of 3 chunks were in the store" in rest.attrs["engine_reason"]
+    assert "of 3 chunks came from the store" in rest.attrs["engine_reason"]
     again = many(store=path)
     assert again.attrs["engine"] == "none"
-    assert again.attrs["engine_reason"].startswith("3 of 3 chunks were in the store")
+    assert again.attrs["engine_reason"].startswith("3 of 3 chunks came from the store")
 
 
 def test_without_a_store_an_interrupt_keeps_what_is_done_too():
