@@ -22,6 +22,7 @@ from eoi_jax.cli.commands import app
 from eoi_jax.cli.options import complete_config, complete_data
 from eoi_jax.cli.terminal import progress, say, shell_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.simulation.export import LANGUAGES
 
 START = [sys.executable, "-c", "from eoi_jax.cli.main import main; main()"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
@@ -129,7 +130,7 @@ def test_a_shell_completes_commands_configs_and_data_files(tmp_path: Path):
 
 
 def test_a_shell_completes_the_languages_of_export(tmp_path: Path):
-    assert completed(tmp_path, "eoi export runs/emps --language ") == set(actions.LANGUAGES)
+    assert completed(tmp_path, "eoi export runs/emps --language ") == set(LANGUAGES)
     assert completed(tmp_path, "eoi export runs/emps --language m") == {"matlab"}
 
 
