@@ -40,6 +40,10 @@ from .estimation.identify import identify as identify
 from .estimation.lowpass import LowPass as LowPass
 from .estimation.observe import ObserverPass as ObserverPass
 from .estimation.observe import observe as observe
+from .estimation.online import Alarm as Alarm
+from .estimation.online import OnlineEstimator as OnlineEstimator
+from .estimation.online import online_estimator as online_estimator
+from .estimation.online_export import export_estimator as export_estimator
 from .estimation.regression.recursive_least_squares import (
     RecursiveLeastSquares as RecursiveLeastSquares,
 )

@@ -23,6 +23,9 @@ CALLS = {
     "observe(plant, eoi.observers.SuperTwisting(9.0), None, 1, 1, 1, lowpass=9.0)": "`lowpass` must"
     " be a filter `LowPass(cutoff, order)`, got float",
     "RecursiveLeastSquares('a')": "`forgetting` must lie in (0, 1], got a",
+    "online_estimator(plant, run)": "`result` must be a result of `identify`, got Plant",
+    "export_estimator(plant, 'rig.c')": "`estimator` must be an OnlineEstimator, got Plant",
+    "OnlineEstimator(3, None, None, 0.01)": "`plant` must be a Plant, got int",
     "rollout('pendulum', None, None, time, 0.01)": "`plant` must be a Plant, got str",
     "validate(plant, None)": "`records` must hold at least one record, got none",
     "validate(plant, run, controller=max)": "`controller` must be a Controller, got",

@@ -324,6 +324,7 @@ def report(
         ("eoi export runs/emps --language c", "model.c in the folder of the run"),
         ("eoi export runs/emps --output rig.m", "language by suffix: MATLAB and Octave"),
         ("eoi export runs/emps --parameters", "numbers: .json or .csv"),
+        ("eoi export runs/emps --estimator", "recursive estimator with an alarm, in C"),
         ("eoi export runs/arm --robot arm.urdf …", "joints: --joint elbow:damping=b"),
     )
 )
@@ -347,6 +348,10 @@ def export(
     parameters: Annotated[
         bool, typer.Option("--parameters", help="Parameters only, as numbers: .json or .csv.")
     ] = False,
+    estimator: Annotated[
+        bool, typer.Option("--estimator", help="The estimator for a loop in real time, as C.")
+    ] = False,
+    precision: Annotated[str, typer.Option(help="Of the estimator: double or single.")] = "double",
     robot: Annotated[
         Path | None,
         typer.Option(
@@ -361,6 +366,7 @@ def export(
             help="joint:attribute=formula,… of parameters; may be repeated.", show_default=False
         ),
     ] = None,
+    data: Data = None,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -368,9 +374,11 @@ def export(
     """Export the model of a run, with the effects that were added, or its parameters."""
     with failures(as_json):
         contents = {"--language": language, "--parameters": parameters, "--robot": robot}
-        cli.exports.check_single(contents)
+        cli.exports.check_single({**contents, "--estimator": estimator})
         if robot is not None or joint:
             outcome = cli.exports.robot(run, robot, joint or [], output, trust)
+        elif estimator:
+            outcome = cli.exports.estimator(run, output, precision, data, trust)
         elif parameters:
             outcome = cli.exports.parameters(run, output, trust)
         else:

@@ -1,4 +1,4 @@
-"""The action of `eoi export`: a model, its parameters, or a robot description with them."""
+"""The action of `eoi export`: a model, its parameters, its estimator, a robot description."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -6,9 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from eoi_jax._checks import check, check_choice
-from eoi_jax.cli import run_folder
+from eoi_jax.cli import build, run_folder
+from eoi_jax.cli.config import load
 from eoi_jax.cli.terminal import Outcome
 from eoi_jax.compiler import jax_setup
+from eoi_jax.data.record import Record
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.online import online_estimator
+from eoi_jax.estimation.online_export import export_estimator
+from eoi_jax.models.plant import Plant
 from eoi_jax.report.parameter_export import export_parameters
 from eoi_jax.report.parameters import LEVEL
 from eoi_jax.report.provenance import json_values
@@ -47,7 +54,7 @@ def export(run: Path, language: str | None, target: Path | None, trust: bool = F
 
 
 def check_single(options: Mapping[str, object]) -> None:
-    """Check that one content is asked for: a model, its parameters, or a robot description.
+    """Check that one content is asked for: a model, its parameters, an estimator, or a robot.
 
     Args:
         options: what each option was given.
@@ -59,6 +66,44 @@ def check_single(options: Mapping[str, object]) -> None:
     check(
         len(entries) < 2, entries[0] if entries else "", "must stand alone", " and ".join(entries)
     )
+
+
+def estimator(
+    run: Path, target: Path | None, precision: str, data: Path | None, trust: bool = False
+) -> Outcome:
+    """Export the estimator of a run for a loop in real time, as C.
+
+    Args:
+        run: folder of a run of `eoi identify` or `eoi discover`.
+        target: the file to write; None: ``estimator.c`` in the folder of the run.
+        precision: ``"double"`` or ``"single"``.
+        data: folder of measured files; None: that of the run's config.
+        trust: whether a Python file that the config names may be executed.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ValueError: a run without passes, or what `online_estimator` and `export_estimator` refuse.
+    """
+    jax_setup.configure()
+    rule = "must be the folder of a run of `eoi identify` or `eoi discover`"
+    check(run.is_dir(), "run", rule, run)
+    result = run_folder.result_of_run(run, trust)
+    fit = result.found if isinstance(result, Discovery) else result
+    check(isinstance(fit, Identification), "run", rule, run)
+    config = run / "config.toml"
+    with run_folder.quiet_records():
+        records = build.records(load(config), fit.nominal, run_folder.folder_of(config), data)
+    made = online_estimator(fit, [_driven(fit.plant, record) for record in records])
+    path = export_estimator(made, target or run / "estimator.c", precision)
+    return Outcome({"estimator": str(path)}, str(path), path)
+
+
+def _driven(plant: Plant, record: Record) -> Record:
+    """The record without the references of a controller, which stand behind the inputs."""
+    references = record.input_names[len(plant.inputs) :]
+    return record.without_inputs(*references) if references else record
 
 
 def parameters(run: Path, target: Path | None, trust: bool = False) -> Outcome:

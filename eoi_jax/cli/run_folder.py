@@ -3,6 +3,7 @@
 import errno
 import json
 import re
+import shlex
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -415,13 +416,23 @@ def folder_of(config: Path) -> Path:
         return config.parent
     bases = (*config.resolve().parents, Path.cwd())
     for line in config.read_text(encoding="utf-8-sig").splitlines():
-        command = re.match(r"# eoi \w+ (.*\.toml)", line)
-        if command is None:
+        named = _configs_of_command(line)
+        if not named:
             break
-        for original in (base / command[1] for base in bases):
+        for original in (base / name for base in bases for name in named):
             if original.is_file() and not _is_run(original.parent):
                 return original.parent
     return config.parent
+
+
+def _configs_of_command(line: str) -> list[str]:
+    """The config that a command line names: quoted for the shell, or as earlier versions wrote."""
+    command = re.match(r"# eoi \w+ (.*\.toml)", line)
+    if command is None:
+        return []
+    with suppress(ValueError):  # a quotation mark without another
+        return [shlex.split(line[1:])[2], command[1]]
+    return [command[1]]
 
 
 def _is_run(folder: Path) -> bool:

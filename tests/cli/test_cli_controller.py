@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,21 @@ def test_the_config_of_a_run_can_be_run_again_from_its_folder(tmp_path: Path):
     assert again["parameters"] == first["parameters"]
     assert copy.read_text().startswith(f"# eoi identify {copy}\n# eoi identify {config}\n")
     assert run_folder.folder_of(copy) == tmp_path  # of the copy of a copy
+
+
+@pytest.mark.parametrize("folder", ["a rig", "it's"])
+@pytest.mark.parametrize("quoted", [True, False])
+def test_a_config_in_a_folder_that_is_quoted_for_the_shell_is_found(tmp_path, folder, quoted):
+    """Earlier versions wrote it without quotation marks."""
+    original = tmp_path / folder / "rig.toml"
+    original.parent.mkdir()
+    original.touch()
+    copy = tmp_path / "runs" / "rig" / "config.toml"
+    copy.parent.mkdir(parents=True)
+    (copy.parent / "result.json").touch()
+    name = shlex.quote(str(original)) if quoted else str(original)
+    copy.write_text(f"# eoi identify {name} --passes 3\n")
+    assert run_folder.folder_of(copy) == original.parent
 
 
 @pytest.mark.parametrize("command", ["identify", "sweep"])

@@ -395,3 +395,25 @@ def test_a_wrong_joint_is_refused_and_nothing_is_written(arm, joint, message, tm
     assert message in done.stderr
     assert "Traceback" not in done.output
     assert not target.exists()
+
+
+# -- the estimator ------------------------------------------------------------------------------
+
+
+def test_the_estimator_of_a_run_is_written_as_c(run):
+    done = called("export", run, "--estimator", "--precision", "single", "--json")
+    assert done.exit_code == 0, done.stderr
+    path = Path(json.loads(done.stdout)["estimator"])
+    assert path == run / "estimator.c"
+    text = path.read_text()
+    assert "in single precision" in text
+    assert "void estimator_step(" in text
+
+
+def test_an_estimator_stands_alone_and_has_a_precision(run):
+    done = called("export", run, "--estimator", "--parameters")
+    assert done.exit_code == 2
+    assert "must stand alone" in done.stderr
+    done = called("export", run, "--estimator", "--precision", "half")
+    assert done.exit_code == 2
+    assert "`precision` must be" in done.stderr

@@ -25,7 +25,16 @@ from eoi_jax.models.equations.display import equation_text
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 # The longest first, so that two workers share them evenly.
-EXECUTED = ("tutorial", "uncertainty", "extend", "inside_jax", "observers", "records", "results")
+EXECUTED = (
+    "tutorial",
+    "uncertainty",
+    "extend",
+    "inside_jax",
+    "real_time",
+    "observers",
+    "records",
+    "results",
+)
 
 
 @pytest.mark.slow

@@ -33,11 +33,13 @@ class RecursiveState(eqx.Module):
         increment: Δ̂, shape (np,); zero in directions of θ without information so far.
         information: Γ⁻¹ = Σ φᵀ W φ, shape (np, np).
         rhs: Σ φᵀ W u_eq, shape (np,).
+        lost: what both sums lack by rounding, with compensated sums.
     """
 
     increment: Float[Array, " np"]
     information: Float[Array, "np np"]
     rhs: Float[Array, " np"]
+    lost: tuple[Float[Array, "np np"], Float[Array, " np"]] | None = None
 
     @property
     def covariance(self) -> Float[Array, "np np"]:
@@ -54,6 +56,9 @@ class RecursiveLeastSquares(eqx.Module):
     Args:
         forgetting: λ in (0, 1], by which the weight of all samples so far falls with each new one:
             the estimate remembers about 1/(1 - λ) samples. 1: all of them, as the batch form does.
+        compensated: whether sums keep what rounding takes from them (W. Kahan, Communications of
+            the ACM 8 (1965) 40): in single precision a million samples add up to more than one
+            sample can change.
 
     Raises:
         ValueError: a factor outside (0, 1].
@@ -64,13 +69,14 @@ class RecursiveLeastSquares(eqx.Module):
     """
 
     forgetting: Any
+    compensated: bool = eqx.field(static=True)
 
-    def __init__(self, forgetting: Any = 1.0):
+    def __init__(self, forgetting: Any = 1.0, compensated: bool = False):
         if not isinstance(forgetting, Tracer):
             valid = 0.0 < real(forgetting) <= 1.0
             advice = "1 forgets nothing, 0.999 remembers about a thousand samples."
             check(valid, "forgetting", "must lie in (0, 1]", forgetting, advice)
-        self.forgetting = forgetting
+        self.forgetting, self.compensated = forgetting, compensated
 
     def init(self, size: int) -> RecursiveState:
         """State without information.
@@ -78,7 +84,8 @@ class RecursiveLeastSquares(eqx.Module):
         Args:
             size: number of parameters np.
         """
-        return RecursiveState(jnp.zeros(size), jnp.zeros((size, size)), jnp.zeros(size))
+        sums = jnp.zeros((size, size)), jnp.zeros(size)
+        return RecursiveState(jnp.zeros(size), *sums, sums if self.compensated else None)
 
     def step(
         self,
@@ -104,11 +111,16 @@ class RecursiveLeastSquares(eqx.Module):
         w = jnp.broadcast_to(jnp.asarray(weights, phi.dtype), target.shape)
         remembered = jnp.where(jnp.any(w > 0), self.forgetting, 1.0)
         weighted = (phi if instruments is None else instruments).T * w
-        information = remembered * state.information + weighted @ phi
-        rhs = remembered * state.rhs + weighted @ target
+        added, lost = (weighted @ phi, weighted @ target), state.lost
+        if lost is not None:
+            added = tuple(new + remembered * old for new, old in zip(added, lost, strict=True))
+        past = remembered * state.information, remembered * state.rhs
+        information, rhs = past[0] + added[0], past[1] + added[1]
+        if lost is not None:
+            lost = added[0] - (information - past[0]), added[1] - (rhs - past[1])
         solve, scale = _solver(information, instruments is None)
         increment = solve(rhs / scale) / scale
-        return RecursiveState(increment, information, rhs), target - phi @ state.increment
+        return RecursiveState(increment, information, rhs, lost), target - phi @ state.increment
 
 
 def recursive(

@@ -1,6 +1,6 @@
 """A model as C functions (C99, `math.h` and nothing else): its right-hand side, and its step."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from eoi_jax.models.equations.printer import ATOM, LOGIC, Infix, code_notation
 from eoi_jax.models.export.listing import Listing
@@ -79,27 +79,40 @@ def c_text(
         step: states at the end of a step, with the inputs at its start, middle and end.
         reason: why there is none.
     """
-    listing = _listing(model)
+    listing = c_listing(model)
     top = "\n".join(listing.top(" *", ("[", "]", "0"), version))
     arguments = "double t, const double *states, const double *inputs, double *"
     functions = [_function(listing, f"void {name}({arguments}rates)", "rates")]
     called = set(listing.called)
     if model.outputs:
-        of_outputs = _listing(model.of_outputs)
+        of_outputs = c_listing(model.of_outputs)
         head = f"void {name}_outputs({arguments}outputs)"
         functions.append(_function(of_outputs, head, "outputs"))
         called |= of_outputs.called
     if step is not None:
-        of_step = _listing(step)
+        of_step = c_listing(step)
         functions.append(_step(of_step, name, len(model.inputs)))
         called |= of_step.called
     elif reason:
         top += f"\n * No function for a step: {comment(reason, 400)}"
-    helpers = "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
-    return f"/*\n{top}\n */\n#include <math.h>\n\n{helpers}" + "\n".join(functions)
+    return f"/*\n{top}\n */\n#include <math.h>\n\n{helper_functions(called)}" + "\n".join(functions)
 
 
-def _listing(model: Program) -> Listing:
+def helper_functions(called: Collection[str]) -> str:
+    """Functions of ours that formulas call.
+
+    Args:
+        called: names of all functions that they call.
+    """
+    return "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
+
+
+def c_listing(model: Program) -> Listing:
+    """A model in C.
+
+    Args:
+        model: what to write.
+    """
     return Listing(model, _C, "const double {} = {};", " /* {} */", "const int {} = {};")
 
 

@@ -67,6 +67,24 @@ def test_the_gain_is_that_of_the_paper():
             np.testing.assert_allclose(state.increment, moved, rtol=1e-7)
 
 
+def test_compensated_sums_do_not_stop_growing_in_single_precision():
+    """Where a sum is 2^24 times what is added, adding changes nothing."""
+    with jax.enable_x64(False):
+        phi, ones = jnp.ones((1, 1)), jnp.ones(1)
+        ends = []
+        for compensated in (False, True):
+            estimator = eoi.RecursiveLeastSquares(compensated=compensated)
+            state, _ = estimator.step(estimator.init(1), 4096.0 * phi, 0.0 * ones)
+
+            def body(k, state, estimator=estimator):
+                return estimator.step(state, phi, ones)[0]
+
+            ends.append(jax.lax.fori_loop(0, 100_000, body, state).increment)
+    want = 100_000 / (4096.0**2 + 100_000)
+    assert abs(ends[0][0] / want - 1.0) > 1e-3
+    np.testing.assert_allclose(ends[1], want, rtol=1e-6)
+
+
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_unit_of_a_parameter_does_not_change_its_estimate(unit):
     Phi = regressors()

@@ -72,7 +72,9 @@ def points(plant):
 
 def column(text, field):
     """Entries of a field of a structure in the script."""
-    entries = re.search(rf"'{field}', {{(.*?)}}(?:, \.\.\.|\))", text)[1]
+    found = re.search(rf"'{field}', {{(.*?)}}(?:, \.\.\.|\))", text)
+    assert found is not None
+    entries = found[1]
     return [entry.strip() for entry in re.split(r";(?=(?:[^']*'[^']*')*[^']*$)", entries)]
 
 
@@ -83,6 +85,7 @@ def number(text):
 def evaluated(text, t, x, u, values):
     """The function of the file by Python, in which arithmetic is written alike."""
     head = re.match(r"function \[dx, y\] = \w+\((.*)\)\n", text)
+    assert head is not None
     names = head[1].split(", ")
     assert names[:2] == ["t", "x"]
     assert names[-1] == "varargin"

@@ -1,0 +1,316 @@
+"""The estimator sample by sample: the pass and the recursion of whole records, in C, its alarm."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.estimation.online_export import estimator_text
+
+H = 0.01
+SAMPLES = 1200
+
+
+def oscillator(t, x, u, p):
+    return [p.g * u[0] - p.c * x.y[1, 0] - p.k * x.y[0, 0]]
+
+
+def with_friction(t, x, u, p):
+    return [u[0] - p.c * jnp.sign(x.y[1, 0]) - p.k * x.y[0, 0]]
+
+
+def heated(t, x, u, p):
+    """A temperature beside a store that is not measured."""
+    return [p.k * u[0] - p.a * (x.y[0, 0] - x.z[0])]
+
+
+def store(t, x, u, p):
+    return [p.b * (x.y[0, 0] - x.z[0])]
+
+
+def two_masses(t, x, u, p):
+    (q1, q2), (v1, v2) = x.y
+    spring = p.k * (q1 - q2) + p.c * (v1 - v2)
+    return [u[0] - spring, p.m * spring - jnp.sin(q2)]
+
+
+def cell(t, x, u, p):
+    """A voltage over that without current: a function of the current and of a state."""
+    return [-p.r * u[0] - x.z[0]]
+
+
+def relaxing(t, x, u, p):
+    return [p.a * (p.d * u[0] - x.z[0])]
+
+
+def make(name):
+    """A plant with nominal parameters, and an observer."""
+    second = eoi.observers.SecondOrder(5.0, 20.0, 10.0)
+    made = {
+        "oscillator": (oscillator, {"g": 1.2, "c": 0.3, "k": 5.0}, 2, second, {}),
+        "friction": (with_friction, {"c": 0.2, "k": 5.0}, 2,
+                     eoi.observers.SuperTwisting(6.0, 20.0), {}),
+        "heated": (heated, {"k": 1.0, "a": 0.5}, 1, eoi.observers.FirstOrder(8.0, 1.0),
+                   {"internal": store, "internal_initial": [0.0]}),
+        "two_masses": (two_masses, {"k": 8.0, "c": 0.2, "m": 0.7}, (2, 2), second, {}),
+        "cell": (cell, {"r": 0.05, "a": 1.0, "d": 0.02}, 0, eoi.observers.Measurement(),
+                 {"internal": relaxing, "internal_initial": [0.0]}),
+    }  # fmt: skip
+    f, values, degree, observer, options = made[name]
+    outputs = ("q1", "q2") if name == "two_masses" else ("y",)
+    if name == "heated":
+        values |= {"b": 0.3}
+    plant = eoi.Plant(f, values, degree, inputs=("u",), outputs=outputs, name=name, **options)
+    return plant, observer
+
+
+PLANTS = ("oscillator", "friction", "heated", "two_masses", "cell")
+
+
+def recorded(plant, scale=1.1, noise=1e-4, seed=0):
+    time = H * np.arange(SAMPLES)
+    u = eoi.excitation.random_steps(time, -1.0, 1.0, 0.4, seed=seed)
+    truth = plant.with_parameters({name: scale * v for name, v in plant.parameters.items()})
+    record = eoi.simulate(truth, time, u, hold="zero")
+    draw = np.random.default_rng(seed).standard_normal(record.outputs.shape)
+    return record.with_outputs(record.outputs + noise * draw, "run")
+
+
+def estimator_of(name, **options):
+    plant, observer = make(name)
+    lowpass = eoi.LowPass(8.0, plant.relative_degree + 1)
+    return eoi.OnlineEstimator(plant, observer, lowpass, H, noise=1e-4, **options), lowpass
+
+
+@jax.jit
+def run(estimator, y, u):
+    def body(state, sample):
+        return estimator.step(state, *sample)
+
+    return jax.lax.scan(body, estimator.init(), (y, u))[1]
+
+
+def ours(estimator, record):
+    return jax.tree.map(np.asarray, run(estimator, record.outputs, record.inputs))
+
+
+@pytest.mark.parametrize("name", [name for name in PLANTS if name != "friction"])
+def test_it_is_the_pass_and_the_recursion_of_a_whole_record(name):
+    estimator, lowpass = estimator_of(name, transient=2.0)
+    plant, observer = make(name)
+    record = recorded(plant)
+    online = ours(estimator, record)
+    p = eoi.observe(
+        plant, observer, None, H, record.outputs, record.inputs, lowpass=lowpass, noise=1e-4,
+        transient=2.0,
+    )  # fmt: skip
+    size = np.max(np.abs(p.injection))
+    np.testing.assert_allclose(online.injection[1:], p.injection, atol=1e-12 * size)
+    history, _ = eoi.recursive(p.regressors, p.injection, p.score)
+    # From few samples parameters are sums of numbers that cancel.
+    known = plant.theta + history[400:]
+    np.testing.assert_allclose(online.parameters[401:], known, rtol=1e-7, atol=1e-9)
+
+
+def test_it_converges_to_the_parameters_of_a_plant_with_dry_friction():
+    estimator, _ = estimator_of("friction", transient=2.0)
+    plant, _ = make("friction")
+    last = ours(estimator, recorded(plant)).parameters[-1]
+    np.testing.assert_allclose(last, [1.1 * 0.2, 1.1 * 5.0], rtol=0.03)
+
+
+class Exported:
+    """An estimator in C, compiled, called sample by sample."""
+
+    def __init__(self, estimator, folder, precision):
+        compiler = shutil.which("gcc") or shutil.which("cc")
+        if compiler is None:
+            pytest.skip("no C compiler here (gcc or cc)")
+        source = eoi.export_estimator(estimator, folder / "rig.c", precision)
+        flags = ["-std=c99", "-Wall", "-Wextra", "-Wno-unused-variable", "-Werror", "-O1"]
+        library = folder / "rig.so"
+        command = [compiler, *flags, "-shared", "-fPIC", source, "-o", library, "-lm"]
+        subprocess.run([str(part) for part in command], check=True)
+        self.number = ctypes.c_double if precision == "double" else ctypes.c_float
+        self.library = ctypes.CDLL(str(library))
+        text = source.read_text()
+        self.size = int(re.findall(r"memory\[(\d+)\];\n} rig_state", text)[0])
+        fields = [
+            ("parameters", self.number * len(estimator.plant.names)),
+            ("injection", self.number * len(estimator.plant.outputs)),
+            ("power", self.number),
+            ("alarm", ctypes.c_int),
+        ]
+        self.estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})()
+
+    def run(self, record):
+        state = (self.number * self.size)()
+        self.library.rig_init(state)
+        rows = []
+        for y, u in zip(record.outputs, record.inputs, strict=True):
+            sample = (self.number * len(y))(*y), (self.number * len(u))(*u)
+            self.library.rig_step(state, *sample, ctypes.byref(self.estimate))
+            one = self.estimate
+            rows.append([*one.parameters, *one.injection, one.power, one.alarm])
+        return np.asarray(rows)
+
+
+def alarmed(name):
+    plant, _ = make(name)
+    power = np.full(len(plant.outputs), 1e-4)
+    return estimator_of(name, alarm=eoi.Alarm(power, 0.5, 5.0), transient=1.0)[0]
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-12), ("single", 1e-5)])
+def test_the_exported_estimator_is_ours_step_by_step(name, precision, tolerance, tmp_path):
+    estimator = alarmed(name)
+    record = recorded(estimator.plant)
+    if precision == "single":  # the same numbers for both
+        record = record.with_outputs(record.outputs.astype(np.float32).astype(float), "run")
+    theirs = Exported(estimator, tmp_path, precision).run(record)
+    online = ours(estimator, record)
+    size, ny = len(estimator.plant.names), len(estimator.plant.outputs)
+    # The injection is a difference: its rounding is that of the derivative that it is one of.
+    speed = np.max(np.abs(np.gradient(np.gradient(record.outputs, H, axis=0), H, axis=0)))
+    injection = theirs[:, size : size + ny]
+    np.testing.assert_allclose(injection, online.injection, atol=tolerance * max(speed, 1.0))
+    np.testing.assert_allclose(theirs[400:, :size], online.parameters[400:], rtol=tolerance)
+    assert np.all(np.isfinite(theirs))
+    if precision == "double":
+        np.testing.assert_array_equal(theirs[:, -1], online.alarm)
+        np.testing.assert_allclose(theirs[:, -2], online.power, rtol=1e-9)
+
+
+def test_the_file_allocates_nothing_and_says_what_it_is():
+    text = estimator_text(alarmed("oscillator"), "rig")
+    assert re.findall(r"#include <(.*)>", text) == ["math.h"]
+    assert not re.search(r"\b(malloc|calloc|realloc|free|alloca|printf)\b", text)
+    assert "outputs[1]: y, as measured at the sample" in text
+    assert "inputs[1]: u, as they are from the sample on" in text
+    assert " *   parameters[0] g: 1.2" in text
+    assert "double" not in estimator_text(alarmed("oscillator"), "rig", "single").split("math.h")[1]
+
+
+# -- the alarm ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def identified():
+    plant, _ = make("oscillator")
+    record = recorded(plant, noise=1e-3)
+    return eoi.identify(plant, record, instruments=False), record
+
+
+def test_the_power_is_one_on_average_and_seldom_above_the_threshold(identified):
+    result, _ = identified
+    record = recorded(make("oscillator")[0], noise=1e-3, seed=3)
+    estimator = eoi.online_estimator(result, record)
+    online = ours(estimator, record)
+    assert not np.any(online.alarm)
+    assert 0.6 < np.mean(online.power[400:]) < 1.4
+
+
+@pytest.mark.parametrize("rate", [1.0 / 36.0, 1.0 / 3.6])
+def test_the_rate_of_false_alarms_is_what_was_asked_for(rate):
+    """On noise of the correlation that the filter gives it, many hours at once."""
+    from eoi_jax.estimation.online import _correlation, _threshold
+
+    draw, pole, memory, count = np.random.default_rng(1), 0.9, 0.5, 400_000
+    noise = np.zeros(count)
+    white = draw.standard_normal(count)
+    for k in range(1, count):
+        noise[k] = pole * noise[k - 1] + white[k]
+    noise /= np.std(noise)
+    power = np.ones(count)
+    for k in range(1, count):
+        power[k] = power[k - 1] + H / memory * (noise[k] ** 2 - power[k - 1])
+    signals = noise[:, None]
+    correlation = _correlation([signals], 200) / count
+    threshold = _threshold(correlation, np.array([float(count)]), H, memory, rate)
+    above = power > threshold
+    starts = np.flatnonzero(above[1:] & ~above[:-1])
+    alarms = np.sum(np.diff(starts, prepend=-1000) > memory / H)  # one for each excursion
+    assert 0.3 < alarms / (count * H * rate) < 2.0
+
+
+@pytest.mark.parametrize("kind", ["friction", "offset"])
+def test_what_begins_in_the_middle_of_a_run_sets_it_off(identified, kind):
+    result, record = identified
+    time, begin = H * np.arange(SAMPLES), 7.0
+    force = eoi.excitation.random_steps(time, -1.0, 1.0, 0.4, seed=5)
+    added = {"friction": lambda x: -0.1 * jnp.tanh(x.y[1, 0] / 1e-3), "offset": lambda x: 0.1}[kind]
+    changed = eoi.Plant(
+        lambda t, x, u, p: [oscillator(t, x, u, p)[0] + jnp.where(t > begin, added(x), 0.0)],
+        {name: 1.1 * value for name, value in make("oscillator")[0].parameters.items()}, 2,
+        inputs=("u",), outputs=("y",),
+    )  # fmt: skip
+    clean = eoi.simulate(changed, time, force, hold="zero", substeps=10)
+    noise = 1e-3 * np.random.default_rng(5).standard_normal(clean.outputs.shape)
+    run = clean.with_outputs(clean.outputs + noise, "run")
+    alarm = ours(eoi.online_estimator(result, record), run).alarm
+    first = time[np.flatnonzero(alarm)[0]]
+    assert begin < first < begin + 2.0
+
+
+# -- what is refused ----------------------------------------------------------------------------
+
+
+def test_wrong_arguments_are_named(identified, tmp_path):
+    result, record = identified
+    estimator = eoi.online_estimator(result, record)
+    for arguments, message in (
+        ({"memory": 0.0}, r"`memory` must be positive \[s\], got 0.0"),
+        ({"false_alarms": -1.0}, r"`false_alarms` must be positive \[1/s\]"),
+        ({"forgetting": 2.0}, r"`forgetting` must lie in \(0, 1\]"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            eoi.online_estimator(result, record, **arguments)
+    slower = eoi.Record(2 * record.time, record.inputs, record.outputs, hold="zero")
+    with pytest.raises(ValueError, match="`records` must have one sample period"):
+        eoi.online_estimator(result, [record, slower])
+    with pytest.raises(ValueError, match=r"`path` must end in \.c"):
+        eoi.export_estimator(estimator, tmp_path / "rig.py")
+    with pytest.raises(ValueError, match="`path` must be named as a function can be"):
+        eoi.export_estimator(estimator, tmp_path / "my rig.c")
+    with pytest.raises(ValueError, match="`precision` must be"):
+        eoi.export_estimator(estimator, tmp_path / "rig.c", "half")
+
+
+def test_wrong_estimators_are_named():
+    plant, observer = make("oscillator")
+    lowpass = eoi.LowPass(8.0, 3)
+    for arguments, message in (
+        ({"sample_period": 0.0}, r"`sample_period` must be positive \[s\]"),
+        ({"hold": "smooth"}, '`hold` must be "zero" or "linear"'),
+        ({"theta": [1.0]}, "`theta` must"),
+        ({"weights": [1.0, 2.0]}, "`weights` must"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            eoi.OnlineEstimator(plant, observer, lowpass, **{"sample_period": H, **arguments})
+
+
+def test_a_model_with_a_delay_is_refused():
+    from eoi_jax.models.augmented import augmented, place
+
+    plant, observer = make("oscillator")
+    delayed = augmented(plant, [place(plant, eoi.effects.InputDelay(), 0)], {"input_delay": 0.03})
+    with pytest.raises(ValueError, match="`plant` must be a model without delays or lags"):
+        eoi.OnlineEstimator(delayed, observer, eoi.LowPass(8.0, 3), H)
+
+
+def test_a_model_that_is_no_arithmetic_is_refused(tmp_path):
+    _, observer = make("oscillator")
+    sorted_ = eoi.Plant(
+        lambda t, x, u, p: jnp.sort(x.y[0]) * p.k + u, {"k": -1.0}, 2, inputs=("u",),
+        outputs=("y",),
+    )  # fmt: skip
+    estimator = eoi.OnlineEstimator(sorted_, observer, eoi.LowPass(8.0, 3), H)
+    with pytest.raises(ValueError, match="`estimator` must be arithmetic on measurements"):
+        eoi.export_estimator(estimator, tmp_path / "rig.c")
