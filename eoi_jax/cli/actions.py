@@ -44,6 +44,7 @@ from eoi_jax.report.tables import identification_text, refinement_text
 from eoi_jax.simulation.validate import Validation, validate, validated_alike
 
 _NOT_IN_LOOP = "[controller] is not in the loop: the recorded inputs drive {}"
+_NOT_TESTED = "[test] is not used: `eoi validate` judges a saved model on other records"
 _HOLD_ZERO = "hold zero for all inputs: [controller] holds them between samples"
 _MORE_STARTS = "`starts = 200` under [refine] tries that many points around the nominal values"
 _UNDETERMINED = (
@@ -85,7 +86,7 @@ def identify(
     source, job = _prepare(config, "pendulum", data, output, progress, changes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
-    notes = _hold_notes(job.settings)
+    notes = [*_hold_notes(job.settings), *_unseen_notes(job)]
     if job.loop is not None and validation is None:
         notes.append(_NOT_IN_LOOP.format("passes, and there is no free run on held-out records"))
     result = replace(result, notes=(*result.notes, *notes))
@@ -473,6 +474,7 @@ def _discover(job: run_folder.Job, progress: ProgressCallback | None) -> Discove
         most=table.most,
         window=table.window,
         refine=table.refine,
+        test=job.test or None,
         callback=None if progress is None else report_stage,
     )
     return replace(result, notes=(*result.notes, *_unused(job.settings)))
@@ -496,6 +498,11 @@ def _hold_notes(settings: Config) -> list[str]:
     """A note on the hold of records that do not declare it, and have a controller."""
     undeclared = settings.data is not None and settings.data.hold == "auto"
     return [_HOLD_ZERO] if settings.controller is not None and undeclared else []
+
+
+def _unseen_notes(job: run_folder.Job) -> list[str]:
+    """A note on test records, which only a discovery judges."""
+    return [_NOT_TESTED] if job.test else []
 
 
 def _refine(
@@ -534,7 +541,8 @@ def _refine(
         for name, plant in begin.items()
     }
     name, result = min(fits.items(), key=lambda fit: (not fit[1].status.ok, fit[1].cost))
-    result = replace(result, notes=(*result.notes, *_hold_notes(job.settings)))
+    notes = *_hold_notes(job.settings), *_unseen_notes(job)
+    result = replace(result, notes=(*result.notes, *notes))
     if start.status.code not in _ENDED:
         note = f"refined from the {name}: the passes ended as {start.status.code}"
         result = replace(result, notes=(*result.notes, note))

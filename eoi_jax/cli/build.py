@@ -281,6 +281,15 @@ def validation_records(
     return _read(config.validation, "validation", model, config.controller, folder, data)
 
 
+def unseen_records(
+    config: Config, model: Plant, folder: Path, data: Path | None = None
+) -> list[Record]:
+    """The test records of the config, if any. Arguments as in `records`."""
+    if config.test is None:
+        return []
+    return _read(config.test, "test", model, config.controller, folder, data)
+
+
 def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
     """Records of other files of the same columns as those of the config.
 

@@ -340,7 +340,7 @@ HoldWord = Literal["auto", "zero", "linear", "smooth"]
 
 
 class DataTable(msgspec.Struct, frozen=True):
-    """[data] and [validation]: measured files and how they are read.
+    """[data], [validation] and [test]: measured files and how they are read.
 
     Attributes:
         files: a record each; relative to ``--data``, else to the config, else to $EOI_DATA.
@@ -385,6 +385,7 @@ class Config(msgspec.Struct, frozen=True):
             and refine have it in the loop.
         simulate, data: source of the records; exactly one of the two.
         validation: held-out files; defaults are the values of [data].
+        test: files on which discover chooses nothing; the same defaults.
     """
 
     name: FolderName
@@ -401,6 +402,7 @@ class Config(msgspec.Struct, frozen=True):
     simulate: SimulateTable | None = None
     data: DataTable | None = None
     validation: DataTable | None = None
+    test: DataTable | None = None
 
 
 # -- from text to tables ----------------------------------------------------------------------
@@ -443,9 +445,11 @@ def load(path: Path, max_depth: int = 20) -> Config:
     rule = f"must have at most {max_depth} levels of nested tables and lists"
     check(is_shallow(tables, max_depth), "config", rule, path)
     _check_finite(tables, ())
-    data, validation = tables.get("data"), tables.get("validation")
-    if isinstance(data, dict) and isinstance(validation, dict):
-        tables["validation"] = {**data, **validation}
+    data = tables.get("data")
+    for name in ("validation", "test"):
+        part = tables.get(name)
+        if isinstance(data, dict) and isinstance(part, dict):
+            tables[name] = {**data, **part}
     config = struct(Config, tables)
     check(
         (config.plant is None) != (config.model is None),

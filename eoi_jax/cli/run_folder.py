@@ -70,6 +70,7 @@ class Job:
         records: for the fit, with the inputs of the plant.
         held_out: for validation; may be empty.
         loop: the controller; None: the recorded inputs drive all runs.
+        test: records on which a discovery chooses nothing; may be empty.
     """
 
     settings: Config
@@ -77,6 +78,7 @@ class Job:
     records: list[Record]
     held_out: list[Record]
     loop: Loop | None = None
+    test: Sequence[Record] = ()
 
 
 @contextmanager
@@ -103,12 +105,15 @@ def job(settings: Config, folder: Path, data: Path | None) -> Job:
         model = build.plant(settings, folder)
         records = build.records(settings, model, folder, data)
         held_out = build.validation_records(settings, model, folder, data)
+        test = build.unseen_records(settings, model, folder, data)
     controller = build.controller(settings, model, folder, records[0].sample_period)
     if controller is None:
-        return Job(settings, model, records, held_out)
-    originals = list(closed_loop(model, [*records, *held_out], controller).originals)
-    count, loop = len(records), Loop(controller, records, held_out)
-    return Job(settings, model, originals[:count], originals[count:], loop)
+        return Job(settings, model, records, held_out, test=test)
+    originals = list(closed_loop(model, [*records, *held_out, *test], controller).originals)
+    loop, count, chosen = Loop(controller, records, held_out), len(records), len(originals)
+    chosen -= len(test)
+    held_out, test = originals[count:chosen], originals[chosen:]
+    return Job(settings, model, originals[:count], held_out, loop, test)
 
 
 def check_place(folder: Path, field: str) -> None:

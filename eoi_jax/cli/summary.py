@@ -75,7 +75,10 @@ def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
         "in_sample": result.in_sample,
         **{
             name: None if getattr(result, name) is None else _errors(getattr(result, name))
-            for name in ("before", "after", "windows_before", "windows_after")
+            for prefix in ("", "test_")
+            for name in (
+                f"{prefix}{run}" for run in ("before", "after", "windows_before", "windows_after")
+            )
         },
         "lead": _lead(result.lead),
         "parameters": result.plant.parameters,
@@ -347,6 +350,7 @@ def _provenance(job: Job) -> dict[str, Any]:
     return {
         "records": [describe_record(record) for record in job.records],
         "held_out_records": [describe_record(record) for record in job.held_out],
+        "test_records": [describe_record(record) for record in job.test],
         "config": msgspec.to_builtins(job.settings),
         "versions": versions(),
     }

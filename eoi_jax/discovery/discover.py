@@ -8,7 +8,7 @@ r"""Find the effects that a model lacks from its residual, and add them.
    product of signals: the missing effect is then not in the library (`round`).
 5. The set is added (`augmented`) and all parameters are fitted again; the search is repeated from
    that model until no further set is justified.
-6. Free runs on held-out records, before and after.
+6. Free runs on held-out records, before and after; at the end on test records (`unseen_records`).
 7. Where that gives no answer, the declared model is refined and effects are searched in its free
    runs (`free_run_search`); an answer that leaves more than noise there is questioned, refined and
    extended (`in_free_runs`), and curves are tried (`curves`).
@@ -59,6 +59,7 @@ from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
 from eoi_jax.discovery.round import NO_FREE_RUN, Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
+from eoi_jax.discovery.unseen_records import with_test_errors
 from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
@@ -98,6 +99,7 @@ def discover(
     most: int = 3,
     window: float | None = None,
     refine: bool = False,
+    test: Record | Sequence[Record] | None = None,
     callback: Progress | None = None,
 ) -> Discovery:
     """Find what a model lacks, and add it.
@@ -119,6 +121,8 @@ def discover(
             that error. Additions, and a fit to short runs in place of whole records, are kept
             where all free runs on held-out data get better by more than a hundredth, a mere
             refinement where none gets worse by one. Takes longer.
+        test: records that nothing chooses on, for errors that may be published: `validation`
+            decides which effects stay, so that its errors are a little too good.
         callback: called at each stage with what is done now, how many stages are over, and how
             many there are at most.
 
@@ -147,6 +151,7 @@ def discover(
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, fit_records, held_out, window)
+    unseen = held_out_records(plant, (*fit_records, *held_out), test, "test")
     progress = callback or _no_progress
     progress("fitting the declared model", 0, _STAGES)
     search = _Search(
@@ -164,7 +169,8 @@ def discover(
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
     notes = *sensor_notes(plant, discovery.added), *unplaced_notes, *runs
-    return replace(discovery, notes=(*discovery.notes, *notes))
+    discovery = replace(discovery, notes=(*discovery.notes, *notes))
+    return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,9 @@ class Discovery(Result):
             else None. It may represent an effect that the library does not contain.
         texts: of a loaded discovery, the texts when it was saved; else None.
         common_factors: parameters that no record tells apart; one of each was held.
+        test_before, test_after: as `before` and `after`, on test records, which chose nothing: the
+            errors that may be published. None without such records.
+        test_windows_before, test_windows_after: the same on re-initialised windows.
     """
 
     effects: tuple[str, ...]
@@ -179,6 +182,10 @@ class Discovery(Result):
     lead: PartialExplanation | None = None
     texts: Texts | None = None
     common_factors: tuple[CommonFactor, ...] = ()
+    test_before: Validation | None = None
+    test_after: Validation | None = None
+    test_windows_before: Validation | None = None
+    test_windows_after: Validation | None = None
 
     @property
     def records(self) -> tuple[Record, ...]:

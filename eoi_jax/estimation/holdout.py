@@ -23,7 +23,10 @@ INITIAL = 50  # samples to which the initial state of a free run is fitted; they
 
 
 def held_out_records(
-    plant: Plant, records: Sequence[Record], validation: Record | Iterable[Record] | None
+    plant: Plant,
+    records: Sequence[Record],
+    validation: Record | Iterable[Record] | None,
+    field: str = "validation",
 ) -> tuple[Record, ...]:
     """Hold-out records as a tuple; empty for None.
 
@@ -31,6 +34,7 @@ def held_out_records(
         plant: whose channels and units they must have.
         records: of the fit; the hold-out records must not contain their samples.
         validation: one record, several, or None.
+        field: the argument that they are.
 
     Raises:
         ValueError: records that do not match the plant, or share samples with the fit.
@@ -38,18 +42,18 @@ def held_out_records(
     if validation is None:
         return ()
     if not isinstance(validation, Record):
-        check_kind("validation", validation, Iterable, "a Record or several")
+        check_kind(field, validation, Iterable, "a Record or several")
         validation = tuple(validation)
         if not validation:
             return ()
     try:
         checked = check_records(plant, validation)
     except ValueError as error:
-        raise ValueError(str(error).replace("`records", "`validation", 1)) from error
+        raise ValueError(str(error).replace("`records", f"`{field}", 1)) from error
     hashes = {record.data_hash for record in records}
     advice = "Give another record, or keep a part of this one back: `record.split(0.7)`."
     for record in checked:
-        name, rule = f"validation[{record.name}]", "must not be one of the records of the fit"
+        name, rule = f"{field}[{record.name}]", "must not be one of the records of the fit"
         check(record.data_hash not in hashes, name, rule, "the same data", advice)
         for fitted in records:
             shared = _count_common_samples(record, fitted)

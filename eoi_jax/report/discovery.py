@@ -259,13 +259,16 @@ def error_table(discovery: Discovery) -> str:
 
 def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """The cells of `error_table`, the header first."""
-    data = "in-sample" if discovery.in_sample else "held-out"
+    chosen = "in-sample" if discovery.in_sample else "held-out"
     rows: list[tuple[str, ...]] = [("", "before", "after", "after/before", "unit")]
+    windows, windowed = " in windows", discovery.test_windows_before
     runs = (
-        ("", discovery.before, discovery.after),
-        (" in windows", discovery.windows_before, discovery.windows_after),
+        (chosen, "", discovery.before, discovery.after),
+        (chosen, windows, discovery.windows_before, discovery.windows_after),
+        ("test", "", discovery.test_before, discovery.test_after),
+        ("test", windows, windowed, discovery.test_windows_after),
     )
-    for suffix, declared, augmented in runs:
+    for data, suffix, declared, augmented in runs:
         if declared is None or augmented is None:
             continue
         for j, output in enumerate(declared.outputs):
@@ -370,6 +373,19 @@ def _free_run_errors(discovery: Discovery) -> str:
     if declared is None or augmented is None:
         return "no free run was possible"
     data = "the same data (no data held out)" if discovery.in_sample else "held-out data"
+    errors = _compared(declared, augmented, discovery.changed)
+    extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
+    test = discovery.test_before, discovery.test_after
+    if windowed:
+        test = discovery.test_windows_before, discovery.test_windows_after
+    unseen = ""
+    if test[0] is not None and test[1] is not None:
+        unseen = f"; on test data{extent} {_compared(*test, discovery.changed)}"
+    return f"free-run error on {data}{extent} {errors}{unseen}{remark}"
+
+
+def _compared(declared: Validation, augmented: Validation, changed: bool) -> str:
+    """``95.9 mm before, 6.4 mm after``, for each output."""
     errors = []
     for j, output in enumerate(declared.outputs):
         suffix = f" of {output}" if len(declared.outputs) > 1 else ""
@@ -377,10 +393,6 @@ def _free_run_errors(discovery: Discovery) -> str:
             quantity(run.rmse[j], run.units[j]) if np.isfinite(run.rmse[j]) else "unbounded"
             for run in (declared, augmented)
         )
-        errors.append(
-            f"{declared_error}{suffix} before, {augmented_error} after"
-            if discovery.changed
-            else f"{declared_error}{suffix}"
-        )
-    extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
-    return f"free-run error on {data}{extent} {'; '.join(errors)}{remark}"
+        after = f" before, {augmented_error} after" if changed else ""
+        errors.append(f"{declared_error}{suffix}{after}")
+    return "; ".join(errors)

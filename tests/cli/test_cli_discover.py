@@ -226,6 +226,29 @@ def test_the_discover_table_reaches_discover(known, config, tmp_path):
     assert [record.name for record in known["validation"]] == ["hidden, held out"]
 
 
+TEST = """
+[test]
+files = ["later.csv"]
+time = "time"
+inputs = ["voltage"]
+outputs = ["position"]
+"""
+
+
+def test_test_records_reach_discover(known, config, tmp_path):
+    time = 0.002 * np.arange(500)
+    columns = np.column_stack([time, np.sin(9.0 * time), np.cos(time)])
+    header = "time,voltage,position"
+    np.savetxt(tmp_path / "later.csv", columns, delimiter=",", header=header, comments="")
+    config.write_text(HIDDEN + TEST)
+    done = run_command("discover", config, "--output", tmp_path / "runs", "--json")
+    assert done.exit_code == 0, done.stderr
+    (record,) = known["test"]
+    assert len(record) == 500
+    assert [one["name"] for one in json.loads(done.stdout)["test_records"]] == [record.name]
+    assert actions._unseen_notes(run_folder.job(configs.load(config), tmp_path, None))
+
+
 def test_without_a_discover_table_everything_is_tried_and_without_held_out_data_none_is_given(
     known, config, tmp_path
 ):

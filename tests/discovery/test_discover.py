@@ -129,6 +129,33 @@ def values(discovery: eoi.Discovery) -> dict[str, float]:
     return {name: value for one in discovery.added for name, value in one.parameters.items()}
 
 
+def test_test_records_choose_nothing_and_are_scored_before_and_after():
+    fit, held = records("level and offset")
+    unseen = measured(HIDDEN["level and offset"], 3, 4000)
+    answer = eoi.discover(MASS, fit, held, FEW, test=unseen)
+    without = found("level and offset")
+    assert answer.effects == without.effects
+    assert answer.found.parameters == without.found.parameters
+    before, after = answer.test_before, answer.test_after
+    assert before is not None
+    assert after is not None
+    want = eoi.validate(answer.plant, unseen)
+    np.testing.assert_allclose(after.rmse, want.rmse, rtol=1e-6)
+    assert before.rmse[0] > 10.0 * after.rmse[0]
+    assert answer.test_windows_after is not None
+    assert "; on test data " in str(answer).splitlines()[0]
+    assert "test RMSE of position" in str(answer)
+    assert without.test_after is None
+    assert "test" not in str(without)
+
+
+def test_test_records_must_be_new():
+    fit, held = records("nothing")
+    for seen in (fit, held):
+        with pytest.raises(ValueError, match=r"`test\[.*\]` must not be one of the records"):
+            eoi.discover(MASS, fit, held, FEW, test=seen)
+
+
 # -- what is found --------------------------------------------------------------------------------
 
 
