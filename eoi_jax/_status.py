@@ -17,7 +17,7 @@ class Status:
             ``"stalled"``, ``"undersampled"`` (the estimate has a mode faster than the sampling),
             ``"start_kept"`` (a refinement makes held-out free runs worse than its start),
             ``"unidentifiable"``, ``"diverged"``, ``"no_data"``; of `eoi identify`
-            ``"undetermined"`` (all errors exceed the values); of a discovery ``"explained"``,
+            ``"undetermined"`` (all errors exceed the values); of a discovery ``"complete"``,
             ``"partial"`` (effects are added, more than noise is left), ``"nothing_missing"``,
             ``"unexplained"``; of a method in a comparison
             ``"not_applicable"``, ``"failed"``.

@@ -87,7 +87,7 @@ def discovery() -> Discovery:
         declared=before,
         found=after,
         plant=after.plant,
-        status=eoi.Status("explained", "Nothing is left above the noise."),
+        status=eoi.Status("complete", "Nothing is left above the noise."),
         notes=("run 1: a note.",),
         in_sample=False,
         held_out=(HELD_OUT,),

@@ -156,7 +156,7 @@ def rival(case: effect_cases.Case) -> Answer:
         ]
     except Exception as error:
         return tables.failed(error, perf_counter() - started)
-    status = "explained" if found.effects else "nothing_named"
+    status = "complete" if found.effects else "nothing_named"
     before, after = (_error(run, case) for run in runs)
     return Answer(found.effects, found.effects[:3], status, (), before, after, found.seconds)
 

@@ -54,7 +54,7 @@ _UNDETERMINED = (
 # Statuses of passes whose estimate is refined as it is.
 _ENDED = ("converged", "undersampled")
 # Statuses of a discovery whose results are written.
-_ANSWERS = ("explained", "partial", "nothing_missing", "unexplained")
+_ANSWERS = ("complete", "partial", "nothing_missing", "unexplained")
 
 
 def identify(

@@ -120,13 +120,13 @@ def judged(
     if share >= _EXPLAINED_SHARE or is_negligible:
         return answered(share, relative_residual)
     if unrivalled and share >= _MAIN_SHARE:
-        return Status("explained", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
+        return Status("complete", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
     return Status("unexplained", _PARTLY.format(labels_of(placed), share, description))
 
 
 def answered(share: float, relative_residual: float) -> Status:
     """The status of a set that is the answer, whatever its share."""
-    return Status("explained", _EXPLAINED_TEXT.format(share, _residual_text(relative_residual)))
+    return Status("complete", _EXPLAINED_TEXT.format(share, _residual_text(relative_residual)))
 
 
 def _residual_text(relative_residual: float) -> str:

@@ -85,7 +85,7 @@ def misses_a_law(discovery: Discovery) -> bool:
         return False
     if any(isinstance(item.effect, AbstractInternalEffect) for item in discovery.added):
         return False
-    answers = ("unexplained", "partial", "explained")
+    answers = ("unexplained", "partial", "complete")
     unexplained = beyond_noise(discovery.windows_after, discovery.held_out)
     return discovery.status.code in answers and (bool(unexplained) or _crowded(discovery.added))
 
@@ -117,7 +117,7 @@ def with_curves(
     if search is None:
         return discovery
     named = named or search.base
-    best = _with_best_curve(search, named, discovery.status.code == "explained")
+    best = _with_best_curve(search, named, discovery.status.code == "complete")
     if best is named:
         return discovery
     best = search.settled(search.leanest(best))

@@ -267,7 +267,7 @@ class _Search:
         else:
             searched = Searched(_without_search(task, self.progress))
         discovery = searched.discovery
-        answered_so_far = discovery.status.code in ("explained", "nothing_missing")
+        answered_so_far = discovery.status.code in ("complete", "nothing_missing")
         if answered_so_far and (self.refine or not resolved):
             self.progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
             discovery = _polished(task, discovery, effects if self.named else None)
@@ -413,7 +413,7 @@ def _polished(
     notes += uncertain_effects(added)
     unseen = discovery.status.code == "nothing_missing" and better.placed
     return replace(
-        discovery, status=Status("explained", _ONLY_FREE_RUN) if unseen else discovery.status,
+        discovery, status=Status("complete", _ONLY_FREE_RUN) if unseen else discovery.status,
         effects=tuple(dict.fromkeys(addition.effect.name for addition in added)),
         added=tuple(added),
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
@@ -450,7 +450,7 @@ def _answer(
     for model, placed, step_rounds in reversed(steps):
         share, residual_ratio, quiet = explained(rounds if placed is steps[-1][1] else step_rounds)
         verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
-        if verdict.code != "explained":
+        if verdict.code != "complete":
             break
         refusal = not_simulated(model)
         if refusal:

@@ -81,7 +81,7 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = any(
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
-    return code == "unexplained" or (code == "explained" and in_time)
+    return code == "unexplained" or (code == "complete" and in_time)
 
 
 def with_free_runs(
@@ -138,7 +138,7 @@ def leaves_more(discovery: Discovery) -> bool:
     """Whether an answer that explains the injection misses held-out records by more than noise."""
     if discovery.in_sample or not discovery.added or discovery.plant.has_algebraic:
         return False
-    if discovery.status.code != "explained" or discovery.windows_after is None:
+    if discovery.status.code != "complete" or discovery.windows_after is None:
         return False
     # What an effect does to an internal state no other one of a measured signal does.
     final = Curve | InputCurve | AbstractInternalEffect
@@ -266,7 +266,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     if best.placed and ratio < CONFIRMED and not _imitates(discovery, best):
         names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
-        code, text = ("partial", _PARTIAL) if left else ("explained", _COMPLETE)
+        code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
         found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
         return _with_model(found, answer, best, lowpass)
     if discovery.added:

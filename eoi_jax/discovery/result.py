@@ -145,7 +145,7 @@ class Discovery(Result):
             are too short.
         declared, found: the fits of the declared and of the augmented model.
         plant: the augmented model with its estimate.
-        status: ``"explained"``; ``"partial"``: effects that free runs on held-out records confirm,
+        status: ``"complete"``; ``"partial"``: effects that free runs on held-out records confirm,
             with more than noise left; ``"nothing_missing"``; ``"unexplained"``; or that of the
             declared fit if it failed.
         notes: limitations of the answer.

@@ -32,6 +32,7 @@ from eoi_jax.models.stored_classes import (
     function_named,
     stored_form,
     tag_of,
+    word_of_today,
 )
 
 # 2: records with their smoothing. 3: errors of a pass in one class. 4: classes by their tags
@@ -340,6 +341,7 @@ def _decode(
             name if kind is Plant and name in _FUNCTIONS else field if name == "base" else None
         )
         content[name] = _decode(element, arrays, substitutes, function_field)
+        content[name] = word_of_today(kind.__name__, name, content[name])
     if kind is MissingEffect:
         return MissingEffect(tree["name"], tree["effect"], content)
     # Without __init__: the object was checked when it was first constructed.

@@ -137,6 +137,8 @@ _FORMER = {
     "_Start": "AugmentedStart",
     "_Actuator": "AugmentedActuator",
 }
+# Words of fields that files of earlier versions have, by tag, field and word.
+_FORMER_WORDS = {("Status", "code", "explained"): "complete"}
 _TAGS = {
     f"{_PACKAGE}{place if ':' in place else f'{place}:{tag}'}": tag
     for table in (CLASSES, FUNCTIONS)
@@ -257,6 +259,17 @@ def _import_named(name: str, table: Mapping[str, str]) -> Any:
         return None
     module, _, attribute = table[last].partition(":")
     return vars(import_module(_PACKAGE + module))[attribute or last]
+
+
+def word_of_today(tag: str, field: str, value: Any) -> Any:
+    """The value of a field; a word of an earlier version becomes that of this one.
+
+    Args:
+        tag: of the class.
+        field: name.
+        value: as it is stored.
+    """
+    return _FORMER_WORDS.get((tag, field, value), value) if isinstance(value, str) else value
 
 
 def check_fields(kind: type, content: Mapping[str, Any], stand_ins: tuple[type, ...]) -> None:

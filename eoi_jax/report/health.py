@@ -89,7 +89,7 @@ class _Verdict:
 
 
 _VERDICTS = {
-    "explained": _Verdict(
+    "complete": _Verdict(
         "note",
         "The answer stands: the added effects explain {:.3g} % of what the declared model left. "
         "This is about the rest.",

@@ -16,7 +16,7 @@ from eoi_jax.report.svg import inline, variables
 
 # What the status codes tell, and whether that is good; other codes need attention.
 _BADGES = {
-    "explained": ("good", "explained"),
+    "complete": ("good", "complete"),
     "nothing_missing": ("good", "nothing missing"),
     "partial": ("note", "partial: more than noise is left"),
     "converged": ("good", "converged"),

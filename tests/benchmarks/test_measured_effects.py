@@ -151,7 +151,7 @@ def air_track(data_directory: Path):
 
 def test_mass_on_the_air_track_gets_a_friction_that_predicts_what_was_not_seen(air_track):
     found = eoi.discover(air_track.plant, air_track.records, air_track.held_out, window=5.0)
-    assert found.status.code == "explained"
+    assert found.status.code == "complete"
     # A damped sine fitted to the first part by least squares: 0.457 video units on the rest, of
     # which 0.3 are the rounding to whole units; without damping it is 2.8.
     assert found.after is not None
@@ -186,7 +186,7 @@ def test_overflow_of_the_tank_that_nobody_measures_is_named(data_directory: Path
     found = eoi.discover(
         case.plant, case.records, case.held_out, lowpass=case.lowpass, window=case.window
     )
-    assert found.status.code == "explained"
+    assert found.status.code == "complete"
     assert "no other effect comes near" in found.status.message.lower()
     assert ("overflow", "z") in {(one.effect.name, one.output) for one in found.added}
     assert ("overflow", "lower_level") in {(one.effect.name, one.output) for one in found.added}

@@ -170,7 +170,7 @@ def test_options_that_do_not_fit_are_refused(words, message, capsys):
 # -- what counts as right ---------------------------------------------------------------------
 
 
-def _answer(*named: str, status: str = "explained", after: float = 0.01) -> tables.Answer:
+def _answer(*named: str, status: str = "complete", after: float = 0.01) -> tables.Answer:
     return tables.Answer(named, named, status, (), 1.0, after, 0.5)
 
 

@@ -162,7 +162,7 @@ def test_test_records_must_be_new():
 def test_coulomb_friction_is_named_out_of_the_whole_library():
     answer = found("coulomb")
     assert answer.effects == ("coulomb_friction",)
-    assert answer.status.code == "explained"
+    assert answer.status.code == "complete"
     assert values(answer)["coulomb_friction"] == pytest.approx(0.5, rel=1e-2)
     for name, value in TRUE.items():
         assert answer.plant.parameters[name] == pytest.approx(value, rel=1e-2)

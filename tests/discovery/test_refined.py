@@ -101,7 +101,7 @@ def test_free_runs_extend_what_explains_the_injection_where_more_than_noise_is_l
     (fit, _), (held, spread) = record(hidden, 1, 1e-3), record(hidden, 2, 1e-3)
     found = eoi.discover(PLANT, fit, validation=held)
     assert (found.status.code, found.effects) == (
-        "explained",
+        "complete",
         ("cubic_stiffness", "quadratic_drag"),
     )
     assert any(note.startswith("quadratic_drag found in free runs") for note in found.notes)
@@ -142,7 +142,7 @@ def test_what_only_free_runs_show_is_an_answer_where_the_injection_shows_nothing
     assert eoi.discover(PLANT, fit, validation=held[0]).status.code == "nothing_missing"
     found = eoi.discover(PLANT, fit, validation=held[0], refine=True)
     assert found.effects == ("quadratic_drag",)
-    assert found.status.code == "explained"
+    assert found.status.code == "complete"
     assert str(found).startswith("The model lacks drag that grows with the square of the velocity")
     assert NOISE * held[1] < error(found.after) < 1.05 * NOISE * held[1]
 

@@ -173,7 +173,7 @@ def test_the_badge_is_empty_where_the_noise_is_not_known():
 @pytest.mark.parametrize(
     ("code", "state", "label"),
     [
-        ("explained", "good", "explained"),
+        ("complete", "good", "complete"),
         ("nothing_missing", "good", "nothing missing"),
         ("partial", "note", "partial: more than noise is left"),
         ("unexplained", "attention", "unexplained"),

@@ -364,7 +364,7 @@ def test_the_badges_tell_the_status_and_the_error_over_the_noise(browser, folder
     assert run is not None
     ratio = float(run.rmse[0] / HELD_OUT.noise[0])
     assert ask(browser, badges) == [
-        ["badge good", "explained"],
+        ["badge good", "complete"],
         ["badge", f"held-out error {ratio:.2g} × sensor noise"],
     ]
     look(browser, folders["unexplained"])

@@ -145,7 +145,7 @@ def test_a_search_that_was_made_is_not_advised_again(fine):
 
 
 ANSWERS = {
-    "explained": ("note", "The answer stands: the added effects explain 93 %"),
+    "complete": ("note", "The answer stands: the added effects explain 93 %"),
     "nothing_missing": ("note", "The answer stands"),
     "partial": ("attention", "As the answer says, more than noise is left"),
     "unexplained": ("attention", "As the answer says, no effect of the library explains this"),
@@ -167,6 +167,6 @@ def test_what_is_left_of_the_residual_is_told_in_agreement_with_the_answer(fine,
 def test_after_a_search_a_delay_is_looked_up_among_the_candidates(fine):
     late = dataclasses.replace(fine, cross=(LATE,))
     (before,) = [one for one in health(late) if not one.good]
-    (after,) = [one for one in health(late, searched="explained") if not one.good]
+    (after,) = [one for one in health(late, searched="complete") if not one.good]
     assert "let `eoi discover` try" in before.advice
     assert "table of other candidates" in after.advice
