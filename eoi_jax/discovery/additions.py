@@ -9,7 +9,7 @@ from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed
-from eoi_jax.models.effects import ActuatorLag, InputDelay
+from eoi_jax.models.effects import ActuatorLag, InputDelay, SensorLag
 from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
@@ -39,11 +39,12 @@ def size_is_known(
     """Whether one of these parameters of an effect has an error of at most half of its value.
 
     Args:
-        names: of the effect's parameters.
+        names: of the effect's parameters; one without any has no size that could be unknown.
         parameters: values by name.
         standard_errors: by name.
     """
-    return any(standard_errors[name] <= _LARGEST_ERROR * abs(parameters[name]) for name in names)
+    sizes = [standard_errors[name] <= _LARGEST_ERROR * abs(parameters[name]) for name in names]
+    return any(sizes) or not sizes
 
 
 def uncertain_effects(added: Sequence[Added]) -> list[str]:
@@ -59,19 +60,23 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
 
 
 def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
-    """Notes on delays and lags that the sensor may have as well as the actuator.
+    """Notes on delays and lags that the sensor may have as well as the actuator, or the other way.
 
     What is linear and does not change in time commutes: behind such a plant of one input and one
     output the records are the same.
     """
     if (len(plant.inputs), len(plant.outputs)) != (1, 1):
         return []
-    words = {InputDelay.name: "delay", ActuatorLag.name: "lag"}
+    sensor, actuator = f"the sensor of {plant.outputs[0]}", f"the actuator of {plant.inputs[0]}"
+    rivals = {
+        InputDelay.name: f"a delay of {sensor} in place of that of {plant.inputs[0]}",
+        ActuatorLag.name: f"a lag of {sensor} in place of that of {plant.inputs[0]}",
+        SensorLag.name: f"a lag of {actuator} in place of that of {sensor}",
+    }
     return [
-        f"a {words[addition.effect.name]} of the sensor of {plant.outputs[0]} in place of that of "
-        f"{plant.inputs[0]} does the same where the plant is linear"
+        f"{rivals[addition.effect.name]} does the same where the plant is linear"
         for addition in added
-        if addition.effect.name in words
+        if addition.effect.name in rivals
     ]
 
 

@@ -7,8 +7,9 @@ parameters are biased hides right effects from both. The search:
    from the estimate of the passes and from nominal values, with each hold of the inputs that is
    possible; of these the one with the smallest free-run errors on the records that judge.
 2. Candidates: the effects, and pairs, of which a score test of the base says most (`remaining`),
-   and the set that the injection came to.
-3. Each of the first few is added, and all parameters are refined again.
+   and the set that the injection came to; an offset, and cells in series, in any case.
+3. Each of the first few is added, and all parameters are refined again; of an effect with several
+   forms also the further ones, as long as they fit better.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
    these records exceeds its own standard error by enough. Then from 2, until none does.
@@ -18,7 +19,7 @@ Disturbances in time are not tried: they stand in for what the library lacks.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,12 +30,13 @@ from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
-from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.score_test import is_tested
 from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
 
 
@@ -164,8 +166,9 @@ def search_free_runs(
                 for plant, placed, origin in models
                 if origin is best
             ]
-        trials = [search.fitted(*model) for model in models]
-        accepted = [t for t in trials if t is not None and search.judge.prefers(t.runs, best.runs)]
+        trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
+        trials += search.further_forms(trials)
+        accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
         if not accepted:
             break
         best = plainest(accepted)
@@ -318,19 +321,23 @@ class Search:
     ) -> list[Model]:
         """Models with the effects that a score test says most of, then with an offset."""
         plant = best.refinement.plant
-        offsets = placements(plant, [e for e in effects if isinstance(e, ConstantOffset)])
+        offsets = [effect for effect in effects if isinstance(effect, ConstantOffset)]
+        # What has no linear test: none at all would find it.
+        untested = [e for e in effects if isinstance(e, AbstractCascade) and not is_tested(e)]
         items = remaining(best.refinement, effects, level=level).significant
         largest = max((item.share for item in items), default=0.0)
         least = 1.0 - _RULES.remainder * (1.0 - largest)
         least = max(least, _RULES.share if self.base.placed else 0.0)
         sets = [(item.placed, item.values) for item in items if item.share >= least]
         if not self.base.placed:
-            sets += [((placed,), dict.fromkeys(placed.names, 0.0)) for placed in offsets]
-        fresh = [item for item in sets if not _repeated(best.placed, item[0])]
+            sets += [((placed,), dict.fromkeys(placed.names, 0.0))
+                     for placed in placements(plant, offsets)]  # fmt: skip
+        certain = [((placed,), {}) for placed in placements(plant, untested)]
         first: dict[Sites, Model] = {}
-        for placed, values in fresh:
-            first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        models = list(first.values())[: _RULES.tried]
+        for placed, values in [*certain, *sets]:
+            if not _repeated(best.placed, placed):
+                first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
+        models = list(first.values())[: _RULES.tried + len(certain)]
         if not self.base.placed:
             return models
         # Beside an explanation a product is told, but names no cause: one of them is enough.
@@ -358,18 +365,34 @@ class Search:
         determined = all(size_is_known(added.names, values, errors) for added in further)
         return trial if determined else None
 
+    def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
+        """The best model that has an effect of several forms, in the form that fits best."""
+        candidates = [trial for trial in trials if _next_forms(trial.placed) is not None]
+        best = first = min(candidates, key=lambda trial: trial.error, default=None)
+        while best is not None and (placed := _next_forms(best.placed)) is not None:
+            trial = self._with_only(placed, best)
+            if trial is None or trial.refinement.cost >= best.refinement.cost:
+                break
+            best = trial
+        return [] if best is None or best is first else [best]
+
+    def _with_only(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
+        """The base with these effects, refined from the values of a model that has them."""
+        base, values = self.base, model.refinement.parameters
+        declared = base.refinement.plant
+        declared = declared.with_parameters({name: values[name] for name in declared.names})
+        further = tuple(item for item in placed if item not in base.placed)
+        plant, effects = augmented(declared, further, values), (*base.placed, *further)
+        return _fitted(plant, effects, self.searched, model.refinement.window, self.judge)
+
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without, largest ones first."""
-        base, further = self.base, self.further(best)
+        further = self.further(best)
         if len(further) < 2:
             return best
-        declared, values = base.refinement.plant, best.refinement.parameters
-        declared = declared.with_parameters({name: values[name] for name in declared.names})
         leaner = []
         for effect in further:
-            fewer = tuple(item for item in further if item is not effect)
-            plant, placed = augmented(declared, fewer, values), (*base.placed, *fewer)
-            fit = _fitted(plant, placed, self.searched, best.refinement.window, self.judge)
+            fit = self._with_only([item for item in further if item is not effect], best)
             if fit is not None and fit.error < best.error + _RULES.min_fall:
                 leaner.append(fit)
         if not leaner:
@@ -409,7 +432,9 @@ def _fitted(
     window: float | None,
     judge: Judge,
 ) -> Judged | None:
-    """A model refined and judged; None where there is no fit."""
+    """A model refined and judged; None where there is no fit, or where no run tells its start."""
+    if plant.rows + np.sum(plant.open_internal) >= judge.head:
+        return None
     refinement = refine_once(plant, records, window)
     if not refinement.status.fits:
         return None
@@ -468,6 +493,18 @@ def plainest(trials: Sequence[Judged]) -> Judged:
     lowest = min(weighed(trial) for trial in trials)
     as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
     return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
+
+
+def _next_forms(placed: Sequence[Placed]) -> tuple[Placed, ...] | None:
+    """Effects in their next forms; None where none has any."""
+    following = [
+        placement.effect.next_form() if isinstance(placement.effect, AbstractCascade) else None
+        for placement in placed
+    ]
+    if not any(following):
+        return None
+    pairs = zip(placed, following, strict=True)
+    return tuple(item if form is None else replace(item, effect=form) for item, form in pairs)
 
 
 def _size(model: Judged) -> int:

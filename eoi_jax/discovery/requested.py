@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.effects import standard, wider
-from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 
@@ -38,7 +38,7 @@ def names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str
         for output, degree in zip(plant.outputs, plant.degrees, strict=True)
     )
     check(len(fitting) > 0, "effects", f"must hold one that fits {plant.name}", ", ".join(names),
-          f"It has {degrees}. Leave `effects` out to try all that fit.")  # fmt: skip
+          f"It has {degrees}. {_needs(effects)}Leave `effects` out to try all.")  # fmt: skip
     return fitting
 
 
@@ -55,7 +55,20 @@ def notes_without_place(
         elif name not in looked and name not in in_free_runs:
             reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
             notes.append(reason.format(name, discovery.declared.nominal.name))
+        if name not in fitting:
+            needs = _needs([effect for effect in effects if effect.name == name])
+            notes += [needs.rstrip(" .")] if needs else []
     return notes
+
+
+def _needs(effects: Sequence[AbstractEffect]) -> str:
+    """On what some of these effects must act, in sentences."""
+    needs = {
+        effect.name: effect.needs
+        for effect in effects
+        if isinstance(effect, AbstractCascade) and effect.needs
+    }
+    return "".join(f"{name} must act on {rule}. " for name, rule in needs.items())
 
 
 _IN_FREE_RUNS = (

@@ -4,11 +4,12 @@
 
 The parameters of the effects are ordinary parameters of the new plant. Their states are internal
 states that follow those of the plant. Delays and lags of an input form the actuator of the plant;
-static input effects act within f and g.
+static input effects act within f and g. What is connected in series (`cascade.py`) has all other
+effects within it, also those that are added later.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,9 +19,11 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
+from eoi_jax.models.cascade import Cascade, Stage
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
+    AbstractCascade,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
@@ -47,6 +50,7 @@ class Placed:
             is measured; None for the displacement of a single output.
         through: index of the input whose path the effect shares as a force, on all outputs that
             the input pushes; None if the effect adds to y^(r) of its output only.
+        streams: of copies in series, indices of the inputs that carry the stream.
     """
 
     effect: AbstractEffect
@@ -55,6 +59,7 @@ class Placed:
     row: int = 1
     against: int | None = None
     through: int | None = None
+    streams: tuple[int, ...] = field(default=(), metadata=WHERE_SET)
 
     @property
     def on_input(self) -> bool:
@@ -95,6 +100,10 @@ def place(
     states also of the channel, the output from which the displacement is measured, and the input
     whose path the effect shares.
     """
+    if isinstance(effect, AbstractCascade):
+        good = effect.fits(plant, channel)
+        rule, output = f"must act on {effect.needs}", f"{plant.outputs[channel]} of {plant.name}"
+        check(good, effect.name, rule, output)
     channels = effect.channels(plant)
     suffixed = len(channels) > 1 or isinstance(effect, AbstractInternalEffect)
     suffix = f"_{channels[channel]}" if suffixed else ""
@@ -109,7 +118,8 @@ def place(
         names.append(name)
     on_output = isinstance(effect, AbstractTerm)
     row = velocity_rows(plant.degrees)[channel] if on_output else 1
-    return Placed(effect, channel, tuple(names), row, against, through)
+    streams = effect.streams(plant, channel) if isinstance(effect, AbstractCascade) else ()
+    return Placed(effect, channel, tuple(names), row, against, through, streams)
 
 
 def augmented(
@@ -148,9 +158,12 @@ def augmented(
             units[name] = unit(plant, placement, parameter.unit)
     added = {name: float(values[name]) for placement in placements for name in placement.names}
     moving = states + nz > 0
-    following = any(placement.effect.follows_slope for placement in placements)
+    everything = [placement.effect for placement in (*added_effects(plant), *placements)]
+    cascaded = any(isinstance(effect, AbstractCascade) for effect in everything)
+    following = cascaded or any(effect.follows_slope for effect in everything)
     slow = any(isinstance(placement.effect, AbstractActuator) for placement in placements)
-    dynamics = _Dynamics(plant.dynamics, declared_names, placements, nz)
+    degrees = plant.degrees if cascaded else ()
+    dynamics = _Dynamics(plant.dynamics, declared_names, placements, nz, degrees)
     return Plant(
         dynamics,
         {**plant.parameters, **added},
@@ -162,7 +175,11 @@ def augmented(
         )
         if moving
         else None,
-        internal_initial=_Start(plant.internal_initial, declared_names, states) if moving else None,
+        internal_initial=_Start(
+            plant.internal_initial, declared_names, states, _start_weights(placements)
+        )
+        if moving
+        else None,
         bounds=limits,
         fixed=plant.fixed,
         units=units,
@@ -246,6 +263,18 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     return pattern.format(**units)
 
 
+def _start_weights(placed: tuple[Placed, ...]) -> tuple[float | None, ...]:
+    """Of the states of some effects; () where none has any."""
+    weights = itertools.chain.from_iterable(
+        placement.effect.start_weights
+        if isinstance(placement.effect, AbstractCascade)
+        else (None,) * placement.effect.states
+        for placement in placed
+    )
+    stated = tuple(weights)
+    return stated if any(weight is not None for weight in stated) else ()
+
+
 @dataclass(frozen=True)
 class _Dynamics:
     """f of the augmented plant; equal (and compiled once) for equal plants and effects."""
@@ -254,11 +283,17 @@ class _Dynamics:
     names: tuple[str, ...]
     placed: tuple[Placed, ...]
     nz: int
+    degrees: tuple[int, ...] = field(default=(), metadata=WHERE_SET)  # where there is a cascade
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        return self.cascade(t, p).slopes(x, u) if self.degrees else self.direct(t, x, u, p)
+
+    def direct(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        """f without what is connected in series."""
         changed = _forced(self, t, x, _inputs(self, t, x, u, p), u, p)
+        base = self.base.direct if isinstance(self.base, _Dynamics) else self.base
         f = jnp.asarray(
-            self.base(t, State(x.y, x.z[: self.nz]), changed, _declared_parameters(self.names, p))
+            base(t, State(x.y, x.z[: self.nz]), changed, _declared_parameters(self.names, p))
         )
         f = jnp.reshape(f, (x.y.shape[1],))
         for placement, z in _split_states(self.placed, x.z[self.nz :]):
@@ -271,6 +306,26 @@ class _Dynamics:
                 )
         return f
 
+    def cascade(self, t: Any, p: Any) -> Cascade:
+        """What is connected in series, here and in the model that was augmented."""
+
+        def derivative(x: State, u: Any) -> Any:
+            return self.direct(t, x, u, p)
+
+        return Cascade.of(derivative, self._stages(p, self.degrees))
+
+    def _stages(self, p: Any, degrees: tuple[int, ...]) -> list[Stage]:
+        stages = self.base._stages(p, degrees) if isinstance(self.base, _Dynamics) else []
+        first = self.nz
+        for placement in self.placed:
+            states, j = slice(first, first + placement.effect.states), placement.channel
+            first = states.stop
+            if isinstance(placement.effect, AbstractCascade):
+                _, shape = split_parameters(placement, p)
+                stage = Stage(placement.effect, j, degrees[j], placement.streams, states, shape)
+                stages.append(stage)
+        return stages
+
 
 @dataclass(frozen=True)
 class _Internal:
@@ -281,11 +336,6 @@ class _Internal:
     placed: tuple[Placed, ...]
     nz: int
     dynamics: _Dynamics | None = field(default=None, metadata=WHERE_SET)  # where effects follow it
-
-    def _slopes(self, t: Any, x: State, u: Any, p: Any) -> Any:
-        """First derivatives of the outputs."""
-        assert self.dynamics is not None
-        return x.y[1] if x.y.shape[0] > 1 else self.dynamics(t, x, u, p)
 
     @property
     def states(self) -> tuple[str, ...] | None:
@@ -299,12 +349,35 @@ class _Internal:
         )
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
+        dynamics = self.dynamics
+        if dynamics is None or not dynamics.degrees:
+            return self.direct(t, x, u, p, lambda: _first_derivatives(dynamics, t, x, u, p))
+        cascade = dynamics.cascade(t, p)
+        inner = cascade.model_state(x)
+
+        def slopes() -> Any:
+            return inner.y[1] if inner.y.shape[0] > 1 else cascade.slopes_inside(inner, u)
+
+        return cascade.with_rates(self.direct(t, inner, u, p, slopes), x, u)
+
+    def direct(self, t: Any, x: State, u: Any, p: Any, slopes: Callable[[], Any]) -> Any:
+        """g without what is connected in series, whose states stand still.
+
+        Args:
+            t: time [s].
+            x: state in front of all sensors.
+            u: inputs.
+            p: parameters.
+            slopes: gives the first derivatives of the outputs there.
+        """
         rates = []
         if self.base is not None:
             changed = _inputs(self, t, x, u, p)
-            rate = self.base(
-                t, State(x.y, x.z[: self.nz]), changed, _declared_parameters(self.names, p)
-            )
+            inner, named = State(x.y, x.z[: self.nz]), _declared_parameters(self.names, p)
+            if isinstance(self.base, _Internal):
+                rate = self.base.direct(t, inner, changed, named, slopes)
+            else:
+                rate = self.base(t, inner, changed, named)
             rate = jnp.reshape(jnp.asarray(rate), (self.nz,))
             for placement in self.placed:
                 if isinstance(placement.effect, AbstractInternalEffect):
@@ -319,14 +392,22 @@ class _Internal:
             _, shape = split_parameters(placement, p)
             at = instant(placement, t, x, at_input, z)
             if placement.effect.follows_slope:
-                at = at._replace(slope=placement.coordinate(self._slopes(t, x, u, p)))
-            if placement.effect.states:
+                at = at._replace(slope=placement.coordinate(slopes()))
+            if isinstance(placement.effect, AbstractCascade):
+                rates.append(jnp.zeros_like(z))
+            elif placement.effect.states:
                 rates.append(
                     jnp.reshape(placement.effect.rate(at, shape), (placement.effect.states,))
                 )
             if isinstance(placement.effect, AbstractInputEffect):
                 at_input = at_input.at[placement.channel].set(placement.effect.changed(at, shape))
         return jnp.concatenate(rates)
+
+
+def _first_derivatives(dynamics: _Dynamics | None, t: Any, x: State, u: Any, p: Any) -> Any:
+    """First derivatives of the outputs."""
+    assert dynamics is not None
+    return x.y[1] if x.y.shape[0] > 1 else dynamics(t, x, u, p)
 
 
 @dataclass(frozen=True)
@@ -387,11 +468,21 @@ class _Actuator:
 
 @dataclass(frozen=True)
 class _Start:
-    """Internal states at the start: those of the plant, then zeros."""
+    """Internal states at the start: those of the plant, then zeros.
+
+    Attributes:
+        cascades: of the effects' states, `AbstractCascade.start_weights`; None of other effects.
+    """
 
     base: Any
     names: tuple[str, ...]
     states: int
+    cascades: tuple[float | None, ...] = field(default=(), metadata=WHERE_SET)
+
+    @property
+    def weights(self) -> tuple[float | None, ...]:
+        """As of `start_weights`."""
+        return (*getattr(self.base, "weights", ()), *(self.cascades or (None,) * self.states))
 
     def __call__(self, p: Any) -> Any:
         declared = (

@@ -26,6 +26,7 @@ from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
 from eoi_jax.models.sampled_states import SampledStates
+from eoi_jax.models.start_weights import open_starts
 from eoi_jax.models.traced_shapes import traced_shape
 from eoi_jax.models.velocities import velocity_rows
 
@@ -373,8 +374,14 @@ class Plant(eqx.Module):
 
     @property
     def unknown_internal(self) -> int:
-        """Number of internal states that a run may start with at any value: the first ones."""
-        return len(self.initial_internal) - (self.sampled.size if self.sampled else 0)
+        """Number of internal states that a run may start with at any value."""
+        return int(np.sum(self.open_internal))
+
+    @property
+    def open_internal(self) -> Bool[np.ndarray, " nz"]:
+        """Which internal states a run may start with at any value, if it begins within a record."""
+        sampled = self.sampled.size if self.sampled else 0
+        return open_starts(self.internal_initial, len(self.initial_internal), sampled)
 
     @property
     def initial_internal(self) -> Float[np.ndarray, " nz"]:

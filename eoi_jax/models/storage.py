@@ -336,10 +336,10 @@ def _decode(
         substitutes.check(tree["fields"])
     content = {}
     for name, element in tree["fields"].items():
-        # Effects that wrap a function of the plant have it as their base.
-        function_field = (
-            name if kind is Plant and name in _FUNCTIONS else field if name == "base" else None
-        )
+        # Effects that wrap a function of the plant have it as their base; rates of their states may
+        # need all of f.
+        is_function = name in _FUNCTIONS and (kind is Plant or name == "dynamics")
+        function_field = name if is_function else field if name == "base" else None
         content[name] = _decode(element, arrays, substitutes, function_field)
         content[name] = word_of_today(kind.__name__, name, content[name])
     if kind is MissingEffect:

@@ -106,6 +106,8 @@ CLASSES: Mapping[str, str] = {
     "Radiation": "models.effects.outflow",
     "ModulatedSinusoid": "models.effects.products",
     "Product": "models.effects.products",
+    "CellsInSeries": "models.effects.series",
+    "SensorLag": "models.effects.series",
     "CubicStiffness": "models.effects.stiffness",
     "EndStop": "models.effects.stiffness",
     "FreePlay": "models.effects.stiffness",

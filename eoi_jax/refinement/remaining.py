@@ -20,17 +20,12 @@ from eoi_jax.data.record import Record
 from eoi_jax.estimation.holdout import check_scored_records, held_out_records
 from eoi_jax.models.augmented import augmented
 from eoi_jax.models.effects import rare, standard
-from eoi_jax.models.effects.effect import (
-    AbstractActuator,
-    AbstractEffect,
-    AbstractInputEffect,
-    AbstractTerm,
-)
+from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try
+from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try, is_tested
 from eoi_jax.refinement.spans import spans_of
 from eoi_jax.simulation.validate import Validation, judged_runs
 
@@ -131,7 +126,8 @@ def remaining(
     Args:
         refinement: result of `refine`, with an answer.
         effects: to try; those of `effects.standard()` and `effects.rare()`, if left out. Effects
-            with states of their own, and those of internal states, are passed over.
+            without a score test are passed over: hysteresis, cells in series, those of internal
+            states.
         validation: records that were not used: the model is then refined with each of the most
             significant answers, and that answer is best which lowers the free-run error on these.
         level: of significance, for all tries together.
@@ -169,7 +165,7 @@ def remaining(
     spans = spans_of(records, refinement.window)
     substeps = refinement.substeps if substeps is None else substeps
     runs = LinearisedRuns.of(refinement, records, spans, substeps)
-    placed_effects = [effect for effect in placements(plant, chosen) if _is_tried(effect.effect)]
+    placed_effects = [effect for effect in placements(plant, chosen) if is_tested(effect.effect)]
     tries = [effect for placed in placed_effects for effect in runs.tries(placed)]
     shares = [runs.share((effect,)) for effect in tries]
     ranking = [runs.candidate((effect,), len(tries)) for effect in _best(tries, shares)]
@@ -236,10 +232,3 @@ def _pairs(
         if key not in candidates:
             candidates[key] = runs.candidate((linear[i], linear[j]), count)
     return _ranked([*candidates.values()])
-
-
-def _is_tried(effect: AbstractEffect) -> bool:
-    forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
-    if isinstance(effect, AbstractTerm) and effect.states:
-        return type(effect).states_along is not AbstractTerm.states_along
-    return forces_alone and effect.states == 0

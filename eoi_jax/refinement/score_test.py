@@ -6,7 +6,8 @@ term of an effect along the simulated states, at unit gain, and all that the par
 initial states can do taken out of $\hat y_w$ and of the residual $r$, least squares of $r$ on
 $\hat y_w$ gives the gain and the share of the residual that it explains. With a share s,
 $-n \log(1 - s)$ is χ², n the number of independent samples: all of them over the correlation time
-Σ ρ² of what is left (M. S. Bartlett).
+Σ ρ² of what is left (M. S. Bartlett). Of a sensor behind the output $\hat y_w$ is what it
+changes of the free run itself, and the gain is near one.
 
 **Source.** C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50 (score test).
 """
@@ -28,6 +29,8 @@ from eoi_jax.estimation.regression.robust_covariance import correlation_time
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
+    AbstractCascade,
+    AbstractEffect,
     AbstractInputEffect,
     AbstractTerm,
     At,
@@ -160,15 +163,18 @@ class LinearisedRuns:
         if not placed.effect.shows(statistics):
             return []
         grid = np.asarray(placed.effect.grid(statistics), dtype=float)
-        forces = [force for shape in grid for force in self._forces(placed, shape)]
-        if not forces:
-            return []
-        columns = self._columns(forces)
+        if isinstance(placed.effect, AbstractCascade):
+            columns = self._sensed(placed, grid)
+        else:
+            forces = [force for shape in grid for force in self._forces(placed, shape)]
+            if not forces:
+                return []
+            columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
         columns = columns - self.basis @ (self.basis.T @ columns)
         remaining_power = np.sum(columns**2, axis=0)
         new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
-        count = len(forces) // len(grid)
+        count = columns.shape[1] // len(grid)
         parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
         return [Try(placed, shape, columns[:, part])
                 for shape, part in zip(grid, parts, strict=True) if np.all(new[part])]  # fmt: skip
@@ -213,7 +219,7 @@ class LinearisedRuns:
         if values is None:
             return None
         share = self._share(after)
-        count = sum(len(attempt.placed.effect.parameters) for attempt in tries)
+        count = sum(max(len(attempt.placed.effect.parameters), 1) for attempt in tries)
         chance = _chance(share, after, len(self.plant.outputs), count)
         placed = tuple(attempt.placed for attempt in tries)
         return Candidate(placed, values, share, min(number_of_tries * chance, 1.0))
@@ -278,6 +284,19 @@ class LinearisedRuns:
         unchanged, changed = (_drift(self.plant, t, y, z, inputs) for inputs in (u, new))
         return np.asarray(changed - unchanged)
 
+    def _sensed(self, placed: Placed, grid: np.ndarray) -> Columns:
+        """What a sensor behind the output does to it at each shape, weighed."""
+        assert isinstance(placed.effect, AbstractCascade)
+        t, _, y, _ = (np.asarray(part) for part in self.stages)
+        j, period = placed.channel, float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
+        y = np.concatenate([y[..., 0, 0, j], y[:, -1:, 2, 0, j]], axis=1)
+        scale, use = np.asarray(self.problem.scale), self.problem.use
+        columns = np.zeros((*use.shape, len(grid)))
+        for k, shape in enumerate(grid):
+            columns[..., j, k] = placed.effect.outputs_along(y, period, shape) - y
+        columns = np.where(use[..., None], scale[:, None] * columns, 0.0)
+        return columns.reshape(-1, len(grid))
+
     def _columns(self, forces: Sequence[np.ndarray]) -> Columns:
         """Weighed slopes of all outputs with the gains of some forces."""
         stacked = np.stack(forces, axis=-1)
@@ -308,6 +327,20 @@ class Try:
         allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
         low, high = _SETTINGS.min_change, _SETTINGS.max_change
         return allowed and (bool(effect.gains) or bool(low < gains[0] < high))
+
+
+def is_tested(effect: AbstractEffect) -> bool:
+    """Whether a score test knows what the effect does to free runs.
+
+    Args:
+        effect: any.
+    """
+    if isinstance(effect, AbstractCascade):
+        return type(effect).outputs_along is not AbstractCascade.outputs_along
+    if isinstance(effect, AbstractTerm) and effect.states:
+        return type(effect).states_along is not AbstractTerm.states_along
+    forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
+    return forces_alone and effect.states == 0
 
 
 def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:

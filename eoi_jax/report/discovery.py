@@ -159,7 +159,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
             is_force = strength.unit in _FORCES
             text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
         values.append((parameter.name, text))
-    if isinstance(added.effect, Curve | InputCurve):
+    if isinstance(added.effect, Curve | InputCurve) or not values:
         return name_and_place
     if len(values) == 1:
         return f"{name_and_place} of {values[0][1]}"

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.start_weights import proportional_starts
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax.simulation.integrator import Drive
@@ -97,15 +98,15 @@ def initial_states(
     spread = np.where(spread > 0, spread, 1.0)
     first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
     cost, values = _descend(first_samples, starts, measured)
-    if run.plant.unknown_internal or past is not None:
+    if np.any(run.plant.open_internal) or past is not None:
         # Internal states stay where the model starts them, and inputs have always been at their
         # first values, unless the first samples tell (BIC): from a few noisy ones they would come
         # out anywhere.
-        sampled = len(z) - run.plant.unknown_internal  # the last ones, which start as declared
-        free = np.arange(len(measured)) < len(measured) - sampled
+        free = np.ones(len(measured), dtype=bool)
+        free[np.sum(measured) :][: len(z)] = run.plant.open_internal
         freed_cost, freed_values = _descend(first_samples, values[:, None], free)
         count = np.maximum(np.sum(valid, axis=(1, 2)), 2)
-        unknown = run.plant.unknown_internal + (
+        unknown = np.sum(run.plant.open_internal) + (
             0 if past is None else np.sum(np.any(past != 0, axis=(1, 2, 3)), axis=1)
         )
         significant = freed_cost < cost * np.exp(-2.0 * unknown * np.log(count) / count)
@@ -370,7 +371,10 @@ def states_of(plant: Plant, values: Starts) -> State:
     rows, columns = owned(plant)
     y = np.zeros((len(values), plant.rows, len(plant.outputs)))
     y[:, rows, columns] = values[:, : len(rows)]
-    return State(y, values[:, len(rows) : len(rows) + len(plant.initial_internal)])
+    z = np.array(values[:, len(rows) : len(rows) + len(plant.initial_internal)])
+    places, leaders, weights = proportional_starts(plant.internal_initial, z.shape[1])
+    z[:, places] = weights * z[:, leaders]
+    return State(y, z)
 
 
 def with_past(

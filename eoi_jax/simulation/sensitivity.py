@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax._types import Scalar
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.start_weights import proportional_starts, starts_anywhere
 from eoi_jax.simulation.integrator import advanced, output_of
 
 Host = Array | np.ndarray
@@ -116,10 +117,18 @@ class RunKernel(eqx.Module):
         y = empty.at[tuple(places)].set(values[:count])
         z = self.plant.internal_start(jnp.asarray(theta))
         as_declared = declared > 0
+        initial = self.plant.internal_initial
+        anywhere = starts_anywhere(initial, z.size)
+        if np.any(anywhere):
+            as_declared = as_declared & ~anywhere
         if self.plant.sampled is not None:  # those start as declared in every run
             sampled = np.arange(z.size) >= z.size - self.plant.sampled.size
             as_declared = as_declared | sampled
-        return State(y, jnp.where(as_declared, z, values[count : count + z.size]))
+        z = jnp.where(as_declared, z, values[count : count + z.size])
+        if np.any(anywhere):
+            places, leaders, weights = proportional_starts(initial, z.size)
+            z = z.at[places].set(weights * z[leaders])
+        return State(y, z)
 
     def directions(self, start_size: int) -> Direction:
         """Of each unknown; so many are in the start."""

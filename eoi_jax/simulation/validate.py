@@ -317,7 +317,7 @@ def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
 def _check_record(
     plant: Plant, record: Record, initial_samples: int | None, window: float | None
 ) -> None:
-    unknowns = plant.rows + plant.unknown_internal
+    unknowns = plant.rows + int(np.sum(plant.open_internal))
     if initial_samples is not None:
         check_count("initial_samples", initial_samples)
     head = _head(plant, record, initial_samples)

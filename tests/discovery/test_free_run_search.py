@@ -87,6 +87,50 @@ def test_a_model_that_lacks_nothing_gets_no_effect():
     assert right.base.runs[0].rmse[0] < 1.1 * NOISE
 
 
+def volume(t, x, u, p):
+    return p.a * u * (p.inlet - x.y[0]) + p.b * (p.steam - x.y[0])
+
+
+VOLUME = eoi.Plant(
+    volume, {"a": 0.2, "inlet": 30.0, "b": 0.2, "steam": 90.0}, 1, ("flow",), ("temperature",),
+)  # fmt: skip
+STREAM = {"a": 0.35, "inlet": 20.0, "b": 0.15, "steam": 100.0}
+
+
+def passed(seed, cells):
+    """Cells in a row by SciPy, each heated alike, from anywhere on; as many samples of 1 s."""
+    draw, time = np.random.default_rng(seed), 1.0 * np.arange(COUNT)
+    flow = np.repeat(draw.uniform(0.2, 0.9, COUNT // 12), 12)
+
+    def rate(t, x):
+        before = np.concatenate([[STREAM["inlet"]], x[:-1]])
+        u = flow[min(int(t), COUNT - 1)]
+        return cells * STREAM["a"] * u * (before - x) + STREAM["b"] * (STREAM["steam"] - x)
+
+    start = np.linspace(30.0, 50.0, cells)
+    run = solve_ivp(rate, (0.0, time[-1]), start, t_eval=time, max_step=1.0, rtol=1e-8)
+    y = run.y[-1] + 0.05 * draw.standard_normal(COUNT)
+    return eoi.Record(
+        time, flow, y, f"run {seed}", hold="zero", input_names=("flow",),
+        output_names=("temperature",),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("cells", [1, 2, 6])
+def test_cells_in_series_are_found_with_their_number_and_where_there_are_any(cells):
+    variants = [((passed(1, cells),), (passed(2, cells),))]
+    answer = search_free_runs([VOLUME], variants, [*effects.standard(), *effects.wider()])
+    assert answer is not None
+    assert [placed.effect for placed in answer.best.placed] == (
+        [] if cells == 1 else [effects.CellsInSeries(cells)]
+    )
+    for name, value in STREAM.items():
+        assert answer.best.refinement.parameters[name] == pytest.approx(value, rel=0.02)
+    assert answer.best.runs[0].rmse[0] < 0.06
+
+
 def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
     """dw/dt = -b w - dy/dt from zero, by SciPy's filter on a straight line between samples."""
     y = np.cumsum(np.random.default_rng(0).standard_normal((1, 50)), axis=1)

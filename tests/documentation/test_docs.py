@@ -266,8 +266,20 @@ def test_the_table_of_effects_is_that_of_the_library():
 def printed(effect: Any) -> str:
     """What an effect adds to the output's highest derivative, to another's; or makes of u."""
     inner = isinstance(effect, eoi.effects.AbstractInternalEffect)
+    if isinstance(effect, eoi.effects.CellsInSeries):
+        return shown(eoi.Plant(stream, {"a": 1.0, "inlet": 1.0}), effect)
     states = {"internal": lambda t, x, u, p: 0.0 * x.z, "internal_initial": [0.0]}
-    plant = eoi.Plant(lambda t, x, u, p: 0.0 * x.y[0], {"none": 1.0}, 2, **states if inner else {})
+    return shown(
+        eoi.Plant(lambda t, x, u, p: 0.0 * x.y[0], {"none": 1.0}, 2, **states if inner else {}),
+        effect,
+    )
+
+
+def stream(t, x, u, p):
+    return p.a * u * (p.inlet - x.y[0])
+
+
+def shown(plant: eoi.Plant, effect: Any) -> str:
     added = SimpleNamespace(
         effect=effect,
         output=effect.channels(plant)[0],
@@ -276,7 +288,7 @@ def printed(effect: Any) -> str:
         through="",
     )
     lines = [line for line in equation_text(plant, [added]).splitlines() if line != "y'' = 0"]
-    return "; ".join(line.removeprefix("with ").removeprefix("y'' = ") for line in lines)
+    return "; ".join(re.sub(r"^(with |y'+ = )", "", line) for line in lines)
 
 
 def test_the_page_on_comparing_has_every_method():

@@ -7,6 +7,7 @@ from eoi_jax.models.effects.disturbance import Drift as Drift
 from eoi_jax.models.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
 from eoi_jax.models.effects.effect import INPUT_EFFECTS as INPUT_EFFECTS
 from eoi_jax.models.effects.effect import AbstractActuator as AbstractActuator
+from eoi_jax.models.effects.effect import AbstractCascade as AbstractCascade
 from eoi_jax.models.effects.effect import AbstractEffect as AbstractEffect
 from eoi_jax.models.effects.effect import AbstractInputEffect as AbstractInputEffect
 from eoi_jax.models.effects.effect import AbstractInternalEffect as AbstractInternalEffect
@@ -40,6 +41,8 @@ from eoi_jax.models.effects.outflow import Overflow as Overflow
 from eoi_jax.models.effects.outflow import PowerLoss as PowerLoss
 from eoi_jax.models.effects.outflow import Radiation as Radiation
 from eoi_jax.models.effects.products import Product as Product
+from eoi_jax.models.effects.series import CellsInSeries as CellsInSeries
+from eoi_jax.models.effects.series import SensorLag as SensorLag
 from eoi_jax.models.effects.stiffness import CubicStiffness as CubicStiffness
 from eoi_jax.models.effects.stiffness import EndStop as EndStop
 from eoi_jax.models.effects.stiffness import FreePlay as FreePlay

@@ -2,7 +2,7 @@ r"""Interfaces of effects: what a model may lack, with its term, parameters and 
 
 An effect adds a term to y^(r) that is linear in its *gains* and may depend nonlinearly on its
 *shapes*. Or it changes an input before it enters the model, or the rate of an internal state of the
-model. It may have internal states. A new effect is a small class:
+model, or connects the model in series. It may have internal states. A new effect is a small class:
 
     class CubicStiffness(AbstractTerm):
         name = "cubic_stiffness"
@@ -15,7 +15,7 @@ model. It may have internal states. A new effect is a small class:
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
@@ -129,7 +129,7 @@ class AbstractEffect(ABC):
     sentence: ClassVar[str]
     gains: ClassVar[tuple[Parameter, ...]] = ()
     shapes: ClassVar[tuple[Parameter, ...]] = ()
-    states: ClassVar[int] = 0
+    states: int = 0
     depends_on: ClassVar[str] = "t"
     contains: ClassVar[tuple[str, ...]] = ()
     rarity: ClassVar[float] = 0.0
@@ -303,6 +303,86 @@ class AbstractInternalEffect(AbstractEffect):
 def labelled(name: str, form: str) -> str:
     """A canonical name with the form of the effect, if it has several."""
     return f"{name} ({form})" if form else name
+
+
+class AbstractCascade(AbstractEffect):
+    """An effect that connects the model of an output in series, with copies of it or with a sensor.
+
+    Attributes:
+        behind_output: whether it stands behind the output, as a sensor does: all other effects are
+            then within it.
+        needs: on what it must act, in words.
+    """
+
+    behind_output: ClassVar[bool] = False
+    needs: ClassVar[str] = ""
+
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return plant.outputs
+
+    def streams(self, plant: Plant, output: int) -> tuple[int, ...]:
+        """Indices of the inputs that carry a stream from one copy into the next; () for none."""
+        del plant, output
+        return ()
+
+    @property
+    def start_weights(self) -> tuple[float, ...]:
+        """How its states start in a run: one with the weight one anywhere.
+
+        Others start in proportion to the last one before them with the weight one.
+        """
+        return (1.0,) * self.states
+
+    def next_form(self) -> "AbstractCascade | None":
+        """What a fit goes on to where this one fits; None for an effect of a single form."""
+        return None
+
+    def outputs_along(
+        self, y: Float[np.ndarray, "runs time"], period: float, shape: np.ndarray
+    ) -> Float[np.ndarray, "runs time"] | None:
+        """The measured output along runs, for a score test of free runs; None without a formula.
+
+        Args:
+            y: the output of the model at the samples.
+            period: of the samples [s].
+            shape: the shape parameters.
+        """
+        del y, period, shape
+        return None
+
+    def model_output(self, y: Any, z: Any, shape: Any) -> Any:
+        """The output of the model with its derivatives, shape (r,), behind which it stands.
+
+        Args:
+            y: the measured output with its derivatives, shape (r,).
+            z: internal states of the effect, shape (states,).
+            shape: the shape parameters.
+        """
+        del z, shape
+        return y
+
+    @abstractmethod
+    def slope(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        """The highest derivative of the measured output.
+
+        Args:
+            model: y^(r) of the model at its output with derivatives, shape (r,), and with the
+                stream, or (False) where it stands still.
+            y: the measured output with its derivatives, shape (r,).
+            z: internal states of the effect, shape (states,).
+            shape: the shape parameters.
+        """
+
+    @abstractmethod
+    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        """dz/dt of the internal states, shape (states,).
+
+        Args:
+            model: as of `slope`.
+            y: the measured output with its derivatives, shape (r,).
+            z: internal states of the effect, shape (states,).
+            shape: the shape parameters.
+        """
 
 
 def internal_names(plant: Plant) -> tuple[str, ...]:

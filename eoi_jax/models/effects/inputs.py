@@ -117,7 +117,7 @@ class ActuatorLag(AbstractActuator):
     depends_on = "t"
 
     def grid(self, seen: Seen) -> Grid:
-        return _times(seen)
+        return lag_times(seen)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Exact for a staircase: z decays towards u in each step; the mean over it is returned.
@@ -190,7 +190,7 @@ class InputDelay(AbstractActuator):
     def grid(self, seen: Seen) -> Grid:
         # Minima of the cost over delays are narrow (a quarter period of the band): long delays are
         # taken from `lags`.
-        times = _times(seen)
+        times = lag_times(seen)
         candidates = seen.lags[:, None] + np.array([-0.5, 0.0, 0.5]) / seen.band
         return np.unique(
             np.concatenate([times, candidates[candidates > np.max(times)][:, None]]), axis=0
@@ -214,7 +214,7 @@ class InputDelay(AbstractActuator):
         return current + (steps - whole_steps) * (previous - current)
 
 
-def _times(seen: Seen) -> Grid:
+def lag_times(seen: Seen) -> Grid:
     """Times that shift the phase at the edge of the band by 0.01 to 4 rad.
 
     Less than half a sample depends on how the record was sampled, not on the plant.

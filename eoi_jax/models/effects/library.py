@@ -24,6 +24,7 @@ from eoi_jax.models.effects.inputs import (
 from eoi_jax.models.effects.memory import Hysteresis, SecondNode
 from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow, PowerLoss, Radiation
 from eoi_jax.models.effects.products import Product
+from eoi_jax.models.effects.series import CellsInSeries, SensorLag
 from eoi_jax.models.effects.stiffness import (
     CubicStiffness,
     EndStop,
@@ -82,7 +83,8 @@ def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
-    power of the output, radiation, a yield law, a response to the rate of the input.
+    power of the output, radiation, a yield law, a response to the rate of the input, a lag of the
+    sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -100,6 +102,8 @@ def wider() -> tuple[AbstractEffect, ...]:
         Radiation(celsius=True),
         InputYield(),
         InputRate(),
+        SensorLag(),
+        CellsInSeries(),
     )
 
 

@@ -6,21 +6,32 @@ what its entries are, and what a long formula repeats. What has no formula, beca
 table or runs until something happens, is shown as f(…) with the names of what it may depend on.
 """
 
+import math
 import re
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from eoi_jax.models.augmented import Placed, instant, split_parameters
+from eoi_jax.models.augmented import Placed, augmented, instant, split_parameters
 from eoi_jax.models.effects import INPUT_EFFECTS, ActuatorLag, Curve, InputCurve, InputDelay
 from eoi_jax.models.effects.effect import (
+    AbstractActuator,
+    AbstractCascade,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
     AbstractTerm,
     internal_names,
 )
-from eoi_jax.models.equations.expression import Call, Expression, Number, Operation, Symbol
+from eoi_jax.models.equations.expression import (
+    Call,
+    Expression,
+    Number,
+    Operation,
+    Symbol,
+    cancelled,
+    substituted,
+)
 from eoi_jax.models.equations.from_plant import SymbolicPlant
 from eoi_jax.models.equations.printer import (
     LATEX,
@@ -214,6 +225,8 @@ def equations_of(plant: Plant, added: Sequence[Any] = ()) -> _System:
         plant: as declared.
         added: as in `equation_text`.
     """
+    if any(isinstance(item.effect, AbstractCascade) for item in added):
+        return _equations_in_series(plant, added)
     states = internal_names(plant)
     placements = [_placed(plant, item) for item in added]
     extended = {p.output for p in placements if not p.on_input and p.through is None}
@@ -241,6 +254,26 @@ def equations_of(plant: Plant, added: Sequence[Any] = ()) -> _System:
         equations += [Equation(Symbol(name, 1), None, [rate]) for name, rate in rates]
     shown = [equation for equation in equations if equation.declared is not None or equation.added]
     return _System(shown, sides.coupled, sides.definitions, changes)
+
+
+def _equations_in_series(plant: Plant, added: Sequence[Any]) -> _System:
+    """Equations of a plant with effects that nothing is a term beside: all of it is written."""
+    actuators = [item for item in added if isinstance(item.effect, AbstractActuator)]
+    remainder = [item for item in added if item not in actuators]
+    placed = [_placed(plant, item) for item in remainder]
+    values = {name: value for item in remainder for name, value in item.parameters.items()}
+    model = augmented(plant, placed, values, dict.fromkeys(values, (-math.inf, math.inf)))
+    system = equations_of(model, actuators)
+    values: dict[Symbol, Expression] = {}
+    for symbol, tree in system.definitions:  # else terms that cancel would stand in several
+        values[symbol] = substituted(tree, values)
+    equations = [
+        replace(item, declared=cancelled(substituted(item.declared, values)))
+        if item.declared
+        else item
+        for item in system.equations
+    ]
+    return replace(system, equations=equations, definitions=())
 
 
 def _right_sides(plant: Plant, extended: Collection[int]) -> RightSides:
@@ -289,6 +322,9 @@ def _placed(plant: Plant, item: Any) -> Placed:
         channel = internal_names(plant).index(item.output)
         return Placed(effect, channel, tuple(item.parameters))
     channel = plant.outputs.index(item.output)
+    if isinstance(effect, AbstractCascade):
+        streams = effect.streams(plant, channel)
+        return Placed(effect, channel, tuple(item.parameters), streams=streams)
     return Placed(
         effect,
         channel,

@@ -99,6 +99,62 @@ def functions_of(expression: Expression) -> set[str]:
     return called.union(*map(functions_of, parts_of(expression)))
 
 
+def substituted(expression: Expression, values: Mapping[Symbol, Expression]) -> Expression:
+    """The same with expressions in the place of some symbols.
+
+    Args:
+        expression: any.
+        values: of the symbols; they are put in as they are.
+    """
+    match expression:
+        case Symbol():
+            return values.get(expression, expression)
+        case Operation(sign, lhs, rhs):
+            return Operation(sign, substituted(lhs, values), substituted(rhs, values))
+        case Call(name, arguments):
+            return Call(name, tuple(substituted(part, values) for part in arguments))
+    return expression
+
+
+def cancelled(expression: Expression) -> Expression:
+    """The same formula without what is added and subtracted in one sum.
+
+    Args:
+        expression: any.
+    """
+    match expression:
+        case Operation(sign="+" | "-"):
+            terms: list[tuple[bool, Expression]] = []
+            for minus, term in _terms(expression, False):
+                opposite = (not minus, term)
+                if opposite in terms:
+                    terms.remove(opposite)
+                else:
+                    terms.append((minus, term))
+            total: Expression = Number(0.0)
+            for minus, term in sorted(terms, key=lambda item: item[0]):
+                is_first = total == Number(0.0) and not minus
+                total = term if is_first else Operation("-" if minus else "+", total, term)
+            return total
+        case Operation(sign=sign, lhs=lhs, rhs=rhs):
+            return Operation(sign, cancelled(lhs), cancelled(rhs))
+        case Call(name=name, arguments=arguments):
+            return Call(name, tuple(map(cancelled, arguments)))
+    return expression
+
+
+def _terms(expression: Expression, minus: bool) -> list[tuple[bool, Expression]]:
+    """Terms of a sum, each with whether it is subtracted."""
+    match expression:
+        case Number(value=0.0):
+            return []
+        case Operation(sign="+" | "-", lhs=lhs, rhs=rhs):
+            subtracted = minus != (expression.sign == "-")
+            return [*_terms(lhs, minus), *_terms(rhs, subtracted)]
+    inner = cancelled(expression)
+    return [(minus, inner)]
+
+
 # -- what functions are worth -----------------------------------------------------------------
 
 

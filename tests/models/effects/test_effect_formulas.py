@@ -10,6 +10,7 @@ import pytest
 from eoi_jax import effects
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
+    AbstractCascade,
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
@@ -120,12 +121,14 @@ def test_effect_is_its_closed_form(effect):
 
 def test_every_effect_has_a_closed_form_here():
     along = {one for one in ALL if isinstance(one, AbstractActuator)}
-    assert set(ALL) - along == set(CLOSED)
+    in_series = {one for one in ALL if isinstance(one, AbstractCascade)}
+    assert set(ALL) - along - in_series == set(CLOSED)
     assert {one.name for one in along} == {
         "input_delay",
         "actuator_lag",
         "input_rate",
     }  # test_effects.py
+    assert {one.name for one in in_series} == {"cells_in_series", "sensor_lag"}  # test_series.py
 
 
 @pytest.mark.parametrize("effect", INTERNAL, ids=label)

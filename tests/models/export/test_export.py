@@ -86,6 +86,16 @@ def mixed():
     )
 
 
+def exchanger(t, x, u, p):
+    flow, power = u
+    return p.a * flow * (p.inlet - x.y[0]) + p.b * (p.steam - x.y[0]) + p.c * power
+
+
+def heated():
+    values = {"a": 0.3, "inlet": 0.5, "b": 0.2, "steam": 1.5, "c": 0.4}
+    return eoi.Plant(exchanger, values, 1, ("flow", "power"), ("temperature",), name="exchanger")
+
+
 def every_term(plant):
     """All effects that are terms, or change an input in an instant."""
     slow = (effects.ActuatorLag, effects.InputDelay)
@@ -120,6 +130,12 @@ MODELS = {
     ),
     "tank_with_all_effects": lambda: with_effects(
         eoi.plants.cascaded_tanks(), every_term(eoi.plants.cascaded_tanks())
+    ),
+    "cells": lambda: with_effects(
+        heated(), [effects.CellsInSeries(4), effects.ConstantOffset(), effects.SensorLag()]
+    ),
+    "lagged_sensor": lambda: with_effects(
+        eoi.plants.mass_spring_damper(), [effects.SensorLag(), effects.LinearStiffness()]
     ),
     "lagged": lambda: with_effects(
         eoi.plants.mass_spring_damper(), [effects.InputDelay(), effects.ActuatorLag()]

@@ -1,0 +1,67 @@
+"""How internal states of effects start in free runs, where effects say so.
+
+A state with the weight one starts anywhere in every run, the next ones by their weights in
+proportion to it. Without a weight (None), a state starts as the plant declares where a run begins
+with its record, else anywhere.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+def start_weights(initial: Any) -> tuple[float | None, ...]:
+    """Weights of the last internal states; those before them have none.
+
+    Args:
+        initial: `Plant.internal_initial`.
+    """
+    return getattr(initial, "weights", ())
+
+
+def starts_anywhere(initial: Any, count: int) -> Bool[np.ndarray, " nz"]:
+    """Which internal states never start as the plant declares.
+
+    Args:
+        initial: `Plant.internal_initial`.
+        count: of all internal states.
+    """
+    weights = start_weights(initial)
+    places = np.zeros(count, dtype=bool)
+    places[count - len(weights) :] = [weight is not None for weight in weights]
+    return places
+
+
+def open_starts(initial: Any, count: int, sampled: int) -> Bool[np.ndarray, " nz"]:
+    """Which internal states may start at any value where a run begins within a record.
+
+    Args:
+        initial: `Plant.internal_initial`.
+        count: of all internal states.
+        sampled: so many, the last ones, change at samples only.
+    """
+    free = np.ones(count, dtype=bool)
+    free[proportional_starts(initial, count)[0]] = False
+    free[count - sampled :] = False
+    return free
+
+
+def proportional_starts(
+    initial: Any, count: int
+) -> tuple[Int[np.ndarray, " some"], Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
+    """Internal states that start in proportion to another: places, those of the other, weights.
+
+    Args:
+        initial: `Plant.internal_initial`.
+        count: of all internal states.
+    """
+    weights = start_weights(initial)
+    rows, leader = [], 0
+    for place, weight in enumerate(weights, count - len(weights)):
+        if weight == 1.0:
+            leader = place
+        elif weight is not None:
+            rows.append((place, leader, weight))
+    places, leaders, shares = np.reshape(rows, (-1, 3)).T
+    return places.astype(int), leaders.astype(int), shares
