@@ -324,7 +324,7 @@ def report(
         ("eoi export runs/emps --language c", "model.c in the folder of the run"),
         ("eoi export runs/emps --output rig.m", "language by suffix: MATLAB and Octave"),
         ("eoi export runs/emps --parameters", "numbers: .json or .csv"),
-        ("eoi export runs/emps --estimator", "recursive estimator with an alarm, in C"),
+        ("eoi export runs/emps --estimator", "recursive, with an alarm: in C"),
         ("eoi export runs/arm --robot arm.urdf …", "joints: --joint elbow:damping=b"),
     )
 )
