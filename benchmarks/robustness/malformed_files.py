@@ -74,7 +74,7 @@ def use(case: Case, path: Path) -> None:
 
         run_folder.job(config.load(path), path.parent, None)
     else:
-        from eoi_jax.cli.actions import export
+        from eoi_jax.cli.exports import export
         from eoi_jax.cli.html_report import write_report
 
         try:

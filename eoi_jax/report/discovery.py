@@ -375,12 +375,12 @@ def _free_run_errors(discovery: Discovery) -> str:
     data = "the same data (no data held out)" if discovery.in_sample else "held-out data"
     errors = _compared(declared, augmented, discovery.changed)
     extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
-    test = discovery.test_before, discovery.test_after
+    first, last = discovery.test_before, discovery.test_after
     if windowed:
-        test = discovery.test_windows_before, discovery.test_windows_after
+        first, last = discovery.test_windows_before, discovery.test_windows_after
     unseen = ""
-    if test[0] is not None and test[1] is not None:
-        unseen = f"; on test data{extent} {_compared(*test, discovery.changed)}"
+    if first is not None and last is not None:
+        unseen = f"; on test data{extent} {_compared(first, last, discovery.changed)}"
     return f"free-run error on {data}{extent} {errors}{unseen}{remark}"
 
 

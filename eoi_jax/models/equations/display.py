@@ -264,11 +264,11 @@ def _equations_in_series(plant: Plant, added: Sequence[Any]) -> _System:
     values = {name: value for item in remainder for name, value in item.parameters.items()}
     model = augmented(plant, placed, values, dict.fromkeys(values, (-math.inf, math.inf)))
     system = equations_of(model, actuators)
-    values: dict[Symbol, Expression] = {}
+    parts: dict[Symbol, Expression] = {}
     for symbol, tree in system.definitions:  # else terms that cancel would stand in several
-        values[symbol] = substituted(tree, values)
+        parts[symbol] = substituted(tree, parts)
     equations = [
-        replace(item, declared=cancelled(substituted(item.declared, values)))
+        replace(item, declared=cancelled(substituted(item.declared, parts)))
         if item.declared
         else item
         for item in system.equations

@@ -1,6 +1,8 @@
 """Coupled inertia is shown as the matrix equation that it is, and its formulas are the model's."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -51,7 +53,7 @@ SOLVED = {
 }
 
 
-def arm(solved=jnp.linalg.solve, **more):
+def arm(solved: Callable[..., Any] = jnp.linalg.solve, **more):
     def dynamics(t, x, u, p):
         return solved(*sides(x, u, p))
 
@@ -86,6 +88,7 @@ PLANTS = {
 def test_the_formulas_that_are_shown_are_the_model(name, extended):
     plant = PLANTS[name]()
     shown = right_sides(plant, extended)
+    assert shown is not None
     draw, theta = np.random.default_rng(5), jnp.asarray(plant.theta)
     y = draw.uniform(-1.0, 1.0, (plant.rows, len(plant.outputs))) * (
         np.arange(plant.rows)[:, None] < np.asarray(plant.degrees)
