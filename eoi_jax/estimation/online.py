@@ -321,8 +321,10 @@ def online_estimator(
 
     Args:
         result: of `identify`: model, observer and filter.
-        records: as measured, all with one sample period and hold; their injection is what is left
-            where the model holds, so that the alarm asks whether there is more.
+        records: as measured, all with one sample period; their injection is what is left where the
+            model holds, so that the alarm asks whether there is more. Inputs are held between the
+            samples where all records hold them, else they go in straight lines: nothing that needs
+            the next samples, as a smooth input does, is known in real time (`hold` says which).
         forgetting: λ of the recursion: it remembers about 1/(1 - λ) samples.
         memory: time over which the alarm takes the injection's power [s].
         false_alarms: rate of false alarms [1/s], for Gaussian noise; by default one an hour.
@@ -344,7 +346,8 @@ def online_estimator(
     periods = sorted({record.sample_period for record in used})
     equal = np.allclose(periods, periods[0], rtol=1e-9)
     check(equal, "records", "must have one sample period", periods)
-    hold = "zero" if set(used[0].holds) <= {"zero"} else "linear"
+    held = all(hold == "zero" for record in used for hold in record.holds)
+    hold = "zero" if held else "linear"
     passes = [
         observe(
             plant, result.observer, None, record.sample_period, record.outputs, record.inputs,

@@ -45,6 +45,11 @@ def cell(t, x, u, p):
     return [-p.r * u[0] - x.z[0]]
 
 
+def high_cell(t, x, u, p):
+    """The same as it is measured: it hardly varies around a large value."""
+    return [3.6 - p.r * u[0] - x.z[0]]
+
+
 def relaxing(t, x, u, p):
     return [p.a * (p.d * u[0] - x.z[0])]
 
@@ -62,6 +67,7 @@ def make(name):
         "cell": (cell, {"r": 0.05, "a": 1.0, "d": 0.02}, 0, eoi.observers.Measurement(),
                  {"internal": relaxing, "internal_initial": [0.0]}),
     }  # fmt: skip
+    made["high_cell"] = (high_cell, *made["cell"][1:])
     f, values, degree, observer, options = made[name]
     outputs = ("q1", "q2") if name == "two_masses" else ("y",)
     if name == "heated":
@@ -167,8 +173,15 @@ def alarmed(name):
     return estimator_of(name, alarm=eoi.Alarm(power, 0.5, 5.0), transient=1.0)[0]
 
 
-@pytest.mark.parametrize("name", PLANTS)
-@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-12), ("single", 1e-5)])
+# A voltage of 3.6 V has 2e-7 V in single precision: of its changes, 0.05 V, that is a lot.
+AGREEMENT = [
+    *((name, "double", 1e-12) for name in (*PLANTS, "high_cell")),
+    *((name, "single", 1e-5) for name in PLANTS),
+    ("high_cell", "single", 5e-5),
+]
+
+
+@pytest.mark.parametrize(("name", "precision", "tolerance"), AGREEMENT)
 def test_the_exported_estimator_is_ours_step_by_step(name, precision, tolerance, tmp_path):
     estimator = alarmed(name)
     record = recorded(estimator.plant)
