@@ -43,6 +43,7 @@ from eoi_jax.estimation.regression.recursive_least_squares import (
 )
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.residual_correlation import lagged_products
 
 
 @dataclass(frozen=True)
@@ -390,9 +391,9 @@ def _correlation(
     """Σ r_k r_(k+l), l = 0 … lags, of all signals together."""
     total = np.zeros((lags + 1, signals[0].shape[1]))
     for signal in signals:
-        spectrum = np.abs(np.fft.rfft(signal, 2 * len(signal), axis=0)) ** 2
-        products = np.fft.irfft(spectrum, 2 * len(signal), axis=0)[: lags + 1]
-        total[: len(products)] += products
+        kept = min(lags + 1, len(signal))
+        for j, channel in enumerate(signal.T):
+            total[:kept, j] += lagged_products(channel, channel)[:kept]
     return total
 
 

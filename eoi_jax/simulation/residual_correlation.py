@@ -51,7 +51,7 @@ def autocorrelation(
     residual = _checked(residual, "residual", lags, level)
     values = _centred(residual)
     with np.errstate(invalid="ignore", divide="ignore"):
-        normalised = _products(values, values)[1 : lags + 1] / np.sum(values**2)
+        normalised = lagged_products(values, values)[1 : lags + 1] / np.sum(values**2)
         bound = _quantile(level) / np.sqrt(np.sum(np.isfinite(residual)))
     return Correlation(np.arange(1, lags + 1), normalised, float(bound))
 
@@ -90,7 +90,7 @@ def cross_correlation(
     shifts = np.arange(-lags, lags + 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.sqrt(np.sum(e**2) * np.sum(u**2))
-        values = _products(e, u)[shifts] / scale
+        values = lagged_products(e, u)[shifts] / scale
         bound = _quantile(level) * np.sqrt(_common_power(e, u) / np.sum(valid)) / scale
     return Correlation(shifts, values, float(bound))
 
@@ -139,7 +139,7 @@ def _common_power(e: np.ndarray, u: np.ndarray, part: float = 0.2) -> float:
     Weights of Bartlett: at longer lags there are only products of chance, and no sum is negative.
     """
     count = max(round(part * len(e)), 1)
-    products = _products(e, e)[:count] * _products(u, u)[:count]
+    products = lagged_products(e, e)[:count] * lagged_products(u, u)[:count]
     weights = 2.0 * (1.0 - np.arange(count) / count)
     weights[0] = 1.0
     return float(weights @ products)
@@ -162,8 +162,13 @@ def _centred(signal: np.ndarray) -> np.ndarray:
     return np.where(valid, signal - np.mean(signal[valid]), 0.0)
 
 
-def _products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Σ first(t + k) second(t) at index k; negative lags count from the end."""
+def lagged_products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Σ first(t + k) second(t) at index k; negative lags count from the end.
+
+    Args:
+        first: a signal, (N,).
+        second: another one, or the same, (N,).
+    """
     length = 2 ** int(np.ceil(np.log2(2 * len(first))))  # no lag wraps round
     spectra = (np.fft.rfft(signal, length) for signal in (first, second))
     return np.fft.irfft(next(spectra) * np.conj(next(spectra)), length)
