@@ -7,7 +7,7 @@ import numpy as np
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.result import Added, Discovery, Evidence
+from eoi_jax.discovery.result import Added, Discovery, Evidence, Rival
 from eoi_jax.models.augmented import augmented, place
 
 
@@ -32,6 +32,8 @@ PLACED = (
 )
 TRUTH = {"mass": 2.0, "viscous": 1.0, "spring": 20.0}
 HIDDEN = {"coulomb_friction": 0.2, "constant_offset": -0.1}  # [m/s²]: 0.4 N and -0.2 N
+DEAD_ZONE = Rival("input_dead_zone", "", "force", 0.34)
+STANDINGS = ((0.9996, ()), (0.62, (DEAD_ZONE, Rival("drift", "", "position", 0.04))))
 
 
 def record(seed: int) -> eoi.Record:
@@ -65,8 +67,10 @@ def discovery() -> Discovery:
             {name: after.parameters[name] for name in one.names},
             {name: after.standard_errors[name] for name in one.names},
             one.effect.sentence,
+            probability=probability,
+            rivals=rivals,
         )
-        for one in PLACED
+        for one, (probability, rivals) in zip(PLACED, STANDINGS, strict=True)
     ]
     ranking = (
         Evidence("coulomb_friction", "position", {"coulomb_friction": 0.2}, 0.8, 300.0, ""),

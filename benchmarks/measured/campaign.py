@@ -28,12 +28,16 @@ from benchmarks.measured.found_cases import FOUND, sets_directory
 
 _START = 50  # samples that give the initial state, not scored; a third of shorter runs
 _SERVED = 1.15  # of the expert's error, geometric mean of whole runs and windows
+_CERTAIN = 0.9  # probability from which on an effect counts as certain
 _WRONG = 1.1  # of the declared model's error, effects having been added
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a discovery said of a set, with its errors on the part that counts, by output."""
+    """What a discovery said of a set, with its errors on the part that counts, by output.
+
+    `chances` are the probabilities that were said of the effects.
+    """
 
     rig: Rig
     status: str
@@ -41,6 +45,17 @@ class Answer:
     before: tuple[Errors, ...]
     after: tuple[Errors, ...]
     seconds: float
+    chances: tuple[float | None, ...] = ()
+
+    @property
+    def certain(self) -> list[tuple[str, bool]]:
+        """Effects of a probability of 0.9 and more; whether the hand fit calls each certain."""
+        certain = {name for names in self.rig.added for name in names.split("|")}
+        return [
+            (name, name in certain)
+            for name, chance in zip(self.effects, self.chances, strict=True)
+            if chance is not None and chance >= _CERTAIN
+        ]
 
     @property
     def over_expert(self) -> float:
@@ -115,6 +130,7 @@ def answered(rig: Rig, refine: bool = False) -> Answer:
         errors(found.declared, records, rig.scale, rig.windows),
         errors(found, records, rig.scale, rig.windows),
         seconds,
+        tuple(added.probability for added in found.added),
     )
 
 
@@ -152,7 +168,7 @@ def _shown(pairs: Sequence[Errors]) -> str:
 
 def _line(name: str, answer: Answer) -> str:
     return (
-        f"{name}: {answer.status}, {'+'.join(answer.effects) or '-'}, {_shown(answer.before)} -> "
+        f"{name}: {answer.status}, {'+'.join(_sure(answer)) or '-'}, {_shown(answer.before)} -> "
         f"{_shown(answer.after)} {answer.rig.unit} "
         f"(expert {_shown(tuple(answer.rig.expert.values()))}), "
         f"{answer.over_expert:.2f}, {answer.verdict}, {answer.seconds:.1f} s"
@@ -164,7 +180,8 @@ def _tables(answers: dict[str, Answer]) -> list[str]:
         [
             f"{name} [{answer.rig.unit}]",
             answer.status,
-            ", ".join(answer.effects) or "–",
+            ", ".join(_sure(answer)) or "–",
+            ", ".join(answer.rig.added) or "–",
             _shown(tuple(answer.rig.declared.values())),
             _shown(answer.before),
             _shown(answer.after),
@@ -175,8 +192,8 @@ def _tables(answers: dict[str, Answer]) -> list[str]:
         ]
         for name, answer in answers.items()
     ]
-    head = ["set", "status", "added", "declared, by hand", "before", "after", "expert",
-            "after over expert", "verdict", "s"]  # fmt: skip
+    head = ["set", "status", "added, probability [%]", "certain, by hand", "declared, by hand",
+            "before", "after", "expert", "after over expert", "verdict", "s"]  # fmt: skip
     counts = {
         word: sum(answer.verdict == word for answer in answers.values())
         for word in ("served", "not served", "wrong")
@@ -189,8 +206,26 @@ def _tables(answers: dict[str, Answer]) -> list[str]:
     return [
         legend,
         ", ".join(f"{word}: {count}" for word, count in counts.items()) + f", of {len(answers)}.",
+        _calibration(answers),
         table(head, rows),
     ]
+
+
+def _sure(answer: Answer) -> list[str]:
+    """Effects with their probabilities."""
+    return [
+        name if chance is None else f"{name} {100 * chance:.3g}"
+        for name, chance in zip(answer.effects, answer.chances, strict=True)
+    ]
+
+
+def _calibration(answers: Mapping[str, Answer]) -> str:
+    """How many of the effects that were said to be certain the hand fits call certain too."""
+    said = [(name, pair) for name, answer in answers.items() for pair in answer.certain]
+    agreed = sum(right for _, (_, right) in said)
+    others = ", ".join(f"{effect} ({name})" for name, (effect, right) in said if not right)
+    text = f"Effects of a probability of {_CERTAIN} and more: {len(said)}, of which the hand fits "
+    return text + f"call {agreed} certain" + (f"; not {others}." if others else ".")
 
 
 if __name__ == "__main__":

@@ -126,6 +126,9 @@ def ours(case: effect_cases.Case) -> Answer:
         _library_error(found.before, case),
         _library_error(found.after, case),
         seconds,
+        tuple(
+            (one.effect.name, one.probability) for one in found.added if one.probability is not None
+        ),
     )
 
 

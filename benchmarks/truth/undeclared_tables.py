@@ -26,6 +26,7 @@ class Answer:
         before, after: rms error of the free run on held-out data against the output without noise,
             of the declared model and with what was named [unit of y]; infinite if it diverged.
         seconds: that it took.
+        chances: of each effect that was added its name, and its probability where one was said.
     """
 
     named: tuple[str, ...]
@@ -35,6 +36,7 @@ class Answer:
     before: float
     after: float
     seconds: float
+    chances: tuple[tuple[str, float], ...] = ()
 
 
 def failed(error: Exception, seconds: float) -> Answer:
@@ -91,6 +93,11 @@ class Row:
             curves = bool(answer.named) and {*answer.named} <= _CURVES
             return silent or curves or (self._equivalent(answer.named) and self.within(answer))
         return same(answer.named, self.truth) or self._equivalent(answer.named)
+
+    def is_said_rightly(self, name: str) -> bool:
+        """Whether one effect that was added is hidden, or belongs to another exact description."""
+        hidden = self.truth if self.kind != "outside" else ()
+        return name in {*hidden, *self.equivalent}
 
     def in_top(self, answer: Answer) -> bool:
         """Whether all that is hidden stands among the first three."""
@@ -156,6 +163,7 @@ def _row(values: dict) -> Row:
             answer[key] = tuple(answer[key])
         for key in ("before", "after"):
             answer[key] = math.inf if answer[key] is None else answer[key]
+        answer["chances"] = tuple((name, chance) for name, chance in answer.get("chances", ()))
         values[name] = Answer(**answer)
     for name in ("truth", "equivalent", "strength"):
         values[name] = tuple(values[name])
@@ -177,6 +185,7 @@ def sections(rows: Sequence[Row]) -> list[str]:
         parts += ["## Pairs", pairs(rows)]
     if _of(rows, "outside"):
         parts += ["## Effects that the library does not have", outside(rows)]
+    parts += ["## How sure", certainty(rows)]
     parts += ["## Free run on held-out data", errors(rows), "## Time", times(rows)]
     commits = [one.commit for one in rows]
     counts = ", ".join(f"{one} ({commits.count(one)} cases)" for one in dict.fromkeys(commits))
@@ -302,6 +311,24 @@ def outside(rows: Sequence[Row]) -> str:
         ])  # fmt: skip
     header = ["effect", "unexplained", "how it ended", "named", "rival names something"]
     return table(header, out)
+
+
+def certainty(rows: Sequence[Row]) -> str:
+    """Effects that were added, by the probability that was said of each, and how many are right."""
+    said = [
+        (chance, one.is_said_rightly(name)) for one in rows for name, chance in one.ours.chances
+    ]
+    out = []
+    for words, low, high in (
+        ("≥ 0.9", 0.9, math.inf), ("0.5 to 0.9", 0.5, 0.9), ("< 0.5", 0.0, 0.5)
+    ):  # fmt: skip
+        some = np.array([pair for pair in said if low <= pair[0] < high], dtype=float)
+        if len(some):
+            mean, share = np.mean(some, axis=0)
+            right = int(np.sum(some[:, 1]))
+            out.append([words, len(some), right, percent(share), percent(mean)])
+    header = ["probability", "effects added", "right", "share", "mean probability"]
+    return table(header, out) if out else "No probabilities were said."
 
 
 def errors(rows: Sequence[Row]) -> str:

@@ -289,7 +289,12 @@ def _fields(row: Any) -> dict[str, Any]:
 
 def _added(effects: Sequence[Added]) -> list[dict[str, Any]]:
     return [
-        {**_fields(added), "effect": added.effect.name, "form": _fields(added.effect)}
+        {
+            **_fields(added),
+            "effect": added.effect.name,
+            "form": _fields(added.effect),
+            "rivals": [_fields(rival) for rival in added.rivals],
+        }
         for added in effects
     ]
 

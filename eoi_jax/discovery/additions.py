@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.refit import SEARCHED
 from eoi_jax.discovery.result import Added
 from eoi_jax.estimation.covariance import Certainty
@@ -20,8 +21,10 @@ GRID_END = "is at the end of what was searched"
 _LARGEST_ERROR = 0.5  # standard error over the value, below which a parameter is known
 
 
-def added_effect(plant: Plant, fit: Identification, placed: Placed) -> Added:
-    """An effect with its parameters in a fit."""
+def added_effect(
+    plant: Plant, fit: Identification, placed: Placed, standing: Standing | None = None
+) -> Added:
+    """An effect with its parameters in a fit, and its standing among its rivals."""
     channels = placed.effect.channels(plant)
     return Added(
         placed.effect,
@@ -30,6 +33,8 @@ def added_effect(plant: Plant, fit: Identification, placed: Placed) -> Added:
         {name: fit.standard_errors[name] for name in placed.names},
         placed.effect.sentence,
         *ends(plant, placed),
+        None if standing is None else standing.probability,
+        () if standing is None else standing.rivals,
     )
 
 

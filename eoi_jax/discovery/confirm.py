@@ -15,27 +15,27 @@ _NOISE = 3.0  # error of short free runs over the noise of a sensor, above which
 _AS_GOOD = 1.01  # largest ratio of the errors of a simpler and a wider law at which it is preferred
 
 
-def holds(before: FreeRuns, after: FreeRuns) -> bool:
+def holds(prior: FreeRuns, after: FreeRuns) -> bool:
     """Whether the free run improves, whole or in windows: lightly damped plants drift in phase."""
     short = after[0] if after[1] is None else after[1]
     if np.all(short.nrmse > 1.0):
         return False  # a constant would predict better
-    growth = [float(np.sum(log_ratio)) for log_ratio in _growth(before, after)]
+    growth = [float(np.sum(log_ratio)) for log_ratio in _growth(prior, after)]
     return not growth or min(growth) < 0.0
 
 
-def confirmed(before: FreeRuns, after: FreeRuns) -> bool:
+def confirmed(prior: FreeRuns, after: FreeRuns) -> bool:
     """Whether the error of all free runs, whole and in windows, falls by at least a third."""
-    return all(bool(np.all(new.rmse < CONFIRMED * old.rmse)) for old, new in _pairs(before, after))
+    return all(bool(np.all(new.rmse < CONFIRMED * old.rmse)) for old, new in _pairs(prior, after))
 
 
-def only_short(before: FreeRuns, after: FreeRuns) -> bool:
+def only_short(prior: FreeRuns, after: FreeRuns) -> bool:
     """Whether only short free runs improve, because the whole ones drift in phase or diverge."""
-    if before[1] is None or after[1] is None or not np.all(np.isfinite(after[1].rmse)):
+    if prior[1] is None or after[1] is None or not np.all(np.isfinite(after[1].rmse)):
         return False
     if not np.all(np.isfinite(after[0].rmse)):
         return True
-    whole_growth, short_growth = (float(np.sum(log_ratio)) for log_ratio in _growth(before, after))
+    whole_growth, short_growth = (float(np.sum(log_ratio)) for log_ratio in _growth(prior, after))
     return short_growth < 0.0 <= whole_growth
 
 
@@ -63,18 +63,18 @@ def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[st
     ]
 
 
-def _growth(before: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]:
+def _growth(prior: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]:
     """Logarithm of the error ratio after/before, whole and in windows; no entry if both diverge."""
     return [
         np.log(np.maximum(new.rmse, 1e-300)) - np.log(np.maximum(old.rmse, 1e-300))
-        for old, new in _pairs(before, after)
+        for old, new in _pairs(prior, after)
         if np.all(np.isfinite(old.rmse)) or np.all(np.isfinite(new.rmse))
     ]
 
 
-def _pairs(before: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validation]]:
+def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validation]]:
     """Free runs of the same length, before and after; lengths without both are left out."""
-    return [(old, new) for old, new in zip(before, after, strict=True) if old and new]
+    return [(old, new) for old, new in zip(prior, after, strict=True) if old and new]
 
 
 _DOUBT = (

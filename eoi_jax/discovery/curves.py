@@ -17,8 +17,9 @@ from jaxtyping import Float
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
-from eoi_jax.discovery.free_run_search import Judge, Judged, Search, plainest, refined
+from eoi_jax.discovery.free_run_search import Search, refined
 from eoi_jax.discovery.in_free_runs import answered, placed_effects
+from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models.augmented import Placed, augmented, place
@@ -139,7 +140,7 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
                   if (trial := _fitted(search, origin, placed)) is not None]  # fmt: skip
         if not trials:
             continue
-        best = plainest(trials)
+        best = search.judge.plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(best, named)
         left = beyond_noise(best.runs[1], search.judge.records)
         if _crowded(named.placed) or (better and left):

@@ -15,7 +15,7 @@ r"""Find the effects that a model lacks from its residual, and add them.
 8. On request, refinement by output error, with effects that only the free runs show (`refined`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from eoi_jax._blas import one_thread
@@ -34,8 +34,6 @@ from eoi_jax.discovery.additions import (
     GRID_END,
     REFIT_STATUS,
     added_effect,
-    as_fit,
-    is_on_fit,
     sensor_notes,
     uncertain_effects,
 )
@@ -50,13 +48,15 @@ from eoi_jax.discovery.in_free_runs import (
     with_free_runs,
     with_further_effects,
 )
+from eoi_jax.discovery.judge import odds
 from eoi_jax.discovery.parsimony import simpler
+from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
-from eoi_jax.discovery.refined import polished
-from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted, window_of
+from eoi_jax.discovery.refined import refined_answer
+from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
-from eoi_jax.discovery.result import Discovery, PartialExplanation
-from eoi_jax.discovery.rivals import advice, ambiguous, unrivalled
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
+from eoi_jax.discovery.rivals import advice, ambiguous, standings, unrivalled
 from eoi_jax.discovery.round import NO_FREE_RUN, Round, Task, read_friction
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.discovery.unseen_records import with_test_errors
@@ -84,6 +84,8 @@ _END_TOLERANCE = 1e-3  # of a range of shapes: distance that counts as its end
 Step = tuple[
     Plant, tuple[Placed, ...], tuple[Round, ...]
 ]  # a model, its effects, the rounds up to it
+# Laws that gave way to simpler ones, by these, with their odds in free runs.
+Wider = dict[Placed, dict[Placed, float]]
 Progress = Callable[[str, int, int], None]
 
 
@@ -270,7 +272,7 @@ class _Search:
         answered_so_far = discovery.status.code in ("complete", "nothing_missing")
         if answered_so_far and (self.refine or not resolved):
             self.progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
-            discovery = _polished(task, discovery, effects if self.named else None)
+            discovery = refined_answer(task, discovery, effects if self.named else None)
         if not resolved:
             discovery = _judged_by_free_runs(task, discovery)
         discovery = _with_doubts(task, discovery, self.refine)
@@ -378,60 +380,19 @@ def _searched(
     return steps, rounds
 
 
-def _polished(
-    task: Task, discovery: Discovery, effects: Sequence[AbstractEffect] | None
-) -> Discovery:
-    """The refined discovery, with the effects that only free runs show."""
-    records = task.held_out or task.records
-    assert discovery.after is not None
-    before = discovery.after, discovery.windows_after
-    better = polished(
-        discovery.plant, task.records, records, before, window_of(task, records), effects
-    )
-    if isinstance(better, str):
-        return replace(discovery, notes=(*discovery.notes, better))
-    # Notes about the estimate before the refinement no longer apply.
-    stale = tuple(on_bounds(task.plant, discovery.plant))
-    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
-    notes += on_bounds(task.plant, better.refinement.plant)
-    short = better.refinement.window
-    length = "" if short is None else f" over windows of {short:.3g} s"
-    notes.append(f"refined{length}: {better.refinement.status}")
-    if better.placed:
-        notes.append(f"found in the free run alone: {labels_of(better.placed).replace('_', ' ')}")
-    result = better.refinement
-    fit = as_fit(task.prepared, result)
-    refined_effects = [
-        replace(
-            addition,
-            parameters={name: result.parameters[name] for name in addition.parameters},
-            standard_errors={name: result.standard_errors[name] for name in addition.parameters},
-        )
-        for addition in discovery.added
-    ]
-    added = [*refined_effects, *(added_effect(task.plant, fit, placed) for placed in better.placed)]
-    notes += uncertain_effects(added)
-    unseen = discovery.status.code == "nothing_missing" and better.placed
-    return replace(
-        discovery, status=Status("complete", _ONLY_FREE_RUN) if unseen else discovery.status,
-        effects=tuple(dict.fromkeys(addition.effect.name for addition in added)),
-        added=tuple(added),
-        after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
-        notes=tuple(notes),
-    )  # fmt: skip
-
-
 def _plainest(
     task: Task, placed: tuple[Placed, ...], fit: Identification, runs: FreeRuns, first: Round
-) -> tuple[tuple[Placed, ...], Identification, FreeRuns]:
+) -> tuple[tuple[Placed, ...], Identification, FreeRuns, Wider]:
     """Replace effects by simpler laws that they contain, if the free runs are as good."""
     for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
         refit = estimate(plain, task.prepared)
         simple_runs = free_runs(task, refit.plant)
         if refit.status.ok and as_good(simple_runs, runs):
             first.refused[wide] = "in free runs no better than a simpler law"
-            return _plainest(task, simpler_set, refit, simple_runs, first)
-    return placed, fit, runs
+            laws = {law: {wide: odds(runs, simple_runs, 1)} for law in {*simpler_set} - {*placed}}
+            placed, fit, runs, wider = _plainest(task, simpler_set, refit, simple_runs, first)
+            return placed, fit, runs, {**laws, **wider}
+    return placed, fit, runs, {}
 
 
 # -- the answer -------------------------------------------------------------------------------
@@ -446,7 +407,7 @@ def _answer(
     share, residual_ratio, quiet = explained(rounds)
     unrivalled_effect = bool(task.held_out) and unrivalled(rounds[0])
     status = unless_denied(judged(placed, share, residual_ratio, quiet), rounds[0])
-    fit, after = task.declared, prior
+    fit, after, wider = task.declared, prior, {}
     for model, placed, step_rounds in reversed(steps):
         share, residual_ratio, quiet = explained(rounds if placed is steps[-1][1] else step_rounds)
         verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
@@ -466,7 +427,7 @@ def _answer(
             break
         if holds(prior, runs):
             status, wide_set = verdict, placed
-            placed, fit, after = _plainest(task, placed, refit, runs, rounds[0])
+            placed, fit, after, wider = _plainest(task, placed, refit, runs, rounds[0])
             if placed != wide_set:
                 notes.append(_WIDER_LAW.format(labels_of(wide_set), share))
                 share, status = _share_of_simpler(task, placed, fit, rounds)
@@ -475,7 +436,7 @@ def _answer(
         rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
         status = Status("unexplained", _FREE_RUN_WORSE)
     accepted = placed if fit is not task.declared else ()
-    added = tuple(added_effect(task.plant, fit, location) for location in accepted)
+    added = _added(task, fit, standings(rounds, accepted, wider))
     rivals = ambiguous(rounds[0], names_of(accepted)) if accepted else ()
     return Discovery(
         effects=names_of(accepted),
@@ -500,6 +461,12 @@ def _answer(
     )
 
 
+def _added(
+    task: Task, fit: Identification, effects: Mapping[Placed, Standing | None]
+) -> tuple[Added, ...]:
+    return tuple(added_effect(task.plant, fit, *effect) for effect in effects.items())
+
+
 def _lead(
     task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns
 ) -> PartialExplanation | None:
@@ -511,7 +478,7 @@ def _lead(
         runs = free_runs(task, refit.plant)
         if refit.status.ok and holds(prior, runs):
             share, _, _ = explained(rounds if placed is steps[-1][1] else step_rounds)
-            added = tuple(added_effect(task.plant, refit, location) for location in placed)
+            added = _added(task, refit, dict.fromkeys(placed))
             return PartialExplanation(added, share, refit, *runs)
     return None
 
@@ -538,9 +505,6 @@ _NO_MODE = (
 _UNRESOLVED = (
     "the plant has a mode faster than the sampling, of which the injection is no evidence; judged "
     "by free runs of the refined model"
-)
-_ONLY_FREE_RUN = (
-    "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"

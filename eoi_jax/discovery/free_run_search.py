@@ -20,13 +20,13 @@ Disturbances in time are not tried: they stand in for what the library lacks.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import size_is_known
+from eoi_jax.discovery.judge import Judge, Judged, mean_error
+from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
@@ -35,29 +35,20 @@ from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
-from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import is_tested
-from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
 
 
 @dataclass(frozen=True)
 class FreeRunRules:
-    """What decides in the search; errors are natural logarithms of root mean squares."""
+    """What is tried in the search."""
 
     # Samples, of all outputs together, in which effects are searched: a score test of 40 000 takes
     # some seconds. Models are refined on all records in the end.
     samples: int = 40_000
+    # Set with the sets of `benchmarks/measured/campaign_cases.py` in view, as are `tried` and
+    # `same_cost`; none of these was varied.
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
-    # Fall of the mean error from which on an effect stays, and below which it is left out again.
-    # Set with the sets of `benchmarks/measured/campaign_cases.py` in view, as are `most`, `tried`
-    # and `same_cost`; none of these was varied.
-    min_fall: float = 0.03
-    min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
-    same_error: float = 0.01  # difference of mean errors that counts as none
-    blocks: int = 10  # of each record; as many windows
-    start: int = 50  # samples that give the state of a run, at most; a third of a short run
-    min_window: int = 12  # samples
     # Share of the power of the errors, in the score test, from which on a candidate is tried beside
     # what explains the injection. A fall of the errors by a third takes 0.56 of their power; the
     # rest is room for what a linear test does not see. Set with levitator_coil in view.
@@ -66,7 +57,6 @@ class FreeRunRules:
     # leaves: one that is missing alone takes 98 % and more. Set with `beyond_library` in view.
     remainder: float = 5.0
     same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
-    largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
 
 
 _RULES = FreeRunRules()
@@ -74,26 +64,6 @@ _RULES = FreeRunRules()
 Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
 Sites = tuple[tuple[str, int], ...]  # kinds of effects with their channels
 RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A refined model with its free runs on the records that judge.
-
-    Attributes:
-        refinement: of the model with `placed` in it.
-        placed: effects that were added to the declared model.
-        runs: whole runs, and runs in windows.
-    """
-
-    refinement: Refinement
-    placed: tuple[Placed, ...]
-    runs: FreeRuns
-
-    @cached_property
-    def error(self) -> float:
-        """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
-        return mean_error(self.runs)
 
 
 @dataclass(frozen=True)
@@ -105,6 +75,7 @@ class FreeRunAnswer:
         best: the model with the effects that stayed; the base where none did.
         records, judging: the variant of the records that predicts best.
         share: of the samples, in which effects were searched.
+        rounds: of the search.
         better_base: whether it predicts otherwise than before it was refined, and not worse by more
             than chance: it is what fits the records of the fit best.
     """
@@ -115,6 +86,7 @@ class FreeRunAnswer:
     judging: tuple[Record, ...]
     better_base: bool
     share: float
+    rounds: tuple[Contest, ...] = ()
 
 
 def search_free_runs(
@@ -151,7 +123,7 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
-    best = search.base
+    best, rounds = search.base, []
     for number in range(1 if present else _RULES.most):
         # What short runs do not show a whole one may, and the other way about.
         nominated: dict[Sites, tuple[Plant, tuple[Placed, ...], Judged]] = {}
@@ -171,94 +143,13 @@ def search_free_runs(
         accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
         if not accepted:
             break
-        best = plainest(accepted)
+        chosen = search.judge.plainest(accepted)
+        rounds.append(Contest(best, chosen, tuple(trials)))
+        best = chosen
     best = search.settled(search.leanest(best))
     if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
         return None
-    return search.answer(best, starts[0])
-
-
-@dataclass(frozen=True)
-class Judge:
-    """Records on which models are compared.
-
-    Attributes:
-        records: that no fit has seen.
-        window: length of short runs [s]. head: samples at the start of each, not scored.
-        whole_head: the same of whole runs.
-    """
-
-    records: tuple[Record, ...]
-    window: float
-    head: int
-    whole_head: int
-
-    @classmethod
-    def of(cls, records: tuple[Record, ...]) -> "Judge | None":
-        """None where the records are too short for windows."""
-        shortest = min(len(record) for record in records)
-        count = max(shortest // _RULES.blocks, _RULES.min_window)
-        if 2 * count > shortest:
-            return None
-        heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
-        return cls(records, count * records[0].sample_period, *heads)
-
-    def runs(self, plant: Plant) -> FreeRuns:
-        """Free runs of a model."""
-        return (
-            judged_runs(plant, self.records, self.whole_head),
-            judged_runs(plant, self.records, self.head, self.window),
-        )
-
-    def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
-        """Whether the free runs of a model are better than another's by more than chance."""
-        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
-            return False
-        pairs = zip(best, trial, strict=True)
-        deviations = [self._deviations(before, after) for before, after in pairs]
-        return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
-
-    def is_as_good(self, trial: FreeRuns, best: FreeRuns) -> bool:
-        """Whether the errors of a model are no larger than another's."""
-        return mean_error(trial) < mean_error(best) + _RULES.same_error
-
-    def _deviations(self, before: Validation | None, after: Validation | None) -> float:
-        """Mean fall of the error over blocks, over its standard error.
-
-        Of squares or of logarithms, whichever is larger: a few blocks may hold most of the error.
-        """
-        if before is None or after is None:
-            return 0.0
-        old, new = (self._blocks(runs, before.rmse) for runs in (before, after))
-        if not np.all(np.isfinite(old)) or not np.all(np.isfinite(new)):
-            return np.inf if np.all(np.isfinite(new)) else -np.inf
-        tiny = np.finfo(float).tiny
-        return max(_standardised(old - new), _standardised(np.log((old + tiny) / (new + tiny))))
-
-    def _blocks(
-        self, validation: Validation, scale: Float[np.ndarray, " ny"]
-    ) -> Float[np.ndarray, " blocks"]:
-        """Mean squared errors of the blocks of all records, all outputs together."""
-        means = []
-        for record, prediction in zip(validation.records, validation.predictions, strict=True):
-            error = (record.outputs - prediction.outputs) / scale
-            square = np.where(record.output_valid, error**2, np.nan)
-            for part in np.array_split(square, _RULES.blocks):
-                if np.any(~np.isnan(part)):
-                    means.append(np.nanmean(part))
-        return np.asarray(means)
-
-
-def mean_error(runs: FreeRuns) -> float:
-    """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
-    sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
-    return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
-
-
-def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
-    """Mean over its standard error; 0 where there is none."""
-    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return float(np.mean(values)) / spread if spread > 0.0 else 0.0
+    return replace(search.answer(best, starts[0]), rounds=tuple(rounds))
 
 
 @dataclass(frozen=True)
@@ -307,7 +198,7 @@ class Search:
         base = self.base if self.searched is self.records else self.settled(self.base)
         best = best if self.further(best) else base
         passes = self.judge.runs(start)
-        differs = abs(mean_error(passes) - base.error) > _RULES.same_error
+        differs = not self.judge.is_same(mean_error(passes), base.error)
         better = differs and not self.judge.prefers(passes, base.runs)
         share = _count(self.searched) / _count(self.records)
         return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
@@ -393,7 +284,7 @@ class Search:
         leaner = []
         for effect in further:
             fit = self._with_only([item for item in further if item is not effect], best)
-            if fit is not None and fit.error < best.error + _RULES.min_fall:
+            if fit is not None and not self.judge.needs(best, fit):
                 leaner.append(fit)
         if not leaner:
             return best
@@ -477,22 +368,6 @@ def _most_likely(searches: Sequence[Search]) -> Search:
         )
     ]
     return min(likely, key=lambda search: search.base.error)
-
-
-def plainest(trials: Sequence[Judged]) -> Judged:
-    """The model with the fewest effects among those that are as good as the best one.
-
-    A rare effect must be better by as much as decides, times its rarity, than one that may do the
-    same.
-    """
-
-    def weighed(trial: Judged) -> float:
-        rarity = sum(effect.effect.rarity for effect in trial.placed)
-        return trial.error + _RULES.min_fall * rarity
-
-    lowest = min(weighed(trial) for trial in trials)
-    as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
-    return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
 
 
 def _next_forms(placed: Sequence[Placed]) -> tuple[Placed, ...] | None:

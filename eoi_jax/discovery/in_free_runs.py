@@ -22,16 +22,17 @@ from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
-    Judged,
     Model,
     RecordPair,
     Search,
-    mean_error,
     refined,
     search_free_runs,
 )
+from eoi_jax.discovery.judge import Judged, mean_error
+from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
+from eoi_jax.discovery.rivals import experiments
 from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
@@ -230,7 +231,7 @@ def with_further_effects(
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
     fit = _fit_of(discovery, answer, model, lowpass)
-    windows, added = discovery.windows_after, _added(discovery, fit, model)
+    windows, added = discovery.windows_after, _added(discovery, answer, fit, model)
     assert windows is not None
     searched = [note for note in discovery.notes if GRID_END in note]
     notes = [*_lasting(discovery, answer), *searched, *hints]
@@ -274,7 +275,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     lead = None
     if best.placed:
         fit = _fit_of(discovery, answer, best, lowpass)
-        lead = PartialExplanation(_added(discovery, fit, best), 1.0 - ratio**2, fit, *best.runs)
+        added = _added(discovery, answer, fit, best)
+        lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
     if answer.better_base:
         # What the injection said of the model as it was is said of no other one.
         left = best.placed or beyond_noise(base.runs[1], answer.judging)
@@ -290,10 +292,13 @@ def _with_model(
     """The discovery with this model as its answer, on the records that predict best."""
     base, plant = answer.base, discovery.declared.nominal
     fit = _fit_of(discovery, answer, model, lowpass)
-    added = _added(discovery, fit, model)
+    added = _added(discovery, answer, fit, model)
+    rivals = [rival.effect for item in added for rival in item.alternatives]
+    names = tuple(dict.fromkeys(name for name in rivals if name not in names_of(model.placed)))
     notes = [*_lasting(discovery, answer), _REFINED, *_portion_note(answer)]
     return replace(
         discovery, effects=names_of(model.placed), added=added,
+        ambiguous_with=names, advice=experiments(added, names),
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
         after=model.runs[0], windows_after=model.runs[1],
@@ -331,9 +336,23 @@ def _fit_of(
     return as_fit(prepared, model.refinement)
 
 
-def _added(discovery: Discovery, fit: Identification, model: Judged) -> tuple[Added, ...]:
+def _added(
+    discovery: Discovery, answer: FreeRunAnswer, fit: Identification, model: Judged
+) -> tuple[Added, ...]:
+    """Effects of the model with their standings: from this search, else as they were added."""
     plant = discovery.declared.nominal
-    return tuple(added_effect(plant, fit, placed) for placed in model.placed)
+    sure = from_contests(plant, model, model.placed, answer.rounds)
+    sure = {**_standings_of(discovery), **sure}
+    return tuple(added_effect(plant, fit, placed, sure.get(placed)) for placed in model.placed)
+
+
+def _standings_of(discovery: Discovery) -> dict[Placed, Standing]:
+    """The standings of the effects of an answer."""
+    return {
+        placed: Standing(item.probability, item.rivals)
+        for placed, item in zip(placed_effects(discovery), discovery.added, strict=True)
+        if item.probability is not None
+    }
 
 
 def _imitates(discovery: Discovery, best: Judged) -> bool:

@@ -16,11 +16,19 @@ these errors by more than a hundredth.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eoi_jax._status import Status
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.acceptance import labels_of
+from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
+from eoi_jax.discovery.judge import probability_better
+from eoi_jax.discovery.probability import Standing
+from eoi_jax.discovery.refit import on_bounds, window_of
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.round import Task
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
@@ -48,11 +56,57 @@ class Polished:
     runs: FreeRuns
 
 
+def refined_answer(
+    task: Task, discovery: Discovery, effects: Sequence[AbstractEffect] | None
+) -> Discovery:
+    """The refined discovery, with the effects that only free runs show."""
+    records = task.held_out or task.records
+    assert discovery.after is not None
+    initial = discovery.after, discovery.windows_after
+    better = polished(
+        discovery.plant, task.records, records, initial, window_of(task, records), effects
+    )
+    if isinstance(better, str):
+        return replace(discovery, notes=(*discovery.notes, better))
+    # Notes about the estimate before the refinement no longer apply.
+    stale = tuple(on_bounds(task.plant, discovery.plant))
+    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+    notes += on_bounds(task.plant, better.refinement.plant)
+    short = better.refinement.window
+    length = "" if short is None else f" over windows of {short:.3g} s"
+    notes.append(f"refined{length}: {better.refinement.status}")
+    if better.placed:
+        notes.append(f"found in the free run alone: {labels_of(better.placed).replace('_', ' ')}")
+    result = better.refinement
+    fit = as_fit(task.prepared, result)
+    refined_effects = [
+        replace(
+            addition,
+            parameters={name: result.parameters[name] for name in addition.parameters},
+            standard_errors={name: result.standard_errors[name] for name in addition.parameters},
+        )
+        for addition in discovery.added
+    ]
+    chance = probability_better(better.runs, initial)
+    sure = Standing(chance, ()) if task.held_out else None
+    further = [added_effect(task.plant, fit, placed, sure) for placed in better.placed]
+    added = [*refined_effects, *further]
+    notes += uncertain_effects(added)
+    unseen = discovery.status.code == "nothing_missing" and better.placed
+    return replace(
+        discovery, status=Status("complete", _ONLY_FREE_RUN) if unseen else discovery.status,
+        effects=tuple(dict.fromkeys(addition.effect.name for addition in added)),
+        added=tuple(added),
+        after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
 def polished(
     plant: Plant,
     records: Sequence[Record],
     validation: Sequence[Record],
-    before: FreeRuns,
+    initial: FreeRuns,
     window: float | None,
     effects: Sequence[AbstractEffect] | None = None,
 ) -> Polished | str:
@@ -62,17 +116,17 @@ def polished(
         plant: the plant with the estimate of the passes.
         records: the records of the fit.
         validation: the records on which models are compared.
-        before: free runs of `plant` on `validation`.
+        initial: free runs of `plant` on `validation`.
         window: length of re-initialised free runs [s]; None if the records are too short for them.
         effects: candidate effects; those of `remaining` by default.
 
     Returns:
         The model that was kept, or the reason why there is none.
     """
-    long_run_fit = _over_whole_runs(plant, records, validation, before, window, effects)
+    long_run_fit = _over_whole_runs(plant, records, validation, initial, window, effects)
     if window is None:
         return long_run_fit
-    start, runs, placed, allowed_change = plant, before, (), _NEGLIGIBLE
+    start, runs, placed, allowed_change = plant, initial, (), _NEGLIGIBLE
     if isinstance(long_run_fit, Polished):
         start, runs, placed, allowed_change = (
             long_run_fit.refinement.plant,
@@ -95,7 +149,7 @@ def _over_whole_runs(
     plant: Plant,
     records: Sequence[Record],
     validation: Sequence[Record],
-    before: FreeRuns,
+    initial: FreeRuns,
     window: float | None,
     effects: Sequence[AbstractEffect] | None,
 ) -> Polished | str:
@@ -107,7 +161,7 @@ def _over_whole_runs(
             return best or f"not refined: {refinement.status}"
         runs = whole_and_windows(refinement.plant, validation, window)
         if _changes_less_than(
-            before if best is None else best.runs, runs, -_NEGLIGIBLE if placed else _NEGLIGIBLE
+            initial if best is None else best.runs, runs, -_NEGLIGIBLE if placed else _NEGLIGIBLE
         ):
             best = Polished(refinement, placed, runs)
         elif placed:  # the addition does not improve the held-out free runs
@@ -125,13 +179,18 @@ def _over_whole_runs(
     return best or "not refined: that makes free runs worse on the records that judge"
 
 
-def _changes_less_than(before: FreeRuns, after: FreeRuns, limit: float) -> bool:
+def _changes_less_than(initial: FreeRuns, after: FreeRuns, limit: float) -> bool:
     """Whether the logarithms of all errors, whole and in windows, change by less than `limit`.
 
     Of several outputs the mean counts.
     """
-    pairs = [(old, new) for old, new in zip(before, after, strict=True) if old and new]
+    pairs = [(old, new) for old, new in zip(initial, after, strict=True) if old and new]
     return all(
         float(np.mean(np.log(np.maximum(new.rmse, 1e-300) / np.maximum(old.rmse, 1e-300)))) < limit
         for old, new in pairs
     )
+
+
+_ONLY_FREE_RUN = (
+    "the injection shows nothing beyond the noise, but free runs do: it was found in these"
+)

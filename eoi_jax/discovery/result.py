@@ -55,6 +55,28 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """An effect that may stand in the place of one that was added.
+
+    Attributes:
+        effect: canonical name.
+        form: which of the effects of this name it is, as `above` of an end stop; or "".
+        position: where it acts, in words.
+        probability: that it is this one, 0 … 1.
+    """
+
+    effect: str
+    form: str
+    position: str
+    probability: float
+
+    @property
+    def label(self) -> str:
+        """Name and form: ``end_stop (above)``."""
+        return labelled(self.effect, self.form)
+
+
+@dataclass(frozen=True)
 class Added:
     """One effect that was added.
 
@@ -66,6 +88,9 @@ class Added:
         sentence: completes "the model lacks …".
         against: for an effect between two outputs, the reference of its displacement; or "".
         through: the input together with which it acts on everything this drives; or "".
+        probability: that it is this effect and no other one of those that were tried, 0 … 1
+            (`probability.py`); None where nothing was compared, as for a curve.
+        rivals: the others, as far as they have a hundredth of it, the most probable first.
     """
 
     effect: AbstractEffect
@@ -75,6 +100,8 @@ class Added:
     sentence: str
     against: str = ""
     through: str = ""
+    probability: float | None = None
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def label(self) -> str:
@@ -85,6 +112,11 @@ class Added:
     def position(self) -> str:
         """Where it acts, in words."""
         return position_text(self.output, self.against, self.through)
+
+    @property
+    def alternatives(self) -> tuple[Rival, ...]:
+        """Rivals that are named beside it: each has a probability of a tenth or more."""
+        return tuple(rival for rival in self.rivals if rival.probability >= 0.1)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,13 @@
 """Rival effects that explain as much as the chosen ones, and the experiment to tell them apart."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from eoi_jax.discovery.candidates import CandidateColumns
+from eoi_jax.discovery.probability import Standing, from_sets, reads_as
+from eoi_jax.discovery.result import Added
 from eoi_jax.discovery.round import TOLD_APART, Round
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects import standard, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 
 _RIVAL_SHARE = (
@@ -69,6 +73,29 @@ def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in names if name not in chosen_names))
 
 
+def standings(
+    rounds: Sequence[Round],
+    effects: Sequence[Placed],
+    wider: Mapping[Placed, Mapping[Placed, float]],
+) -> dict[Placed, Standing | None]:
+    """The standings of effects that the injection justifies, each from the round that added it.
+
+    Args:
+        rounds: of the search.
+        effects: of the answer.
+        wider: by effect, the laws that gave way to it in free runs, with their odds there.
+    """
+    plant, found = rounds[0].task.plant, dict.fromkeys(effects)
+    for placed in effects:
+        for step in rounds:
+            chosen = [atom.placed for atom in step.chosen.atoms]
+            if any(one == placed or reads_as(one, placed) for one in chosen):
+                sets, laws = step.plausible(), wider.get(placed, {})
+                found[placed] = from_sets(plant, placed, chosen, sets, laws)
+                break
+    return found
+
+
 def advice(first: Round, rival_names: Sequence[str]) -> str:
     """The experiment that distinguishes the candidates, by the signals that they depend on."""
     if not rival_names:
@@ -76,6 +103,17 @@ def advice(first: Round, rival_names: Sequence[str]) -> str:
     library = {atom.placed.effect.name: atom.placed.effect for atom in first.candidate_search.grid}
     kinds = {atom.placed.effect.depends_on for atom in first.chosen.atoms}
     kinds |= {library[name].depends_on for name in rival_names if name in library}
+    return _experiments(kinds)
+
+
+def experiments(added: Sequence[Added], rival_names: Sequence[str]) -> str:
+    """The experiment that distinguishes added effects from their rivals; "" without any."""
+    kinds = {effect.name: effect.depends_on for effect in (*standard(), *wider())}
+    signals = {item.effect.depends_on for item in added if item.alternatives}
+    return _experiments({*signals, *(kinds[name] for name in rival_names if name in kinds)})
+
+
+def _experiments(kinds: Iterable[str]) -> str:
     return " ".join(_EXPERIMENT[kind] for kind in sorted(kinds))
 
 

@@ -47,6 +47,7 @@ _SIMILAR_LEVELS = 1.5  # largest ratio of friction levels that are read as a lev
 PRODUCT = "a product of signals"  # begins the remarks on what one refutes
 NO_FREE_RUN = "its free run cannot be simulated"  # a remark
 TOLD_APART = 10.0  # difference of twice the log-likelihood above which sets are distinguished
+_IMPLAUSIBLE = 25.0  # difference of it above which a set has no weight
 _NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
 
 
@@ -89,6 +90,7 @@ class Round:
         self.base = base_of(model, self.stretches)
         self.refused: dict[Placed, str] = {}
         self.denied: Fit | None = None  # the best set that only the held-out records refuse
+        self.rejected: set[frozenset] = set()  # sets that were refused
         self._made: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
         self._least_with_product = np.inf  # least residual power of a set with a product
 
@@ -272,16 +274,23 @@ class Round:
         for i, fit in enumerate(self.sets):
             if not fit.atoms:
                 return fit
-            if self._accepted(fit):
+            if self._accepts(fit):
                 return self._preferred(fit, self.sets[i + 1 :])
         return self.candidate_search.fit([])
 
-    def _accepted(self, fit: Fit) -> bool:
-        justified = fit.physical and self.candidate_search.material(fit)
-        return justified and self._passes_product_test(fit) and self._lowers_held_out_error(fit)
+    def _accepts(self, fit: Fit) -> bool:
+        accepted = (
+            fit.physical
+            and self.candidate_search.material(fit)
+            and self._passes_product_test(fit)
+            and self._lowers_held_out_error(fit)
+        )
+        if not accepted:
+            self.rejected.add(fit.keys)
+        return accepted
 
     def _preferred(self, fit: Fit, remaining: Sequence[Fit]) -> Fit:
-        """The set that the held-out records prefer among those that the records do not distinguish.
+        """The most probable set, held-out records included, of those that are hardly told apart.
 
         A dead zone that is never entered equals an offset, unless a held-out record enters it.
         """
@@ -294,21 +303,49 @@ class Round:
         ]
         if not alternatives or not self.task.held_out:
             return fit
-        base = base_of(self.model, self.held_out_modes)
-        residual = self._held_out_residual(base, fit)
-        power = fitted_power(residual, base.noise, base.local, base.output)
-
-        def cost(alternative: Fit) -> float:
-            return float(np.sum(self._held_out_residual(base, alternative) ** 2 / power))
-
-        best = min(alternatives, key=cost)
-        if cost(best) > float(np.sum(residual**2 / power)) - TOLD_APART or not self._accepted(best):
-            return fit
+        costs = self._held_out_costs([fit, *alternatives])
+        ordered = sorted(
+            [fit, *alternatives], key=lambda item: search.value(item) + costs[item.keys]
+        )
+        best = next(item for item in ordered if item is fit or self._accepts(item))
         for placed in fit.keys - best.keys:
             self.refused[placed] = (
                 f"the held-out records prefer {_effect_names(best.keys - fit.keys)}"
             )
         return best
+
+    def _held_out_costs(self, sets: Sequence[Fit]) -> dict[frozenset, float]:
+        """Costs on the held-out records, under the residual power that the first set leaves there.
+
+        Args:
+            sets: fits to the records of the fit.
+        """
+        base = base_of(self.model, self.held_out_modes)
+        residuals = [self._held_out_residual(base, fit) for fit in sets]
+        power = fitted_power(residuals[0], base.noise, base.local, base.output)
+        pairs = zip(sets, residuals, strict=True)
+        return {fit.keys: float(np.sum(residual**2 / power)) for fit, residual in pairs}
+
+    def plausible(self) -> list[tuple[frozenset[Placed], float]]:
+        """Sets that may be the answer, with twice their negative log-likelihood and penalty.
+
+        The chosen one and those that are not refused, on the records of the fit and on held-out
+        ones.
+        """
+        search, chosen = self.candidate_search, self.chosen
+        limit = search.value(chosen) + _IMPLAUSIBLE
+        rivals = [
+            fit
+            for fit in self.sets
+            if fit.keys != chosen.keys
+            and fit.keys not in self.rejected
+            and search.value(fit) < limit
+            and search.material(fit)
+        ]
+        costs = {fit.keys: 0.0 for fit in (chosen, *rivals)}
+        if rivals and self.task.held_out:
+            costs = self._held_out_costs([chosen, *rivals])
+        return [(fit.keys, search.value(fit) + costs[fit.keys]) for fit in (chosen, *rivals)]
 
     def _passes_product_test(self, fit: Fit) -> bool:
         """Whether no product of signals explains most of the residual of a set and its extensions.

@@ -75,6 +75,7 @@ CLASSES: Mapping[str, str] = {
     "Discovery": "discovery.result",
     "Added": "discovery.result",
     "Evidence": "discovery.result",
+    "Rival": "discovery.result",
     "Lead": "discovery.result:PartialExplanation",
     "Texts": "discovery.result",
     "ConstantOffset": "models.effects.disturbance",

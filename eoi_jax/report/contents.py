@@ -112,6 +112,9 @@ def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
     rows = discovery.error_rows(result)
     title = "Errors before and after" if result.changed else "Errors"
     tables.append(_table(title, rows, (1, 2, 3) if result.changed else (1,)))
+    rows = discovery.probability_rows(result)
+    if rows:
+        tables.append(_table("Probability of each effect", rows, (0,), _PROBABILITY))
     rows = discovery.candidate_rows(result)
     final_tables: tuple[Table, ...] = ()
     if rows:
@@ -221,6 +224,11 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
         badge=_error_over_noise(extra["after"]),
     )
 
+
+_PROBABILITY = (
+    "Of each effect, against the others of the library that were tried in its place; what the "
+    "library lacks has none."
+)
 
 # -- numbers ----------------------------------------------------------------------------------
 

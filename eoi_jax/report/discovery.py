@@ -41,6 +41,7 @@ def discovery_text(discovery: Discovery) -> str:
         "\n".join(_strength_lines(discovery)),
         error_table(discovery),
         _explained(discovery),
+        probability_table(discovery),
         *_equations(discovery),
         candidate_table(discovery),
         _findings(discovery),
@@ -124,7 +125,12 @@ def texts(discovery: Discovery) -> Texts:
 def _added_phrases(discovery: Discovery) -> tuple[str, ...]:
     if discovery.texts is not None:
         return discovery.texts.added
-    return tuple(phrase(discovery, added) for added in discovery.added)
+    return tuple(f"{phrase(discovery, added)}{_alternatives(added)}" for added in discovery.added)
+
+
+def _alternatives(added: Added) -> str:
+    """Rivals of an effect that are nearly as probable, to be named beside it."""
+    return "".join(f" or {rival.label.replace('_', ' ')}" for rival in added.alternatives)
 
 
 def _lead_phrases(discovery: Discovery) -> tuple[str, ...]:
@@ -284,6 +290,37 @@ def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
         rows = [(name, value, unit) for name, value, _, _, unit in rows]
         return [("", "declared", "unit"), *rows[1:]]
     return rows
+
+
+def probability_table(discovery: Discovery) -> str:
+    """How probable each added effect is, with its rivals; empty if none was compared."""
+    rows = probability_rows(discovery)
+    if not any(row[-1] for row in rows[1:]):
+        rows = [row[:-1] for row in rows]
+    return columns(rows, ">" + "<" * (len(rows[0]) - 1)) if rows else ""
+
+
+def probability_rows(discovery: Discovery) -> list[tuple[str, ...]]:
+    """The cells of a table of added effects with their probabilities, the header first; or none."""
+    rows = [
+        (_chance(added.probability), added.label, added.position, _rivals(added))
+        for added in discovery.added
+        if added.probability is not None
+    ]
+    return [("probability", "added effect", "at", "else"), *rows] if rows else []
+
+
+def _rivals(added: Added) -> str:
+    return ", ".join(
+        f"{rival.label} at {rival.position} {_chance(rival.probability)}" for rival in added.rivals
+    )
+
+
+def _chance(probability: float) -> str:
+    """In percent; what is nearly certain is not written as certain."""
+    if probability > 0.999:
+        return "> 99.9 %"
+    return f"{100 * probability:.3g} %"
 
 
 def candidate_table(discovery: Discovery, count: int = 5) -> str:

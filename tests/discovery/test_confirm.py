@@ -54,7 +54,7 @@ def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(
     module = importlib.import_module("eoi_jax.discovery.discover")
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
     monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
-    monkeypatch.setattr(module, "_polished", lambda _, found, __: found)
+    monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
     found = discover(plant(220.0), *records, effects="cubic_stiffness", refine=refine)
     (doubt,) = [note for note in found.notes if "times the noise of its sensor" in note]
     assert ("`refine=True`" in doubt) is not refine

@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search
-from eoi_jax.discovery.free_run_search import Judge, _standardised, search_free_runs
+from eoi_jax.discovery.free_run_search import search_free_runs
+from eoi_jax.discovery.judge import Judge, _standardised
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining

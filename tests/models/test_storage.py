@@ -281,6 +281,8 @@ LATER_FIELDS = {
     "lower": None,
     "upper": None,
     "history": None,
+    "probability": None,
+    "rivals": {"tuple": []},
     "test_before": None,
     "test_after": None,
     "test_windows_before": None,

@@ -183,6 +183,23 @@ def test_share_ambiguity_advice_candidates_and_notes_are_told(found):
     assert max(map(len, text.splitlines()[1:])) <= 120
 
 
+def test_a_rival_that_is_nearly_as_probable_is_named_in_the_answer_and_every_one_in_a_table(found):
+    text = discovery_text(found)
+    sentence = text.splitlines()[0]
+    assert " N or input dead zone: " in sentence
+    assert "drift" not in sentence
+    lines = text.splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("probability"))
+    friction, offset = (line.split() for line in lines[head + 1 : head + 3])
+    assert lines[head].split() == ["probability", "added", "effect", "at", "else"]
+    assert friction == [">", "99.9", "%", "coulomb_friction", "position"]
+    assert offset[:4] == ["62", "%", "constant_offset", "position"]
+    rivals = "input_dead_zone at force 34 %, drift at position 4 %"
+    assert " ".join(offset[4:]) == rivals
+    sure = [dataclasses.replace(one, probability=None, rivals=()) for one in found.added]
+    assert "probability" not in discovery_text(dataclasses.replace(found, added=tuple(sure)))
+
+
 def test_candidates_of_one_name_are_told_apart(found):
     stops = [
         Evidence("end_stop", "position", {}, 0.1, 1.0, "", form=stop.form)

@@ -1,0 +1,208 @@
+"""The judge of models: paired free-run errors on held-out records, whole runs and windows.
+
+Two models are compared block by block. The mean of the differences over their standard error says
+whether one predicts better by more than chance; Student's t with as many degrees of freedom as
+blocks, less one, gives the probability of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.data.record import Record
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
+
+
+@dataclass(frozen=True)
+class JudgeRules:
+    """What decides between models; errors are natural logarithms of root mean squares."""
+
+    # Fall of the mean error from which on an effect stays, and below which it is left out again.
+    # Set with the sets of `benchmarks/measured/campaign_cases.py` in view; it was not varied.
+    min_fall: float = 0.03
+    min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
+    same_error: float = 0.01  # difference of mean errors that counts as none
+    blocks: int = 10  # of each record; as many windows
+    start: int = 50  # samples that give the state of a run, at most; a third of a short run
+    min_window: int = 12  # samples
+    largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
+    largest_odds: float = 1e6  # of a rival: a few blocks can say no more
+
+
+_RULES = JudgeRules()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A refined model with its free runs on the records that judge.
+
+    Attributes:
+        refinement: of the model with `placed` in it.
+        placed: effects that were added to the declared model.
+        runs: whole runs, and runs in windows.
+    """
+
+    refinement: Refinement
+    placed: tuple[Placed, ...]
+    runs: FreeRuns
+
+    @cached_property
+    def error(self) -> float:
+        """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
+        return mean_error(self.runs)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Records on which models are compared.
+
+    Attributes:
+        records: that no fit has seen.
+        window: length of short runs [s]. head: samples at the start of each, not scored.
+        whole_head: the same of whole runs.
+    """
+
+    records: tuple[Record, ...]
+    window: float
+    head: int
+    whole_head: int
+
+    @classmethod
+    def of(cls, records: tuple[Record, ...]) -> "Judge | None":
+        """None where the records are too short for windows."""
+        shortest = min(len(record) for record in records)
+        count = max(shortest // _RULES.blocks, _RULES.min_window)
+        if 2 * count > shortest:
+            return None
+        heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
+        return cls(records, count * records[0].sample_period, *heads)
+
+    def runs(self, plant: Plant) -> FreeRuns:
+        """Free runs of a model."""
+        return (
+            judged_runs(plant, self.records, self.whole_head),
+            judged_runs(plant, self.records, self.head, self.window),
+        )
+
+    def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
+        """Whether the free runs of a model are better than another's by more than chance."""
+        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
+            return False
+        pairs = zip(best, trial, strict=True)
+        deviations = [_deviations(rival, trial) for rival, trial in pairs]
+        return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
+
+    def is_as_good(self, trial: FreeRuns, best: FreeRuns) -> bool:
+        """Whether the errors of a model are no larger than another's."""
+        return mean_error(trial) < mean_error(best) + _RULES.same_error
+
+    def is_same(self, first: float, second: float) -> bool:
+        """Whether two mean errors differ by what counts as none."""
+        return abs(first - second) <= _RULES.same_error
+
+    def needs(self, model: Judged, leaner: Judged) -> bool:
+        """Whether a model is better than one with fewer effects by what makes an effect stay."""
+        return leaner.error >= model.error + _RULES.min_fall
+
+    def plainest(self, trials: Sequence[Judged]) -> Judged:
+        """The model with the fewest effects among those that are as good as the best one.
+
+        A rare effect must be better by as much as decides, times its rarity, than one that may do
+        the same.
+        """
+
+        def weighed(trial: Judged) -> float:
+            rarity = sum(effect.effect.rarity for effect in trial.placed)
+            return trial.error + _RULES.min_fall * rarity
+
+        lowest = min(weighed(trial) for trial in trials)
+        as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
+        return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
+
+
+def mean_error(runs: FreeRuns) -> float:
+    """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
+    sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
+    return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
+
+
+def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
+    """Odds that a rival predicts better than a model that was chosen.
+
+    Args:
+        rival: free runs of the rival.
+        chosen: those of the model, on the same records.
+        further: effects that the rival has beyond those of the model: it must be better by as much
+            as makes these stay.
+    """
+    better = probability_better(rival, chosen, _RULES.min_fall * max(further, 0))
+    return float(min(better / max(1.0 - better, 1.0 / _RULES.largest_odds), _RULES.largest_odds))
+
+
+def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -> float:
+    """Probability that a model predicts better than another, from their free runs.
+
+    Blocks of the held-out records are compared by the logarithm of their errors, of whole runs and
+    of windows together.
+
+    Args:
+        first: free runs of the model.
+        second: those of the other one, on the same records.
+        margin: difference of mean logarithms by which the first must be better.
+    """
+    from scipy.special import stdtr  # only discovery needs it
+
+    pairs = [(ours, theirs) for ours, theirs in zip(first, second, strict=True) if ours and theirs]
+    diverges = [any(np.isinf(run.rmse).any() for run in runs) for runs in zip(*pairs, strict=True)]
+    if diverges[0] != diverges[1]:
+        return float(diverges[1])
+    fall = np.mean([_log_falls(theirs, ours) for ours, theirs in pairs], axis=0) - margin
+    return float(stdtr(max(len(fall) - 1, 1), _standardised(fall)))
+
+
+def _log_falls(rival: Validation, trial: Validation) -> Float[np.ndarray, " blocks"]:
+    """Half the logarithm of the ratio of mean squares, by blocks."""
+    tiny = np.finfo(float).tiny
+    scale = np.where(np.isfinite(rival.rmse), rival.rmse, 1.0)
+    old, new = (_blocks(runs, scale) for runs in (rival, trial))
+    return 0.5 * (np.log(old + tiny) - np.log(new + tiny))
+
+
+def _deviations(rival: Validation | None, trial: Validation | None) -> float:
+    """Mean fall of the error over blocks, over its standard error.
+
+    Of squares or of logarithms, whichever is larger: a few blocks may hold most of the error.
+    """
+    if rival is None or trial is None:
+        return 0.0
+    old, new = (_blocks(runs, rival.rmse) for runs in (rival, trial))
+    if not np.all(np.isfinite(old)) or not np.all(np.isfinite(new)):
+        return np.inf if np.all(np.isfinite(new)) else -np.inf
+    tiny = np.finfo(float).tiny
+    return max(_standardised(old - new), _standardised(np.log((old + tiny) / (new + tiny))))
+
+
+def _blocks(
+    validation: Validation, scale: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, " blocks"]:
+    """Mean squared errors of the blocks of all records, all outputs together."""
+    means = []
+    for record, prediction in zip(validation.records, validation.predictions, strict=True):
+        error = (record.outputs - prediction.outputs) / scale
+        square = np.where(record.output_valid, error**2, np.nan)
+        for part in np.array_split(square, _RULES.blocks):
+            if np.any(~np.isnan(part)):
+                means.append(np.nanmean(part))
+    return np.asarray(means)
+
+
+def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
+    """Mean over its standard error; 0 where there is none."""
+    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+    return float(np.mean(values)) / spread if spread > 0.0 else 0.0

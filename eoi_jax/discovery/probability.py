@@ -1,0 +1,172 @@
+r"""How probable an added effect is against those that may stand in its place.
+
+In the injection, sets s of effects are compared by the score of the search and, on held-out
+records, by the likelihood of their residual; together they are v_s, twice a negative log-likelihood
+with its penalty. Sets are weighted as Bayesian model averaging does it with the criterion of
+Schwarz (Raftery, Sociological Methodology 25, 1995),
+
+    P(e) = Σ_{s ∋ e} w_s / Σ_s w_s ,   w_s = exp(-v_s/2) .
+
+In free runs models are compared in pairs: with p the probability that a rival predicts better than
+the model with the effect (`judge.probability_better`),
+
+    P(e) = 1 / (1 + Σ_rivals p/(1 - p)) ,
+
+over models without any effect in its place, and with the one that does best there.
+
+Either is the probability of an effect among those of the library: what the library lacks has none.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from eoi_jax.discovery.judge import Judged, odds
+from eoi_jax.discovery.result import Rival
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects import AsymmetricFriction, ConstantOffset
+from eoi_jax.models.placements import ends, position_text
+from eoi_jax.models.plant import Plant
+
+_LEAST = 0.01  # probability from which on a rival is told
+
+
+@dataclass(frozen=True)
+class Standing:
+    """An effect among its rivals.
+
+    Attributes:
+        probability: of the effect, 0 … 1.
+        rivals: those of which it is worth telling, the most probable first.
+    """
+
+    probability: float
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A round of a search in free runs.
+
+    Attributes:
+        origin: the model from which it began.
+        chosen: the model that it ended with.
+        trials: all models that were refined in it.
+    """
+
+    origin: Judged
+    chosen: Judged
+    trials: tuple[Judged, ...]
+
+
+def standing(plant: Plant, against: Mapping[Placed | None, float]) -> Standing:
+    """The standing of an effect from the odds of its rivals against it.
+
+    Args:
+        plant: that has the channels of the rivals.
+        against: odds by rival; of None that there is no effect in its place.
+    """
+    total = 1.0 + sum(against.values())
+    rivals = [
+        Rival(placed.effect.name, placed.effect.form, position_of(plant, placed), value / total)
+        for placed, value in against.items()
+        if placed is not None and value >= _LEAST * total
+    ]
+    return Standing(1.0 / total, tuple(sorted(rivals, key=lambda rival: -rival.probability)))
+
+
+def position_of(plant: Plant, placed: Placed) -> str:
+    """Where an effect acts, in words."""
+    channels = placed.effect.channels(plant)
+    return position_text(channels[placed.channel], *ends(plant, placed))
+
+
+def from_sets(
+    plant: Plant,
+    placed: Placed,
+    chosen: Sequence[Placed],
+    sets: Sequence[tuple[frozenset[Placed], float]],
+    wider: Mapping[Placed, float],
+) -> Standing:
+    """The standing of an effect of a set that the injection justifies.
+
+    Args:
+        plant: that has the channels of the effects.
+        placed: the effect.
+        chosen: effects of the set, as the search has them.
+        sets: effects of every set that may be the answer, and its v.
+        wider: laws that contain it and gave way to it in free runs, with their odds there.
+    """
+    same = {placed, *(wide for wide in chosen if reads_as(wide, placed))}
+    lowest = min(value for _, value in sets)
+    weights = [(effects, float(np.exp(0.5 * (lowest - value)))) for effects, value in sets]
+    own = sum(weight for effects, weight in weights if effects & same)
+    against: dict[Placed | None, float] = {**wider}
+    for effects, weight in weights:
+        if not effects & same:
+            rivals = sorted(effects - set(chosen), key=lambda rival: rival.names)
+            for rival in rivals or [None]:
+                against[rival] = against.get(rival, 0.0) + weight / (own * max(len(rivals), 1))
+    return standing(plant, against)
+
+
+def reads_as(wide: Placed, placed: Placed) -> bool:
+    """Whether an effect is read as another one at its place: a simpler law that it contains."""
+    if wide.site[1:] != placed.site[1:]:
+        return False
+    level_and_offset = isinstance(wide.effect, AsymmetricFriction) and isinstance(
+        placed.effect, ConstantOffset
+    )
+    return level_and_offset or placed.effect.name in wide.effect.contains
+
+
+def from_contests(
+    plant: Plant, best: Judged, effects: Sequence[Placed], contests: Sequence[Contest]
+) -> dict[Placed, Standing]:
+    """The standings of effects that a search in free runs came to.
+
+    An effect was chosen in one round, from the models that were refined in it. Those with other
+    effects of the answer are no rivals: these were added in a later round.
+
+    Args:
+        plant: that has the channels of the effects.
+        best: the answer.
+        effects: of it, whose standings are asked for.
+        contests: the rounds.
+    """
+    places = {_place_of(rival) for rival in best.placed}
+    standings = {}
+    for placed in effects:
+        place = _place_of(placed)
+        contest = next((one for one in contests if place in _places(one.chosen)), None)
+        if contest is None:
+            continue
+        chosen = contest.chosen
+        against: dict[Placed | None, float] = {None: odds(contest.origin.runs, chosen.runs)}
+        for trial in contest.trials:
+            rivals = [rival for rival in trial.placed if _place_of(rival) not in places]
+            if rivals and place not in _places(trial):
+                further = len(trial.placed) - len(chosen.placed)
+                found = odds(trial.runs, chosen.runs, further)
+                against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
+        standings[placed] = standing(plant, _one_of_each_place(against))
+    return standings
+
+
+def _one_of_each_place(against: Mapping[Placed | None, float]) -> dict[Placed | None, float]:
+    """Without further forms of a rival: that which does best stands for them."""
+    best: dict[object, Placed | None] = {}
+    for rival, value in against.items():
+        place = rival and _place_of(rival)
+        if place not in best or value > against[best[place]]:
+            best[place] = rival
+    return {rival: against[rival] for rival in best.values()}
+
+
+def _places(model: Judged) -> set[tuple]:
+    return {_place_of(placed) for placed in model.placed}
+
+
+def _place_of(placed: Placed) -> tuple:
+    return placed.effect.kind, placed.channel, placed.against, placed.through

@@ -1,0 +1,141 @@
+"""How probable an added effect is against its rivals."""
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.discovery.judge import Judged, odds, probability_better
+from eoi_jax.discovery.probability import Contest, from_contests, from_sets
+from eoi_jax.models.augmented import place
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.simulation.validate import Validation
+
+COUNT = 200
+
+
+def mass(t, x, u, p):
+    return p.b * u - p.k * x.y[0] - p.c * x.y[1]
+
+
+MASS = eoi.Plant(
+    mass, {"b": 1.0, "k": 4.0, "c": 0.5}, 2, inputs=("force",), outputs=("position",)
+)  # fmt: skip
+FRICTION, STRIBECK, OFFSET, CUBIC, ASYMMETRIC = (
+    place(MASS, effect, 0)
+    for effect in (
+        effects.CoulombFriction(), effects.StribeckFriction(), effects.ConstantOffset(),
+        effects.CubicStiffness(), effects.AsymmetricFriction(),
+    )
+)  # fmt: skip
+
+
+def record(outputs):
+    time = 0.01 * np.arange(len(outputs))
+    return eoi.Record(time, np.zeros(len(time)), outputs, "held out", hold="zero",
+                      input_names="force", output_names="position")  # fmt: skip
+
+
+def run_with(errors):
+    """A free run with these errors about a measured sine; a diverged one is clipped."""
+    measured = np.sin(0.1 * np.arange(len(errors)))
+    data = record(measured)
+    prediction = record(measured + np.minimum(errors, 1e3))
+    rmse = np.array([np.sqrt(np.mean(np.square(errors)))])
+    return Validation(
+        rmse, rmse, rmse, (prediction,), len(errors), ("position",), ("",), (), (data,)
+    )  # fmt: skip
+
+
+def runs_with(levels):
+    """Free runs, whole and in windows, whose errors have these sizes in ten blocks."""
+    errors = np.repeat(levels, COUNT // len(levels))
+    return run_with(errors), run_with(errors)
+
+
+REFINEMENT = refine_once(
+    MASS, (record(np.random.default_rng(3).normal(size=COUNT)),), None
+)  # of no interest here
+
+
+def model(placed, runs):
+    return Judged(REFINEMENT, placed, runs)
+
+
+def test_the_probability_is_student_s_of_the_logarithms_of_paired_blocks():
+    random = np.random.default_rng(0)
+    first, second = np.exp(random.normal(0.0, 0.3, (2, 10)))
+    falls = np.log(second / first)
+    expected = student.cdf(np.mean(falls) / (np.std(falls, ddof=1) / np.sqrt(10)), 9)
+    assert probability_better(runs_with(first), runs_with(second)) == pytest.approx(expected)
+    assert probability_better(runs_with(second), runs_with(first)) == pytest.approx(1 - expected)
+    margin = 0.2
+    shifted = student.cdf((np.mean(falls) - margin) / (np.std(falls, ddof=1) / np.sqrt(10)), 9)
+    probability = probability_better(runs_with(first), runs_with(second), margin)
+    assert probability == pytest.approx(shifted)
+
+
+def test_what_diverges_does_not_predict_better():
+    good = runs_with(np.full(10, 0.1))
+    diverged = runs_with(np.r_[np.full(5, 0.1), np.full(5, np.inf)])
+    assert probability_better(diverged, good) == 0.0
+    assert probability_better(good, diverged) == 1.0
+    assert odds(good, diverged) == 1e6
+
+
+def test_a_rival_with_more_effects_must_be_better_by_what_makes_them_stay():
+    level = np.exp(np.random.default_rng(1).normal(-0.02, 0.05, 10))
+    rival, chosen = runs_with(0.1 * level), runs_with(np.full(10, 0.1))
+    assert odds(rival, chosen, further=1) < odds(rival, chosen)
+
+
+def test_sets_weigh_as_the_criterion_of_schwarz_has_it():
+    sets = [
+        (frozenset({FRICTION}), 0.0),
+        (frozenset({CUBIC}), 2.0),
+        (frozenset({FRICTION, OFFSET}), 3.0),
+        (frozenset(), 4.0),
+    ]
+    weights = np.exp(-0.5 * np.array([0.0, 2.0, 3.0, 4.0]))
+    found = from_sets(MASS, FRICTION, [FRICTION], sets, {})
+    assert found.probability == pytest.approx((weights[0] + weights[2]) / weights.sum())
+    (rival,) = found.rivals
+    assert (rival.effect, rival.position) == ("cubic_stiffness", "position")
+    assert rival.probability == pytest.approx(weights[1] / weights.sum())
+
+
+def test_a_level_and_an_offset_are_the_asymmetric_law_that_they_are_read_from():
+    sets = [(frozenset({ASYMMETRIC}), 0.0), (frozenset({FRICTION}), 1.0)]
+    assert from_sets(MASS, FRICTION, [ASYMMETRIC], sets, {}).probability == 1.0
+    offset = from_sets(MASS, OFFSET, [ASYMMETRIC], sets, {})
+    assert offset.probability == pytest.approx(1.0 / (1.0 + np.exp(-0.5)))
+    assert offset.rivals[0].effect == "coulomb_friction"
+
+
+def test_a_wider_law_that_gave_way_in_free_runs_stays_a_rival():
+    sets = [(frozenset({STRIBECK}), 0.0)]
+    found = from_sets(MASS, FRICTION, [STRIBECK], sets, {STRIBECK: 0.25})
+    assert found.probability == pytest.approx(0.8)
+    assert found.rivals[0].effect == "stribeck_friction"
+
+
+def test_models_with_another_effect_of_the_answer_are_no_rivals():
+    random = np.random.default_rng(2)
+
+    def level(size):
+        return runs_with(size * np.exp(random.normal(0.0, 0.2, 10)))
+
+    bare, friction, offset = model((), level(1.0)), model((FRICTION,), level(0.5)), level(0.55)
+    cubic = model((CUBIC,), level(0.55))
+    both = model((FRICTION, OFFSET), level(0.2))
+    first = Contest(bare, friction, (friction, model((OFFSET,), offset), cubic))
+    second = Contest(friction, both, (both,))
+    found = from_contests(MASS, both, both.placed, [first, second])
+    against = odds(bare.runs, friction.runs) + odds(cubic.runs, friction.runs)
+    assert found[FRICTION].probability == pytest.approx(1.0 / (1.0 + against))
+    assert [rival.effect for rival in found[FRICTION].rivals] == ["cubic_stiffness"]
+    expected = 1.0 / (1.0 + odds(friction.runs, both.runs))
+    assert found[OFFSET].probability == pytest.approx(expected)
+    assert found[OFFSET].rivals == ()
+    assert from_contests(MASS, both, both.placed, []) == {}
