@@ -387,11 +387,18 @@ def others_of(found: eoi.Discovery) -> list[Row]:
     ]
 
 
+CHANCES: list[Row] = [
+    ("> 99.9 %", "coulomb_friction", "position"),
+    ("62 %", "constant_offset", "position", "input_dead_zone at force 34 %, drift at position 4 %"),
+]
+
+
 def test_tables_of_a_discovery(discovered):
     text = str(discovered)
     assert_rows(rows_below(text, "parameter"), change_table_of(discovered))
     block = next(part for part in text.split("\n\n") if "after/before" in part)
     assert_rows(rows_below(block, "before"), error_table_of(discovered))
+    assert_rows(rows_below(text, "probability"), CHANCES)
     assert_rows(rows_below(text, "other candidate"), others_of(discovered))
     assert "The effects explain 98.3 % of" in text
     small, big = discovered.before.rmse[0], discovered.after.rmse[0]
@@ -401,10 +408,10 @@ def test_tables_of_a_discovery(discovered):
 
 def test_report_of_a_discovery(discovered, diagnosed):
     shown = contents.discovery_contents(discovered, {"diagnosis": diagnosed})
-    wanted = change_table_of(discovered), error_table_of(discovered)
+    wanted = change_table_of(discovered), error_table_of(discovered), CHANCES
     for table, rows in zip(shown.tables, wanted, strict=True):
         assert_rows(table.rows, rows)
-    assert [table.numeric for table in shown.tables] == [(1, 2, 3, 4, 5), (1, 2, 3)]
+    assert [table.numeric for table in shown.tables] == [(1, 2, 3, 4, 5), (1, 2, 3), (0,)]
     assert shown.tables[1].head[0] == "error"
     assert_rows(shown.final_tables[0].rows, others_of(discovered))
     assert shown.final_tables[0].numeric == (2, 3)
