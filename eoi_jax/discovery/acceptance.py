@@ -8,14 +8,11 @@ from jaxtyping import Float
 from eoi_jax._status import Status
 from eoi_jax.discovery.regression import Base, fitted, within_bounds
 from eoi_jax.discovery.round import Round
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 
-_EXPLAINED_SHARE = 0.9  # share of the residual's power from which on a set is an answer
-# Half is enough if no other effect explains nearly as much power alone as the main one, and free
-# runs on held-out data confirm the set.
-_MAIN_SHARE = 0.5
+_RULES = RULES.answer
 _MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
-_MATERIAL_RATIO = 0.01  # residual over y^(r), both rms, below which nothing is missing
 _NOTHING_MISSING = "what is left is {}: nothing that the data can name"
 _NO_EFFECT = (
     "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "
@@ -31,10 +28,9 @@ _PARTLY = (
     "{}: not the whole story, so nothing was added"
 )
 
-DENIED = "but the held-out records do not confirm it"  # tells such a status from others
 _DENIED = (
-    "{} explains {:.1%} of the residual's power, " + DENIED + ": with it the error on them grows. "
-    "Hold out a record that moves as those of the fit do"
+    "{} explains {:.1%} of the residual's power, but the held-out records do not confirm it: with "
+    "it the error on them grows. Hold out a record that moves as those of the fit do"
 )
 
 
@@ -58,15 +54,15 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     return _power_explained(first, last, residual_before, residual_after)
 
 
-def unless_denied(status: Status, first: Round) -> Status:
-    """The status, or that only the held-out records refuse a set that would be the answer."""
+def denied(first: Round) -> tuple[tuple[Placed, ...], Status] | None:
+    """The set that would be the answer, if only the held-out records refuse it; and that status."""
     fit = first.denied
-    if status.code != "unexplained" or fit is None or first.chosen.atoms:
-        return status
+    if fit is None or first.chosen.atoms:
+        return None
     share, _, _ = _power_explained(first, first, first.declared.residual, fit.residual)
-    names = labels_of([atom.placed for atom in fit.atoms])
-    denial = Status("unexplained", _DENIED.format(names, share))
-    return denial if share >= _MAIN_SHARE else status
+    placed = tuple(atom.placed for atom in fit.atoms)
+    status = Status("unexplained", _DENIED.format(labels_of(placed), share))
+    return (placed, status) if share >= _RULES.half else None
 
 
 def _power_explained(
@@ -110,16 +106,16 @@ def judged(
             runs on held-out data decide.
     """
     is_negligible, description = (
-        noise_like or relative_residual <= _MATERIAL_RATIO,
+        noise_like or relative_residual <= _RULES.negligible,
         _residual_text(relative_residual),
     )
     if not placed:
         if is_negligible:
             return Status("nothing_missing", _NOTHING_MISSING.format(description))
         return Status("unexplained", _NO_EFFECT.format(description))
-    if share >= _EXPLAINED_SHARE or is_negligible:
+    if share >= _RULES.explained or is_negligible:
         return answered(share, relative_residual)
-    if unrivalled and share >= _MAIN_SHARE:
+    if unrivalled and share >= _RULES.half:
         return Status("complete", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
     return Status("unexplained", _PARTLY.format(labels_of(placed), share, description))
 

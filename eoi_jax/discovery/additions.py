@@ -4,8 +4,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from eoi_jax.discovery.probability import Standing
-from eoi_jax.discovery.refit import SEARCHED
+from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.result import Added
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
@@ -15,10 +16,7 @@ from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
-UNCERTAIN = "the records hardly tell the size of"
-REFIT_STATUS = "the refit of the augmented model ended as"
-GRID_END = "is at the end of what was searched"
-_LARGEST_ERROR = 0.5  # standard error over the value, below which a parameter is known
+_RULES = RULES.answer
 
 
 def added_effect(
@@ -48,7 +46,7 @@ def size_is_known(
         parameters: values by name.
         standard_errors: by name.
     """
-    sizes = [standard_errors[name] <= _LARGEST_ERROR * abs(parameters[name]) for name in names]
+    sizes = [standard_errors[name] <= _RULES.known * abs(parameters[name]) for name in names]
     return any(sizes) or not sizes
 
 
@@ -56,9 +54,11 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
     """Notes on effects of which every standard error exceeds half of its parameter."""
     labels = [addition.label for addition in added]
     return [
-        f"{UNCERTAIN} {addition.label.replace('_', ' ')}"
-        f"{f' at {addition.position}' if labels.count(addition.label) > 1 else ''}: every "
-        "parameter of it has a standard error above half of its value"
+        FitNote(
+            f"the records hardly tell the size of {addition.label.replace('_', ' ')}"
+            f"{f' at {addition.position}' if labels.count(addition.label) > 1 else ''}: every "
+            "parameter of it has a standard error above half of its value"
+        )
         for addition in added
         if not size_is_known(addition.parameters, addition.parameters, addition.standard_errors)
     ]
@@ -94,8 +94,3 @@ def as_fit(prepared: PreparedRecords, result: Refinement) -> Identification:
         certainty=Certainty(result.covariance, result.degrees_of_freedom, result.standard_errors),
         status=result.status,
     )  # fmt: skip
-
-
-def is_on_fit(note: str) -> bool:
-    """Whether a note is on a fitted model with effects in it, and goes with it."""
-    return note.startswith((SEARCHED, REFIT_STATUS, UNCERTAIN)) or GRID_END in note

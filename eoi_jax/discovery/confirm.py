@@ -6,13 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
-CONFIRMED = (
-    2.0 / 3.0
-)  # largest ratio of the errors after and before, in every free run, that confirms
-_NOISE = 3.0  # error of short free runs over the noise of a sensor, above which it is not noise
-_AS_GOOD = 1.01  # largest ratio of the errors of a simpler and a wider law at which it is preferred
+_RULES = RULES.answer
 
 
 def holds(prior: FreeRuns, after: FreeRuns) -> bool:
@@ -26,7 +23,9 @@ def holds(prior: FreeRuns, after: FreeRuns) -> bool:
 
 def confirmed(prior: FreeRuns, after: FreeRuns) -> bool:
     """Whether the error of all free runs, whole and in windows, falls by at least a third."""
-    return all(bool(np.all(new.rmse < CONFIRMED * old.rmse)) for old, new in _pairs(prior, after))
+    return all(
+        bool(np.all(new.rmse < _RULES.confirmed * old.rmse)) for old, new in _pairs(prior, after)
+    )
 
 
 def only_short(prior: FreeRuns, after: FreeRuns) -> bool:
@@ -44,7 +43,9 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
 
     The measure is the geometric mean over the outputs: a new fit changes all of them slightly.
     """
-    return all(bool(np.mean(log_ratio) <= np.log(_AS_GOOD)) for log_ratio in _growth(wide, plain))
+    return all(
+        bool(np.mean(log_ratio) <= np.log(_RULES.as_good)) for log_ratio in _growth(wide, plain)
+    )
 
 
 def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[str]:
@@ -59,7 +60,7 @@ def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[st
     return [
         _DOUBT.format(name, error / sigma)
         for name, error, sigma in zip(records[0].output_names, short.rmse, noise, strict=True)
-        if sigma > 0 and error > _NOISE * sigma
+        if sigma > 0 and error > _RULES.noise * sigma
     ]
 
 

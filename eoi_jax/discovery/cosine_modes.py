@@ -35,6 +35,7 @@ from eoi_jax.data.masks import consecutive, moving, tapered, valid_steps
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
 from eoi_jax.data.spectrum import Spectrum, spectrum
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
 from eoi_jax.estimation.defaults import output_noise, velocity_noise
 from eoi_jax.estimation.preparation import entering
@@ -44,21 +45,8 @@ from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
 _FINE = 0.7  # band times step
 _MOST_SUBSTEPS = 8
-# Modes used of one record: all of the lowest (a sinusoid appears in two of them), and an even
-# selection of the higher ones, which is as informative and cheaper.
-_LOW, _HIGH = 1000, 500
-# Times in units of 1/band: rise time of the weights next to excluded samples, for small noise and
-# for large noise; rise time at the ends of a record; shortest rest that is excluded under large
-# noise. The noise that leaks into low modes falls with the square of the rise time.
-_SHARP, _SOFT, _ENDS, _SHORTEST_REST = 3.0, 10.0, 20.0, 6.0
-_LEAK = 2e-3  # noise that the edges may add, relative to y^(r), rms: the floor of `noise_spectrum`
-# Smoothing: its cut-off over the frequency where noise hides a state; the share of a state above
-# the noise that it may remove (that floor again); the exponent of its gain 1 - (ω/cut-off)^8.
-_QUIET, _LOST, _SLOPE = 1.5, 2e-3, 8
-_LEAST_END = 0.01  # shortest rise at the ends, as a share of the record
-_MOST_LOST = 0.5  # largest share of the weight of all samples that moments of rest may remove
+_RULES = RULES.modes
 _AXES = ("fixed", "rows", "grid rows")  # of the arguments of a model
-_MOST_POWER = 0.99  # share of the power of y^(r) below half of the band
 
 Rows = Float[np.ndarray, "*batch modes"]
 
@@ -215,7 +203,7 @@ def informative_band(plant: Plant, records: Sequence[Record]) -> float:
     large as y^(r), or to twice the frequency below which nearly all the power of y^(r) lies.
     """
     spectra = [spectrum(record, j, r) for record in records for j, r in enumerate(plant.degrees)]
-    return max(min(s.frequency_below(_MOST_POWER, s.motion), 0.5 * _crossing(s)) for s in spectra)
+    return max(min(s.frequency_below(_RULES.power, s.motion), 0.5 * _crossing(s)) for s in spectra)
 
 
 def _crossing(density: Spectrum) -> float:
@@ -237,9 +225,9 @@ def smoothing_cutoff(plant: Plant, record: Record) -> float | None:
             continue
         density = spectrum(record, j, degree - 1)
         positive = density.motion > 0.0
-        allowed = density.noise[positive] / density.motion[positive] + _LOST**2
-        unchanged = density.omega[positive] * allowed ** (-0.5 / _SLOPE)
-        cutoffs += [_QUIET * _crossing(density), float(np.max(unchanged, initial=0.0))]
+        allowed = density.noise[positive] / density.motion[positive] + _RULES.lost**2
+        unchanged = density.omega[positive] * allowed ** (-0.5 / _RULES.slope)
+        cutoffs += [_RULES.quiet * _crossing(density), float(np.max(unchanged, initial=0.0))]
     cutoff = max(cutoffs, default=0.0)
     return cutoff if 0.0 < cutoff < 0.8 * np.pi / record.sample_period else None
 
@@ -255,7 +243,7 @@ def _usable(
     good = valid_steps(raw, enters)
     resting = ~moving(plant.degrees, smooth.outputs, smooth.sample_period, noise)
     resting &= ~plant.algebraic
-    shortest = int(_SHORTEST_REST / (band * raw.sample_period))
+    shortest = int(_RULES.shortest_rest / (band * raw.sample_period))
     resting_long = np.stack([_long_runs(flags, shortest) for flags in resting.T], axis=1)
     coupled = plant.coupled
     friction = plant.jumps | np.eye(len(plant.outputs), dtype=bool) | (coupled @ coupled.T)
@@ -277,19 +265,21 @@ def _weights(
     through the edges. They are excluded if the leaked noise is below the floor of the modes, and if
     most of the weight remains: a slow free oscillation changes direction too often for that.
     """
-    ends = max(_ENDS / (band * h), _LEAST_END * len(good[0]))
+    ends = max(_RULES.ends / (band * h), _RULES.least_end * len(good[0]))
     weights = []
     for j, degree in enumerate(plant.degrees):
         usable = (consecutive(mask[:, [j]], degree + 2)[degree + 1 :] for mask in good)
         sharp, soft = (
             tapered(mask.astype(float), rise)[:, 0] * _ends(len(mask), ends)
-            for mask, rise in zip(usable, (_SHARP / (band * h), _SOFT / (band * h)), strict=True)
+            for mask, rise in zip(
+                usable, (_RULES.sharp / (band * h), _RULES.soft / (band * h)), strict=True
+            )
         )
         size = np.std(np.diff(smooth.outputs[:, j], degree)) / h**degree
         leak = record.noise[j] * np.sqrt(np.mean(np.diff(sharp, degree) ** 2)) / h**degree
         leak *= np.sqrt(record.output_periods[j] * band / np.pi)
-        sufficient = np.sum(sharp) > (1.0 - _MOST_LOST) * np.sum(soft)
-        weights.append(sharp if sufficient and leak < _LEAK * size else soft)
+        sufficient = np.sum(sharp) > (1.0 - _RULES.most_lost) * np.sum(soft)
+        weights.append(sharp if sufficient and leak < _RULES.leak * size else soft)
     return tuple(weights)
 
 
@@ -325,9 +315,9 @@ def _states(plant: Plant, record: Record) -> Float[np.ndarray, "S r ny"]:
 def _modes(nodes: int, spacing: float, band: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices of the modes that are used, and their frequencies."""
     count = min(int(band * spacing * nodes / np.pi), nodes)
-    low, high = np.arange(min(count, _LOW)), np.arange(_LOW, count)
-    if len(high) > _HIGH:
-        high = np.unique(np.round(np.linspace(_LOW, count - 1, _HIGH)).astype(int))
+    low, high = np.arange(min(count, _RULES.low)), np.arange(_RULES.low, count)
+    if len(high) > _RULES.high:
+        high = np.unique(np.round(np.linspace(_RULES.low, count - 1, _RULES.high)).astype(int))
     indices = np.concatenate([low, high])
     return indices, np.pi * indices / (spacing * nodes)
 

@@ -9,18 +9,19 @@ curve is named beside it.
 """
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
+from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_search import Search, refined
 from eoi_jax.discovery.in_free_runs import answered, placed_effects
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.result import Added, Discovery
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, Curve, InputCurve, standard, wider
@@ -37,41 +38,7 @@ from eoi_jax.models.placements import placements
 from eoi_jax.refinement.score_test import LinearisedRuns
 from eoi_jax.refinement.spans import spans_of
 
-
-@dataclass(frozen=True)
-class CurveRules:
-    """How curves are tried.
-
-    Attributes:
-        knots: of a curve, at most. fewest: at least. samples: of a record, for each knot.
-        trials: curves of each model, at most.
-        share: of the power of the errors that a curve must take in the score test to be tried.
-        linear: factor of an error within which the score test says what a fit will come to.
-        sure: share that is enough in any case: where errors are large a linear test says little.
-        remainder: power that it may leave there, over that of the best one.
-        several: effects, an offset apart, in whose place a curve comes that is as good.
-        as_good: difference of mean logarithms of errors that counts as none.
-        likeness: share of a curve that a law must give to be named beside it.
-        tie: difference of such shares at which the law with fewest parameters is named.
-        points: of the signal, at which they are compared.
-    """
-
-    knots: int = 14
-    fewest: int = 5
-    samples: int = 50
-    trials: int = 3
-    share: float = 0.3
-    linear: float = 2.0
-    sure: float = 0.6
-    remainder: float = 5.0
-    several: int = 3
-    as_good: float = 0.03
-    likeness: float = 0.9
-    tie: float = 0.05
-    points: int = 400
-
-
-_RULES = CurveRules()
+_RULES = RULES.curves
 _SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "u"))
 
 
@@ -156,14 +123,14 @@ def _share_to_reach(named: Judged, origin: Judged) -> float:
 
     A score test is linear, and says so within a factor.
     """
-    decides = _RULES.as_good if len(_laws(named)) > 1 else np.log(CONFIRMED)
+    decides = _RULES.as_good if len(_laws(named)) > 1 else np.log(RULES.answer.confirmed)
     fall = origin.error - named.error - decides - np.log(_RULES.linear)
     return float(min(1.0 - np.exp(-2.0 * fall), _RULES.sure))
 
 
 def _is_far_better(trial: Judged, rival: Judged) -> bool:
     """Whether the errors fall by as much as what confirms an effect elsewhere."""
-    return bool(trial.error < rival.error + np.log(CONFIRMED))
+    return bool(trial.error < rival.error + np.log(RULES.answer.confirmed))
 
 
 def _replaces_sum(trial: Judged, rival: Judged) -> bool:

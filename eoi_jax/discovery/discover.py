@@ -24,20 +24,18 @@ from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import (
     answered,
+    denied,
     explained,
     judged,
     labels_of,
     names_of,
-    unless_denied,
 )
 from eoi_jax.discovery.additions import (
-    GRID_END,
-    REFIT_STATUS,
     added_effect,
     sensor_notes,
     uncertain_effects,
 )
-from eoi_jax.discovery.confirm import as_good, beyond_noise, confirmed, holds
+from eoi_jax.discovery.confirm import beyond_noise, confirmed, holds
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold
@@ -48,16 +46,24 @@ from eoi_jax.discovery.in_free_runs import (
     with_free_runs,
     with_further_effects,
 )
-from eoi_jax.discovery.judge import odds
-from eoi_jax.discovery.parsimony import simpler
+from eoi_jax.discovery.parsimony import Wider, with_simpler_laws
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import refined_answer
 from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted
+from eoi_jax.discovery.remarks import (
+    FREE_RUN,
+    NO_FREE_RUN,
+    SIMPLER_LAW,
+    FitNote,
+    GridNote,
+    Refusal,
+)
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import advice, ambiguous, standings, unrivalled
-from eoi_jax.discovery.round import NO_FREE_RUN, Round, Task, read_friction
+from eoi_jax.discovery.round import Round, Task, read_friction
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.discovery.unseen_records import with_test_errors
 from eoi_jax.estimation.common_factors import without_common_factors
@@ -75,17 +81,12 @@ from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import FreeRuns
 
-_PASSES = 30  # of the declared model at most: the search starts from its converged fit
-_ROUNDS = 3
-_STAGES = _ROUNDS + 3
-_RARE_SHARE, _MAX_RARE = 0.95, 2  # least share explained, most effects, with a rare one
-_END_TOLERANCE = 1e-3  # of a range of shapes: distance that counts as its end
+_RULES = RULES.answer
+_STAGES = _RULES.rounds + 3
 
 Step = tuple[
     Plant, tuple[Placed, ...], tuple[Round, ...]
 ]  # a model, its effects, the rounds up to it
-# Laws that gave way to simpler ones, by these, with their odds in free runs.
-Wider = dict[Placed, dict[Placed, float]]
 Progress = Callable[[str, int, int], None]
 
 
@@ -216,13 +217,13 @@ class _Search:
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)
         if is_open:
-            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+            self.progress("searching in free runs", 2 + _RULES.rounds, _STAGES)
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
             )
         discovery = self._with_curves(replace(searched, discovery=discovery).with_lead, records)
         if not is_open and leaves_more(discovery):
-            self.progress("searching in free runs", 2 + _ROUNDS, _STAGES)
+            self.progress("searching in free runs", 2 + _RULES.rounds, _STAGES)
             named, settings = discovery, (effects, self.lowpass, self.alpha)
             discovery = with_further_effects(named, records, held_out, *settings)
             if len(discovery.added) > len(named.added):
@@ -233,7 +234,7 @@ class _Search:
         """The answer, with curves where these predict far better, or as well as many laws."""
         if self.named or not misses_a_law(discovery):
             return discovery
-        self.progress("fitting curves in free runs", 2 + _ROUNDS, _STAGES)
+        self.progress("fitting curves in free runs", 2 + _RULES.rounds, _STAGES)
         return with_curves(discovery, records, self.lowpass)
 
     def on(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Searched:
@@ -250,7 +251,7 @@ class _Search:
             tuple(effect.since(start) for effect in group if not effect.only_in_free_runs)
             for group in (self.effects, self.rare)
         )
-        declared = estimate(self.plant, prepared, passes=_PASSES)
+        declared = estimate(self.plant, prepared, passes=_RULES.passes)
         if declared.status.code in ("no_data", "diverged"):
             return Searched(_failed(declared, held_out, records))
         determined = without_common_factors(self.plant, declared.common_factors)
@@ -271,7 +272,7 @@ class _Search:
         discovery = searched.discovery
         answered_so_far = discovery.status.code in ("complete", "nothing_missing")
         if answered_so_far and (self.refine or not resolved):
-            self.progress("refining, and what free runs lack", 2 + _ROUNDS, _STAGES)
+            self.progress("refining, and what free runs lack", 2 + _RULES.rounds, _STAGES)
             discovery = refined_answer(task, discovery, effects if self.named else None)
         if not resolved:
             discovery = _judged_by_free_runs(task, discovery)
@@ -321,7 +322,7 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
             reason = message.format(task.declared.lowpass.cutoff)
             no_data = replace(task.declared, status=Status("no_data", reason))
             return Searched(_failed(no_data, task.held_out, task.records))
-        progress("fitting again, free runs", 1 + _ROUNDS, _STAGES)
+        progress("fitting again, free runs", 1 + _RULES.rounds, _STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
     if discovery.status.code != "unexplained":
         return Searched(discovery)
@@ -330,9 +331,9 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
         rare_discovery = _answer(wider, *_searched(wider, progress, rounds[0]), runs_before())
         named = (
             any(added.effect in rare_effects for added in rare_discovery.added)
-            and len(rare_discovery.added) <= _MAX_RARE
+            and len(rare_discovery.added) <= _RULES.rare_most
         )
-        if named and rare_discovery.explained >= _RARE_SHARE:
+        if named and rare_discovery.explained >= _RULES.rare_share:
             return Searched(rare_discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step[0]))
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
@@ -362,7 +363,7 @@ def _searched(
     The first round reuses the columns of an earlier round of the declared model.
     """
     model, placed, rounds, steps = task.declared.plant, [], [], []
-    for i in range(_ROUNDS):
+    for i in range(_RULES.rounds):
         progress(f"searching, round {i + 1}", 1 + i, _STAGES)
         current = Round(task, model, placed, rounds[-1] if rounds else earlier)
         if not len(current.base.target):
@@ -380,34 +381,42 @@ def _searched(
     return steps, rounds
 
 
-def _plainest(
-    task: Task, placed: tuple[Placed, ...], fit: Identification, runs: FreeRuns, first: Round
-) -> tuple[tuple[Placed, ...], Identification, FreeRuns, Wider]:
-    """Replace effects by simpler laws that they contain, if the free runs are as good."""
-    for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
-        refit = estimate(plain, task.prepared)
-        simple_runs = free_runs(task, refit.plant)
-        if refit.status.ok and as_good(simple_runs, runs):
-            first.refused[wide] = "in free runs no better than a simpler law"
-            laws = {law: {wide: odds(runs, simple_runs, 1)} for law in {*simpler_set} - {*placed}}
-            placed, fit, runs, wider = _plainest(task, simpler_set, refit, simple_runs, first)
-            return placed, fit, runs, {**laws, **wider}
-    return placed, fit, runs, {}
-
-
 # -- the answer -------------------------------------------------------------------------------
 
 
-def _answer(
-    task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns
-) -> Discovery:
-    """The discovery from the rounds of the search; the last steps may be refused."""
-    notes = _notes(task)
-    placed: tuple[Placed, ...] = steps[-1][1] if steps else ()
+@dataclass(frozen=True)
+class _Chosen:
+    """What the rounds of the search come to, held-out free runs included.
+
+    Attributes:
+        placed: effects of the answer; none where it has none.
+        fit: with them; that of the declared model without any.
+        runs: its free runs.
+        status: of the answer. share: of the residual's power above the noise that they explain.
+        wider: laws that gave way to simpler ones. refused: why other effects are not in it.
+        notes: on what was refused and on the fit.
+        denied: a set that only the held-out records refuse.
+    """
+
+    placed: tuple[Placed, ...]
+    fit: Identification
+    runs: FreeRuns
+    status: Status
+    share: float
+    wider: Wider
+    refused: dict[Placed, Refusal]
+    notes: tuple[str, ...]
+    denied: tuple[Placed, ...]
+
+
+def _chosen(task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns) -> _Chosen:
+    """The last step of the search that free runs on held-out records do not refuse."""
+    first, notes, refused = rounds[0], [], dict(rounds[0].refused)
     share, residual_ratio, quiet = explained(rounds)
-    unrivalled_effect = bool(task.held_out) and unrivalled(rounds[0])
-    status = unless_denied(judged(placed, share, residual_ratio, quiet), rounds[0])
-    fit, after, wider = task.declared, prior, {}
+    status, denied_set = judged(steps[-1][1] if steps else (), share, residual_ratio, quiet), ()
+    if status.code == "unexplained" and (denial := denied(first)) is not None:
+        denied_set, status = denial
+    unrivalled_effect = bool(task.held_out) and unrivalled(first)
     for model, placed, step_rounds in reversed(steps):
         share, residual_ratio, quiet = explained(rounds if placed is steps[-1][1] else step_rounds)
         verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
@@ -416,48 +425,61 @@ def _answer(
         refusal = not_simulated(model)
         if refusal:
             notes.append(_UNCHECKED.format(labels_of(placed), share, refusal))
-            rounds[0].refused.update(dict.fromkeys(placed, NO_FREE_RUN))
+            refused |= dict.fromkeys(placed, NO_FREE_RUN)
             status = Status("unexplained", _NOT_SIMULATED)
             continue
         refit = refitted(task, model, notes)
         if not refit.status.ok:
-            notes.append(f"{REFIT_STATUS} {refit.status}")
+            notes.append(FitNote(_REFIT_STATUS.format(refit.status)))
         runs = free_runs(task, refit.plant)
         if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(prior, runs):
             break
         if holds(prior, runs):
-            status, wide_set = verdict, placed
-            placed, fit, after, wider = _plainest(task, placed, refit, runs, rounds[0])
-            if placed != wide_set:
-                notes.append(_WIDER_LAW.format(labels_of(wide_set), share))
-                share, status = _share_of_simpler(task, placed, fit, rounds)
-            break
+            plain, fit, runs, wider = with_simpler_laws(task, placed, refit, runs)
+            refused |= dict.fromkeys(wider, SIMPLER_LAW)
+            if plain != placed:
+                notes.append(_WIDER_LAW.format(labels_of(placed), share))
+                share, verdict = _share_of_simpler(task, plain, fit, rounds)
+            return _Chosen(plain, fit, runs, verdict, share, wider, refused, tuple(notes), ())
         notes.append(_REFUSED.format(labels_of(placed)))
-        rounds[0].refused.update(dict.fromkeys(placed, "held-out free run gets worse"))
+        refused |= dict.fromkeys(placed, FREE_RUN)
         status = Status("unexplained", _FREE_RUN_WORSE)
-    accepted = placed if fit is not task.declared else ()
-    added = _added(task, fit, standings(rounds, accepted, wider))
-    rivals = ambiguous(rounds[0], names_of(accepted)) if accepted else ()
+    return _Chosen(
+        (), task.declared, prior, status, 0.0, {}, refused, tuple(notes), denied_set
+    )  # fmt: skip
+
+
+def _answer(
+    task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: FreeRuns
+) -> Discovery:
+    """The discovery from the rounds of the search; the last steps may be refused."""
+    chosen = _chosen(task, steps, rounds, prior)
+    placed, fit = chosen.placed, chosen.fit
+    added = _added(task, fit, standings(rounds, placed, chosen.wider))
+    rivals = ambiguous(rounds[0], names_of(placed)) if placed else ()
+    notes = *_notes(task), *chosen.notes, *_bound_and_grid_notes(fit, placed, rounds)
+    unexplained = chosen.status.code == "unexplained"
     return Discovery(
-        effects=names_of(accepted),
+        effects=names_of(placed),
         added=added,
-        ranking=ranking(task.plant, rounds, accepted),
+        ranking=ranking(task.plant, rounds, placed, chosen.refused),
         ambiguous_with=rivals,
         advice=advice(rounds[0], rivals),
-        explained=share if accepted else 0.0,
+        explained=chosen.share,
         before=prior[0],
-        after=after[0],
+        after=chosen.runs[0],
         windows_before=prior[1],
-        windows_after=after[1],
+        windows_after=chosen.runs[1],
         declared=task.declared,
         found=fit,
         plant=fit.plant,
-        status=status,
-        notes=(*notes, *_bound_and_grid_notes(fit, accepted, rounds), *uncertain_effects(added)),
+        status=chosen.status,
+        notes=(*notes, *uncertain_effects(added)),
         in_sample=not task.held_out,
         held_out=task.held_out or task.records,
+        denied=names_of(chosen.denied),
         # An unexplained residual is examined with the tests that need no hypothesis.
-        diagnosis=diagnose(task.declared, task.records) if status.code == "unexplained" else None,
+        diagnosis=diagnose(task.declared, task.records) if unexplained else None,
     )
 
 
@@ -508,7 +530,8 @@ _UNRESOLVED = (
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"
-_AT_GRID_END = "{} " + GRID_END + ", {:.4g}: {} ones may do as well or better"
+_REFIT_STATUS = "the refit of the augmented model ended as {}"
+_AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
@@ -538,11 +561,11 @@ def _bound_and_grid_notes(
             continue
         names = placed.names[len(placed.effect.gains) :]
         for name, low, high in zip(names, spans[placed].low, spans[placed].high, strict=True):
-            value, close = fit.parameters[name], _END_TOLERANCE * (high - low)
+            value, close = fit.parameters[name], _RULES.end * (high - low)
             if value <= low + close:
-                notes.append(_AT_GRID_END.format(name, value, "smaller"))
+                notes.append(GridNote(_AT_GRID_END.format(name, value, "smaller")))
             if value >= high - close:
-                notes.append(_AT_GRID_END.format(name, value, "larger"))
+                notes.append(GridNote(_AT_GRID_END.format(name, value, "larger")))
     return notes
 
 

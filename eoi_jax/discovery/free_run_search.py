@@ -28,6 +28,7 @@ from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
@@ -37,29 +38,7 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.score_test import is_tested
 
-
-@dataclass(frozen=True)
-class FreeRunRules:
-    """What is tried in the search."""
-
-    # Samples, of all outputs together, in which effects are searched: a score test of 40 000 takes
-    # some seconds. Models are refined on all records in the end.
-    samples: int = 40_000
-    # Set with the sets of `benchmarks/measured/campaign_cases.py` in view, as are `tried` and
-    # `same_cost`; none of these was varied.
-    most: int = 4  # effects or pairs that are added one after another
-    tried: int = 6  # candidates that are refined with in each round
-    # Share of the power of the errors, in the score test, from which on a candidate is tried beside
-    # what explains the injection. A fall of the errors by a third takes 0.56 of their power; the
-    # rest is room for what a linear test does not see. Set with levitator_coil in view.
-    share: float = 0.45
-    # Power of the errors that a candidate may leave in the score test, over that which the best one
-    # leaves: one that is missing alone takes 98 % and more. Set with `beyond_library` in view.
-    remainder: float = 5.0
-    same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
-
-
-_RULES = FreeRunRules()
+_RULES = RULES.free_runs
 
 Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
 Sites = tuple[tuple[str, int], ...]  # kinds of effects with their channels

@@ -13,7 +13,9 @@ from jaxtyping import Bool, Float
 from eoi_jax.data.holds import SETTINGS, HoldChoice, with_hold
 from eoi_jax.data.input_holds import Hold, held_inputs, hold_of_each, hold_text, shared
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery, PartialExplanation
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew
 from eoi_jax.estimation.identify import Identification, declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
@@ -23,32 +25,7 @@ from eoi_jax.models.plant import Plant
 Records = tuple[Record, ...]
 
 
-@dataclass(frozen=True)
-class HoldRules:
-    """How final models under different holds are compared.
-
-    Attributes:
-        same: relative difference of their indices that counts as none.
-        stand_ins: effects that a wrong hold or a skew takes the shape of; their parameter is a
-            time.
-        longest: such time that may be one of the logger [sample periods]: a skew of one, and half
-            a one between what was held and what goes on.
-        shortest: skew that is told from none [sample periods].
-        better: relative fall of the index of a final model from which on a search follows with
-            another hold of a single input of several: one that hardly drives the plant fits alike
-            with all.
-        searches: at most, with other holds than the first one.
-    """
-
-    same: float = 0.02
-    better: float = 5e-3
-    searches: int = 2
-    stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag")
-    longest: float = 1.5
-    shortest: float = 0.02
-
-
-_RULES = HoldRules()
+_RULES = RULES.holds
 
 
 @dataclass(frozen=True)
@@ -152,7 +129,7 @@ def with_best_hold(
             notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
             break
-    answer = replace(best.answer, notes=(*notes, *best.answer.notes))
+    answer = replace(best.answer, notes=(*map(HoldNote, notes), *best.answer.notes))
     return replace(best.search, discovery=answer)
 
 

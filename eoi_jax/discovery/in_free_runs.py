@@ -1,24 +1,22 @@
 """The discovery that follows from a search in free runs, where the injection leaves it open."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from eoi_jax._status import Status
-from eoi_jax.data.holds import skew_text, undeclared_hold, with_hold
+from eoi_jax.data.holds import undeclared_hold, with_hold
 from eoi_jax.data.input_holds import HOLDS, hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import labels_of, names_of
 from eoi_jax.discovery.additions import (
-    GRID_END,
     added_effect,
     as_fit,
-    is_on_fit,
     size_is_known,
     uncertain_effects,
 )
-from eoi_jax.discovery.confirm import CONFIRMED, beyond_noise
+from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
@@ -31,9 +29,10 @@ from eoi_jax.discovery.free_run_search import (
 from eoi_jax.discovery.judge import Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
+from eoi_jax.discovery.remarks import GridNote, HoldNote, Reason, is_on_fit
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import experiments
-from eoi_jax.discovery.round import NO_FREE_RUN, PRODUCT
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
@@ -50,21 +49,7 @@ from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.validate import judged_runs
 
-
-@dataclass(frozen=True)
-class QuestionRules:
-    """Which answers that explain the injection are questioned. Set with `levitator_coil` in view.
-
-    Attributes:
-        motion: error over the noise that is read off a record, below which that is motion as well.
-        small: error over the spread of the output that is not worth a search.
-    """
-
-    motion: float = 0.7
-    small: float = 0.01
-
-
-_RULES = QuestionRules()
+_RULES = RULES.questions
 
 
 def leaves_open(discovery: Discovery) -> bool:
@@ -76,7 +61,7 @@ def leaves_open(discovery: Discovery) -> bool:
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
         return False
-    if any(item.remark == NO_FREE_RUN for item in discovery.ranking):
+    if any(item.reason == Reason.NO_FREE_RUN for item in discovery.ranking):
         return False
     code = discovery.status.code
     in_time = any(
@@ -222,10 +207,11 @@ def with_further_effects(
     model, ratio = answer.best, float(np.exp(answer.best.error - base.error))
     further = model.placed[len(present) :]
     hints = []
-    if further and ratio < CONFIRMED and any(isinstance(at.effect, Product) for at in further):
+    confirms = bool(further) and ratio < RULES.answer.confirmed
+    if confirms and any(isinstance(at.effect, Product) for at in further):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
-    if hints or not (further and ratio < CONFIRMED):
+    if hints or not confirms:
         answer = answers[0]
         model, further = answer.base, ()
         if not answer.better_base:
@@ -233,7 +219,7 @@ def with_further_effects(
     fit = _fit_of(discovery, answer, model, lowpass)
     windows, added = discovery.windows_after, _added(discovery, answer, fit, model)
     assert windows is not None
-    searched = [note for note in discovery.notes if GRID_END in note]
+    searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     return replace(
@@ -264,7 +250,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
-    if best.placed and ratio < CONFIRMED and not _imitates(discovery, best):
+    if best.placed and ratio < RULES.answer.confirmed and not _imitates(discovery, best):
         names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
@@ -314,15 +300,13 @@ def _lasting(discovery: Discovery, answer: FreeRunAnswer) -> list[str]:
     notes = _not_on_fit(discovery)
     if same_hold:
         return notes
-    stale = "hold ", skew_text(settled, settled.skew)
     hold = _HOLD.format(hold_text(judging.hold, judging.input_names))
-    return [*(note for note in notes if not note.startswith(stale)), hold]
+    return [*(note for note in notes if not isinstance(note, HoldNote)), HoldNote(hold)]
 
 
 def _not_on_fit(discovery: Discovery) -> list[str]:
     """Notes that hold whatever the parameters are."""
-    stale = tuple(on_bounds(discovery.declared.nominal, discovery.plant))
-    return [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+    return [note for note in discovery.notes if not is_on_fit(note)]
 
 
 def _portion_note(answer: FreeRunAnswer) -> list[str]:
@@ -357,7 +341,7 @@ def _standings_of(discovery: Discovery) -> dict[Placed, Standing]:
 
 def _imitates(discovery: Discovery, best: Judged) -> bool:
     """Whether a product of signals refuted an effect in the injection, and none is in the model."""
-    refuted = {item.effect for item in discovery.ranking if item.remark.startswith(PRODUCT)}
+    refuted = {item.effect for item in discovery.ranking if item.reason == Reason.PRODUCT}
     names = set(names_of(best.placed))
     return bool(names & refuted) and Product.name not in names
 

@@ -13,29 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
 
-
-@dataclass(frozen=True)
-class JudgeRules:
-    """What decides between models; errors are natural logarithms of root mean squares."""
-
-    # Fall of the mean error from which on an effect stays, and below which it is left out again.
-    # Set with the sets of `benchmarks/measured/campaign_cases.py` in view; it was not varied.
-    min_fall: float = 0.03
-    min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
-    same_error: float = 0.01  # difference of mean errors that counts as none
-    blocks: int = 10  # of each record; as many windows
-    start: int = 50  # samples that give the state of a run, at most; a third of a short run
-    min_window: int = 12  # samples
-    largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
-    largest_odds: float = 1e6  # of a rival: a few blocks can say no more
-
-
-_RULES = JudgeRules()
+_RULES = RULES.judge
 
 
 @dataclass(frozen=True)
@@ -142,7 +126,12 @@ def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
             as makes these stay.
     """
     better = probability_better(rival, chosen, _RULES.min_fall * max(further, 0))
-    return float(min(better / max(1.0 - better, 1.0 / _RULES.largest_odds), _RULES.largest_odds))
+    return float(
+        min(
+            better / max(1.0 - better, 1.0 / RULES.probability.largest_odds),
+            RULES.probability.largest_odds,
+        )
+    )
 
 
 def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -> float:

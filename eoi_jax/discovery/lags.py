@@ -17,13 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.discovery.cosine_modes import ModalRecord, Rows
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.thinning import averaged, thinned
 from eoi_jax.models.jacobians import input_slopes
 from eoi_jax.models.plant import Plant
 
-_PEAK_THRESHOLD = 6.0  # standard deviations of a correlation of noise, from which on it is a peak
-_LONGEST_SHARE = 0.25  # of a record
-_PEAK_COUNT = 2
+_RULES = RULES.lags
 
 
 class Peak(NamedTuple):
@@ -67,7 +66,7 @@ def lags(
         rows = slice(first, first + len(plant.outputs) * len(record.omega))
         peaks += _record_lags(plant, record, residual[rows], power[rows], channel)
         first = rows.stop
-    return np.asarray(list(islice(strongest(peaks), _PEAK_COUNT)))
+    return np.asarray(list(islice(strongest(peaks), _RULES.peaks)))
 
 
 def _record_lags(
@@ -95,11 +94,11 @@ def _record_lags(
     if not scale > 0.0:
         return []
     # Either sign: without the delay in the model, the gain of the input is poorly known.
-    correlation = np.abs(product[: max(int(_LONGEST_SHARE * length), 3)]) / scale
+    correlation = np.abs(product[: max(int(_RULES.longest * length), 3)]) / scale
     deviation = 1.0 / np.sqrt(len(record.omega))
     return [
         Peak(spacing * lag, height / deviation, spacing)
-        for lag, height in _peaks(correlation, _PEAK_THRESHOLD * deviation)
+        for lag, height in _peaks(correlation, _RULES.threshold * deviation)
     ]
 
 
@@ -119,7 +118,7 @@ def _peaks(correlation: Float[np.ndarray, " lags"], threshold: float) -> list[tu
     top = 1 + np.flatnonzero(
         (inner > correlation[:-2]) & (inner >= correlation[2:]) & (inner > threshold)
     )
-    top = top[np.argsort(correlation[top])[::-1][:_PEAK_COUNT]]
+    top = top[np.argsort(correlation[top])[::-1][: _RULES.peaks]]
     previous, center, following = correlation[top - 1], correlation[top], correlation[top + 1]
     places = top + 0.5 * (previous - following) / (previous - 2.0 * center + following)
     return list(zip(places.tolist(), center.tolist(), strict=True))

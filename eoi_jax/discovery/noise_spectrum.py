@@ -13,9 +13,10 @@ output, because errors leak into them from the strong modes.
 import numpy as np
 from jaxtyping import Float, Int
 
-_FLOOR, _FLAT = 2e-3, 1e-4  # ε, δ
+from eoi_jax.discovery.rules import RULES
+
+_RULES = RULES.noise
 _ROUNDS = 60
-_REACH = 12  # modes on each side over which Y is averaged
 
 Rows = Float[np.ndarray, " rows"]
 
@@ -24,8 +25,8 @@ def local_power(highest: Rows) -> Rows:
     """Y: power of y^(r), averaged over neighbouring modes of one record and output."""
     total = np.cumsum(np.concatenate([[0.0], highest**2]))
     index = np.arange(len(highest))
-    first = np.maximum(index - _REACH, 0)
-    last = np.minimum(index + _REACH + 1, len(highest))
+    first = np.maximum(index - _RULES.reach, 0)
+    last = np.minimum(index + _RULES.reach + 1, len(highest))
     return (total[last] - total[first]) / (last - first)
 
 
@@ -75,4 +76,4 @@ def _fit_output(square: Rows, noise: Rows, local: Rows) -> Rows:
 def _floor(local: Rows) -> Rows:
     """ε² Y + δ² Ȳ of one output; outputs may have different units."""
     # The constant keeps S positive for a plant at rest.
-    return _FLOOR**2 * local + _FLAT**2 * np.mean(local) + 1e-30
+    return _RULES.floor**2 * local + _RULES.flat**2 * np.mean(local) + 1e-30

@@ -11,15 +11,47 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from eoi_jax.estimation.identify import Identification
+from eoi_jax.discovery.confirm import as_good
+from eoi_jax.discovery.judge import odds
+from eoi_jax.discovery.refit import free_runs
+from eoi_jax.discovery.round import Task
+from eoi_jax.discovery.rules import RULES
+from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, CoulombFriction
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.validate import FreeRuns
 
-# An offset beside dry friction is negligible within this number of standard errors, or below this
-# share of the friction level.
-_SIGNIFICANT, _SHARE = 2.0, 1e-2
+_RULES = RULES.answer
+
+
+# Laws that gave way to simpler ones, with their odds against these in free runs.
+Wider = dict[Placed, dict[Placed, float]]
+
+
+def with_simpler_laws(
+    task: Task, placed: tuple[Placed, ...], fit: Identification, runs: FreeRuns
+) -> tuple[tuple[Placed, ...], Identification, FreeRuns, Wider]:
+    """Replace effects by simpler laws that they contain, if the free runs are as good.
+
+    Args:
+        task: the constants of the discovery.
+        placed: the effects.
+        fit: of the model with them.
+        runs: its free runs on the held-out records.
+
+    Returns:
+        Effects, fit and free runs with the simpler laws; the laws that gave way to them.
+    """
+    for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
+        refit = estimate(plain, task.prepared)
+        simple_runs = free_runs(task, refit.plant)
+        if refit.status.ok and as_good(simple_runs, runs):
+            laws = dict.fromkeys({*simpler_set} - {*placed}, odds(runs, simple_runs, 1))
+            placed, fit, runs, wider = with_simpler_laws(task, simpler_set, refit, simple_runs)
+            return placed, fit, runs, {wide: laws, **wider}
+    return placed, fit, runs, {}
 
 
 def simpler(
@@ -66,7 +98,9 @@ def _is_negligible_offset(
         for neighbor in remaining
         if isinstance(neighbor.effect, CoulombFriction) and neighbor.site[1:] == offset.site[1:]
     ]
-    return any(value < max(_SIGNIFICANT * error, _SHARE * level) for level in levels)
+    return any(
+        value < max(_RULES.offset_errors * error, _RULES.offset_share * level) for level in levels
+    )
 
 
 def _plant_with(

@@ -24,12 +24,13 @@ import numpy as np
 
 from eoi_jax.discovery.judge import Judged, odds
 from eoi_jax.discovery.result import Rival
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import AsymmetricFriction, ConstantOffset
 from eoi_jax.models.placements import ends, position_text
 from eoi_jax.models.plant import Plant
 
-_LEAST = 0.01  # probability from which on a rival is told
+_RULES = RULES.probability
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def standing(plant: Plant, against: Mapping[Placed | None, float]) -> Standing:
     rivals = [
         Rival(placed.effect.name, placed.effect.form, position_of(plant, placed), value / total)
         for placed, value in against.items()
-        if placed is not None and value >= _LEAST * total
+        if placed is not None and value >= _RULES.told * total
     ]
     return Standing(1.0 / total, tuple(sorted(rivals, key=lambda rival: -rival.probability)))
 

@@ -1,9 +1,10 @@
 """The evidence for every candidate, in the order in which a user should read it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from eoi_jax.discovery.remarks import IN_MODEL, NOT_EVALUATED, WRONG_SIGN, Refusal
 from eoi_jax.discovery.result import Evidence
 from eoi_jax.discovery.round import Round, values_of
 from eoi_jax.models.augmented import Placed
@@ -11,8 +12,20 @@ from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 
 
-def ranking(plant: Plant, rounds: Sequence[Round], added: Sequence[Placed]) -> tuple[Evidence, ...]:
-    """The added effects first, then every other candidate on its own, by descending score."""
+def ranking(
+    plant: Plant,
+    rounds: Sequence[Round],
+    added: Sequence[Placed],
+    refused: Mapping[Placed, Refusal],
+) -> tuple[Evidence, ...]:
+    """The added effects first, then every other candidate on its own, by descending score.
+
+    Args:
+        plant: the declared model.
+        rounds: of the search.
+        added: effects of the answer.
+        refused: why other effects are not.
+    """
     first = rounds[0]
     search, empty = first.candidate_search, first.candidate_search.fit([])
     power = float(np.sum(empty.residual**2))
@@ -30,20 +43,20 @@ def ranking(plant: Plant, rounds: Sequence[Round], added: Sequence[Placed]) -> t
     for placed in first.candidates:
         fit = refined.get(placed, single_fits.get(placed))
         channels = placed.effect.channels(plant)
-        remark, parameters, score, share = "", {}, -np.inf, 0.0
+        refusal, parameters, score, share = refused.get(placed), {}, -np.inf, 0.0
         in_model = search.known(placed)
         if fit is None or in_model:
-            remark = "already in the model" if in_model else "not to be evaluated"
+            refusal = IN_MODEL if in_model else NOT_EVALUATED
         else:
             parameters = dict(zip(placed.names, values_of(fit)[placed], strict=True))
             score = scores.get(placed, empty.cost - fit.cost - search.penalty(fit.atoms))
             share = 1.0 - float(np.sum(fit.residual**2)) / power
-            remark = "" if fit.physical else "wrong sign"
-            remark = first.refused.get(placed, remark)
+            refusal = refusal or (None if fit.physical else WRONG_SIGN)
         name, channel = placed.effect.name, channels[placed.channel]
         rows[placed] = Evidence(
-            name, channel, parameters, max(share, 0.0), float(score), remark,
-            *ends(plant, placed), placed.effect.form,
+            name, channel, parameters, max(share, 0.0), float(score),
+            refusal.text if refusal else "", *ends(plant, placed), placed.effect.form,
+            refusal.reason if refusal else "",
         )  # fmt: skip
     chosen = set(added) | set(scores)
     # A set that only the held-out records refuse comes first: the records of the fit support it.

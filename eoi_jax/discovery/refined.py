@@ -23,12 +23,14 @@ import numpy as np
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import labels_of
-from eoi_jax.discovery.additions import added_effect, as_fit, is_on_fit, uncertain_effects
+from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
 from eoi_jax.discovery.judge import probability_better
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.refit import on_bounds, window_of
+from eoi_jax.discovery.remarks import is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.round import Task
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
@@ -37,8 +39,7 @@ from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns, whole_and_windows
 
-_MAX_ADDITIONS = 3  # largest number of additions
-_NEGLIGIBLE = 0.01  # relative change of an error that counts as no change
+_RULES = RULES.refinement
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,7 @@ def refined_answer(
     )
     if isinstance(better, str):
         return replace(discovery, notes=(*discovery.notes, better))
-    # Notes about the estimate before the refinement no longer apply.
-    stale = tuple(on_bounds(task.plant, discovery.plant))
-    notes = [note for note in discovery.notes if not (note.startswith(stale) or is_on_fit(note))]
+    notes = [note for note in discovery.notes if not is_on_fit(note)]
     notes += on_bounds(task.plant, better.refinement.plant)
     short = better.refinement.window
     length = "" if short is None else f" over windows of {short:.3g} s"
@@ -126,13 +125,13 @@ def polished(
     long_run_fit = _over_whole_runs(plant, records, validation, initial, window, effects)
     if window is None:
         return long_run_fit
-    start, runs, placed, allowed_change = plant, initial, (), _NEGLIGIBLE
+    start, runs, placed, allowed_change = plant, initial, (), _RULES.negligible
     if isinstance(long_run_fit, Polished):
         start, runs, placed, allowed_change = (
             long_run_fit.refinement.plant,
             long_run_fit.runs,
             long_run_fit.placed,
-            -_NEGLIGIBLE,
+            -_RULES.negligible,
         )
     refinement = refine(start, records, window=window)
     short_run_fit = Polished(
@@ -155,19 +154,18 @@ def _over_whole_runs(
 ) -> Polished | str:
     best: Polished | None = None
     placed: tuple[Placed, ...] = ()
-    for iteration in range(1 + _MAX_ADDITIONS):
+    for iteration in range(1 + _RULES.additions):
         refinement = refine(plant, records)
         if not refinement.status.ok:
             return best or f"not refined: {refinement.status}"
         runs = whole_and_windows(refinement.plant, validation, window)
-        if _changes_less_than(
-            initial if best is None else best.runs, runs, -_NEGLIGIBLE if placed else _NEGLIGIBLE
-        ):
+        allowed = -_RULES.negligible if placed else _RULES.negligible
+        if _changes_less_than(initial if best is None else best.runs, runs, allowed):
             best = Polished(refinement, placed, runs)
         elif placed:  # the addition does not improve the held-out free runs
             break
         # `remaining` knows no actuators, and no outputs that are functions of the states.
-        if iteration == _MAX_ADDITIONS or plant.actuator is not None or plant.has_algebraic:
+        if iteration == _RULES.additions or plant.actuator is not None or plant.has_algebraic:
             break
         missing = remaining(refinement, effects).best
         if missing is None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
+from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.holdout import longest_start
@@ -16,7 +17,7 @@ from eoi_jax.simulation.integrator import frictional
 from eoi_jax.simulation.validate import FreeRuns, judged_runs, whole_and_windows
 
 _ON_BOUND = ": what it would take beyond stays unexplained"
-SEARCHED = "parameters are those of the search: in free runs better than the refit's"
+_SEARCHED = FitNote("parameters are those of the search: in free runs better than the refit's")
 
 
 def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
@@ -45,7 +46,7 @@ def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
         search_error, refit_error = searched_error(), error(refit.plant)
     if not search_error < refit_error:
         return refit
-    notes.append(SEARCHED)
+    notes.append(_SEARCHED)
     return replace(estimate(model, task.prepared, passes=1), status=refit.status)
 
 
@@ -60,7 +61,7 @@ def on_bounds(declared: Plant, plant: Plant) -> list[str]:
     bound = (theta == np.asarray(plant.lower)) | (theta == np.asarray(plant.upper))
     bound &= np.arange(len(bound)) < len(declared.names)
     bound &= np.asarray(plant.free) > 0
-    return [note + _ON_BOUND for note in bound_notes(plant, bound)]
+    return [FitNote(note + _ON_BOUND) for note in bound_notes(plant, bound)]
 
 
 def not_simulated(plant: Plant) -> str:

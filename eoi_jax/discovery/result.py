@@ -7,6 +7,7 @@ from eoi_jax._status import EngineUsed, Status
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.common_factors import CommonFactor
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.effects.effect import AbstractEffect, labelled
@@ -31,6 +32,7 @@ class Evidence:
         against: for an effect between two outputs, the reference of its displacement; or "".
         through: the input together with which it acts on everything this drives; or "".
         form: which of the effects of this name it is, as `above` of an end stop; or "".
+        reason: kind of the remark (`remarks.Reason`), or "".
     """
 
     effect: str
@@ -42,6 +44,7 @@ class Evidence:
     against: str = ""
     through: str = ""
     form: str = field(default="", metadata=WHERE_SET)
+    reason: str = field(default="", metadata=WHERE_SET)
 
     @property
     def label(self) -> str:
@@ -116,7 +119,9 @@ class Added:
     @property
     def alternatives(self) -> tuple[Rival, ...]:
         """Rivals that are named beside it: each has a probability of a tenth or more."""
-        return tuple(rival for rival in self.rivals if rival.probability >= 0.1)
+        return tuple(
+            rival for rival in self.rivals if rival.probability >= RULES.probability.alternative
+        )
 
 
 @dataclass(frozen=True)
@@ -188,6 +193,8 @@ class Discovery(Result):
             else None. It may represent an effect that the library does not contain.
         texts: of a loaded discovery, the texts when it was saved; else None.
         common_factors: parameters that no record tells apart; one of each was held.
+        denied: names of a set that explains the records of the fit, and that only the held-out
+            records refuse.
         test_before, test_after: as `before` and `after`, on test records, which chose nothing: the
             errors that may be published. None without such records.
         test_windows_before, test_windows_after: the same on re-initialised windows.
@@ -214,6 +221,7 @@ class Discovery(Result):
     lead: PartialExplanation | None = None
     texts: Texts | None = None
     common_factors: tuple[CommonFactor, ...] = ()
+    denied: tuple[str, ...] = field(default=(), metadata=WHERE_SET)
     test_before: Validation | None = None
     test_after: Validation | None = None
     test_windows_before: Validation | None = None

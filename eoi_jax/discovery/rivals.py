@@ -5,17 +5,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.probability import Standing, from_sets, reads_as
 from eoi_jax.discovery.result import Added
-from eoi_jax.discovery.round import TOLD_APART, Round
+from eoi_jax.discovery.round import Round
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import standard, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 
-_RIVAL_SHARE = (
-    0.2  # share of the power that an effect explains alone: from it on, another effect is a rival
-)
-_EXTRA_SHARE = (
-    0.5  # share of an effect: a larger addition by an effect that contains it is ambiguous
-)
+_RULES = RULES.answer
 
 
 def unrivalled(first: Round) -> bool:
@@ -37,7 +33,7 @@ def unrivalled(first: Round) -> bool:
             is_main = akin(fit.atoms[0].placed.effect, main)
             explained = power(empty.residual) - power(fit.residual)
             best_power[is_main] = max(best_power[is_main], explained)
-    return best_power[False] < _RIVAL_SHARE * best_power[True]
+    return best_power[False] < _RULES.rival * best_power[True]
 
 
 def akin(first: AbstractEffect, second: AbstractEffect) -> bool:
@@ -60,9 +56,9 @@ def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
             continue
         if chosen_names <= fit_names | contained:
             pairs = zip(fit.atoms, fit.gains, strict=True)
-            close = any(atom.placed.effect.beyond(gains) > _EXTRA_SHARE for atom, gains in pairs)
+            close = any(atom.placed.effect.beyond(gains) > _RULES.extra for atom, gains in pairs)
         else:
-            close = search.value(fit) - search.value(chosen) < TOLD_APART
+            close = search.value(fit) - search.value(chosen) < RULES.round.told_apart
         if close:
             names += [name for name in sorted(fit_names - chosen_names) if name not in names]
     level_and_offset = ["coulomb_friction", "constant_offset"]
@@ -83,15 +79,15 @@ def standings(
     Args:
         rounds: of the search.
         effects: of the answer.
-        wider: by effect, the laws that gave way to it in free runs, with their odds there.
+        wider: laws that gave way to simpler ones in free runs, with their odds against these.
     """
     plant, found = rounds[0].task.plant, dict.fromkeys(effects)
     for placed in effects:
         for step in rounds:
             chosen = [atom.placed for atom in step.chosen.atoms]
             if any(one == placed or reads_as(one, placed) for one in chosen):
-                sets, laws = step.plausible(), wider.get(placed, {})
-                found[placed] = from_sets(plant, placed, chosen, sets, laws)
+                laws = {law: odds[placed] for law, odds in wider.items() if placed in odds}
+                found[placed] = from_sets(plant, placed, chosen, step.plausible(), laws)
                 break
     return found
 

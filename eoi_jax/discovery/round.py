@@ -15,6 +15,14 @@ from eoi_jax.discovery.cosine_modes import ModalRecord, informative_band, modal_
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import expected_power, fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled, system, within_bounds
+from eoi_jax.discovery.remarks import (
+    HELD_OUT,
+    PRODUCT_ALONE,
+    PRODUCT_OF_REST,
+    Refusal,
+    less_probable,
+)
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.search import Search
 from eoi_jax.discovery.side_by_side import map_in_threads, waits
 from eoi_jax.estimation.identify import Identification
@@ -32,23 +40,7 @@ from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import scaled_step, step_room, step_scales
 
-_BAND_RATIO = 2.0  # of the modes over the cut-off of F
-# Largest increase of that band where fast modes are informative: far beyond F a rig has further
-# dynamics.
-_MAX_BAND_RATIO = 2.0
-_PEAK_COUNT = 6  # frequencies at which a sinusoid is tried
-# Autocorrelation from which on a motion is periodic; number of its harmonics that are tested.
-_PERIODIC_CORRELATION, _HARMONICS = 0.95, 4
-# Shares of a set's residual power, and of the power that the model lacks, above which a product of
-# signals refutes the set.
-_PRODUCT_SHARE, _NOTABLE = 0.5, 0.005
-_EXTENSIONS = 3  # extensions of a set that are evaluated
-_SIMILAR_LEVELS = 1.5  # largest ratio of friction levels that are read as a level and an offset
-PRODUCT = "a product of signals"  # begins the remarks on what one refutes
-NO_FREE_RUN = "its free run cannot be simulated"  # a remark
-TOLD_APART = 10.0  # difference of twice the log-likelihood above which sets are distinguished
-_IMPLAUSIBLE = 25.0  # difference of it above which a set has no weight
-_NOISE_LIKE = 1.3  # mean square of a residual over its predicted power
+_RULES = RULES.round
 
 
 @dataclass(frozen=True)
@@ -75,7 +67,7 @@ class Task:
         """Highest frequency of the modes [rad/s]."""
         cutoff = self.declared.lowpass.cutoff
         telling = informative_band(self.plant, self.records)
-        return _BAND_RATIO * float(np.clip(telling, cutoff, _MAX_BAND_RATIO * cutoff))
+        return RULES.modes.band * float(np.clip(telling, cutoff, RULES.modes.widest * cutoff))
 
 
 class Round:
@@ -88,7 +80,7 @@ class Round:
         self.stretches = [modal_record(model, record, task.band) for record in task.records]
         self._known_terms = earlier.terms if earlier and self._same_weights(earlier) else {}
         self.base = base_of(model, self.stretches)
-        self.refused: dict[Placed, str] = {}
+        self.refused: dict[Placed, Refusal] = {}
         self.denied: Fit | None = None  # the best set that only the held-out records refuse
         self.rejected: set[frozenset] = set()  # sets that were refused
         self._made: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
@@ -172,7 +164,7 @@ class Round:
     def exhausted(self) -> bool:
         """Whether the residual of the chosen set is noise."""
         power = expected_power(self.base.noise, self.base.local, self.base.output)
-        return float(np.mean(self.bounded_fit.residual**2 / power)) < _NOISE_LIKE
+        return float(np.mean(self.bounded_fit.residual**2 / power)) < _RULES.noise_like
 
     @property
     def declared(self) -> Fit:
@@ -243,7 +235,7 @@ class Round:
                 )
                 first = rows.stop
         free = (peak for peak in strongest(peaks) if not in_step(self.stretches, peak))
-        return np.asarray(list(islice(free, _PEAK_COUNT)))
+        return np.asarray(list(islice(free, _RULES.peaks)))
 
     def _lags(self, placed: Placed) -> Float[np.ndarray, " lags"]:
         """Lags [s] at which the residual of the declared model follows an input."""
@@ -299,7 +291,7 @@ class Round:
             alternative
             for alternative in remaining
             if 0 < len(alternative.atoms) <= len(fit.atoms)
-            and search.value(alternative) - search.value(fit) < TOLD_APART
+            and search.value(alternative) - search.value(fit) < _RULES.told_apart
         ]
         if not alternatives or not self.task.held_out:
             return fit
@@ -309,9 +301,7 @@ class Round:
         )
         best = next(item for item in ordered if item is fit or self._accepts(item))
         for placed in fit.keys - best.keys:
-            self.refused[placed] = (
-                f"the held-out records prefer {_effect_names(best.keys - fit.keys)}"
-            )
+            self.refused[placed] = less_probable(_effect_names(best.keys - fit.keys))
         return best
 
     def _held_out_costs(self, sets: Sequence[Fit]) -> dict[frozenset, float]:
@@ -333,7 +323,7 @@ class Round:
         ones.
         """
         search, chosen = self.candidate_search, self.chosen
-        limit = search.value(chosen) + _IMPLAUSIBLE
+        limit = search.value(chosen) + RULES.probability.implausible
         rivals = [
             fit
             for fit in self.sets
@@ -357,7 +347,8 @@ class Round:
         power, search = self.base.signal_power, self.candidate_search
         # A residual that a further effect of the library explains does not count against the set.
         remainder = min(
-            power(extended.residual) for extended in [fit, *search.extended(fit)[:_EXTENSIONS]]
+            power(extended.residual)
+            for extended in [fit, *search.extended(fit)[: _RULES.extensions]]
         )
         products = {
             product: atom.placed
@@ -370,16 +361,16 @@ class Round:
             with_product = power(search.fit([*fit.atoms, *product_atoms]).residual)
             self._least_with_product = min(with_product, self._least_with_product)
             if remainder - self._least_with_product > max(
-                _PRODUCT_SHARE * remainder, _NOTABLE * search.lacking
+                _RULES.product * remainder, _RULES.notable * search.lacking
             ):
-                self.refused[placed] = f"{PRODUCT} takes most of the rest"
+                self.refused[placed] = PRODUCT_OF_REST
                 return False
             # A product that alone explains more than the set: the set imitates it.
             if (
                 power(fit.residual) - power(search.fit(product_atoms).residual)
-                > _NOTABLE * search.lacking
+                > _RULES.notable * search.lacking
             ):
-                self.refused[placed] = f"{PRODUCT} takes more, alone"
+                self.refused[placed] = PRODUCT_ALONE
                 return False
         return True
 
@@ -396,7 +387,7 @@ class Round:
             )
             residual_without = self._held_out_residual(base, fit_without)
             if float(np.sum(residual_without**2 / power)) <= float(np.sum(residual**2 / power)):
-                self.refused[atom.placed] = "held-out error grows"
+                self.refused[atom.placed] = HELD_OUT
                 self.denied = fit if self.denied is None else self.denied
                 return False
         return True
@@ -456,7 +447,7 @@ def in_step(stretches: Sequence[ModalRecord], omega: float) -> bool:
     if omega <= 0.0:
         return False
     for j in range(stretches[0].y.shape[2]):
-        for periods in range(1, _HARMONICS + 1):
+        for periods in range(1, _RULES.harmonics + 1):
             products = np.zeros(3)
             for record in stretches:
                 lag = round(2.0 * np.pi * periods / (omega * record.sample_period))
@@ -465,7 +456,7 @@ def in_step(stretches: Sequence[ModalRecord], omega: float) -> bool:
                     a, b = speed[lag:], speed[: len(speed) - lag]
                     products += [np.sum(a * b), np.sum(a * a), np.sum(b * b)]
             product, first, second = products
-            if abs(product) > _PERIODIC_CORRELATION * np.sqrt(first * second):
+            if abs(product) > _RULES.periodic * np.sqrt(first * second):
                 return True
     return False
 
@@ -509,9 +500,8 @@ def read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:
     """
     added = {}
     for placed, values in values_of(fit).items():
-        if isinstance(placed.effect, AsymmetricFriction) and max(values) < _SIMILAR_LEVELS * min(
-            values
-        ):
+        asymmetric = isinstance(placed.effect, AsymmetricFriction)
+        if asymmetric and max(values) < _RULES.similar_levels * min(values):
             forward, backward = values
             location = placed.channel, placed.against, placed.through
             level = place(plant, CoulombFriction(), *location)

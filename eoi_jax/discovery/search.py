@@ -29,21 +29,11 @@ from jaxtyping import Float
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.noise_spectrum import fitted_power
 from eoi_jax.discovery.regression import Base, Fit, Make, Span, Spans, fitted, refined, system
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.screening import Projection, Terms, changes
 from eoi_jax.models.augmented import Placed
 
-_BEAM = 5  # sets of one size that are refined
-# Sets that are refined once more under the residual power of the answer: their largest number, and
-# their largest distance in value from the best set.
-_LAST_REFINED, _VALUE_MARGIN = 3, 50.0
-_PAIRS = 400  # pairs of columns that are evaluated
-_PAIR_TRIES = 3  # points of the grid at which a pair may turn out unphysical
-_EXACT_FITS = 8  # effects that are fitted exactly after the quick ranking
-_ROUNDS = 4  # of power and set
-# Shares of power that an effect must explain: of the declared model's residual, or else of the
-# residual without the effect, above the noise and including it; and in any case of y^(r).
-_MATERIAL, _MAIN_SHARE, _HALF, _TRACE = 0.015, 0.9, 0.5, 1e-8
-_NESTED = 0.0005  # as _MATERIAL, for an effect beside a simpler one that it contains
+_RULES = RULES.search
 
 Rows = Float[np.ndarray, " rows"]
 
@@ -89,7 +79,7 @@ class Search:
         self.power = np.ones_like(self.base.target)
         self._weigh(fitted(self.base, [], self.power).residual)
         chosen, fits = self.fit([]), []
-        for _ in range(_ROUNDS):
+        for _ in range(_RULES.rounds):
             fits = self._search_once(chosen)
             best = next(fit for fit in fits if self.material(fit))
             unchanged = best.keys == chosen.keys
@@ -100,8 +90,8 @@ class Search:
         sets = sorted((self.fit(fit.atoms) for fit in fits), key=self.value)
         leading = [
             fit
-            for fit in sets[:_LAST_REFINED]
-            if self.value(fit) < self.value(sets[0]) + _VALUE_MARGIN
+            for fit in sets[: _RULES.last]
+            if self.value(fit) < self.value(sets[0]) + _RULES.last_margin
         ]
         sets[: len(leading)] = [self._refine(fit) for fit in leading]
         return sorted(sets, key=lambda fit: (not self.material(fit), self.value(fit)))
@@ -142,16 +132,16 @@ class Search:
             remaining = [neighbor for neighbor in fit.atoms if neighbor is not atom]
             power_without = self._signal_power(remaining)
             share_of_remainder = max(
-                _MAIN_SHARE * (power_without - base.noise_power), _HALF * power_without
+                _RULES.remainder * (power_without - base.noise_power), _RULES.half * power_without
             )
-            threshold = min(_MATERIAL * self.lacking, share_of_remainder)
-            if power_without - set_power < max(threshold, _TRACE * base.output_power):
+            threshold = min(_RULES.material * self.lacking, share_of_remainder)
+            if power_without - set_power < max(threshold, _RULES.trace * base.output_power):
                 return False
             present = {neighbor.placed.effect.name for neighbor in remaining}
             for simple in self._contained(atom):
                 if simple.placed.effect.name not in present:
                     simple_power = self._signal_power([*remaining, simple])
-                    if simple_power - set_power < _NESTED * self.lacking:
+                    if simple_power - set_power < _RULES.nested * self.lacking:
                         return False
         return True
 
@@ -195,7 +185,7 @@ class Search:
             if fit.keys not in visited and np.isfinite(fit.cost):
                 visited[fit.keys] = self._refined_if_promising(fit, visited.values())
 
-        for fit in [chosen, *self.extended(visited[frozenset()])[:_BEAM], *self._pairs()]:
+        for fit in [chosen, *self.extended(visited[frozenset()])[: _RULES.beam], *self._pairs()]:
             visit(fit)
         for size in range(1, self.max_effects):
             front = [fit for fit in visited.values() if len(fit.atoms) == size and fit.physical]
@@ -214,7 +204,7 @@ class Search:
         if known_atoms is not None:
             fit = min(fit, self.fit(known_atoms), key=self.value)
         better = sum(self.value(known_fit) < self.value(fit) for known_fit in visited)
-        if better < (_BEAM if known_atoms is None else 2):
+        if better < (_RULES.beam if known_atoms is None else 2):
             fit = self._refine(fit)
             self._refined[fit.keys] = fit.atoms
         return fit
@@ -233,7 +223,7 @@ class Search:
             atom = self._terms[i]
             if atom.key not in keys and by_atom[i] > 0:
                 best.setdefault(atom.placed, atom)
-        extensions = list(best.values())[: _EXACT_FITS if keys else None]
+        extensions = list(best.values())[: _RULES.exact if keys else None]
         if not any(atom.target is not None for atom in fit.atoms):
             added = matrix[:, len(self.base.free) :]
             for change in self._changes:
@@ -246,7 +236,7 @@ class Search:
         terms, owner = self._terms, self._columns.owner
         ranked = [
             (gain, (terms[owner[i]], terms[owner[k]]))
-            for gain, i, k in self._columns.pairs(self._declared_projection, _PAIRS)
+            for gain, i, k in self._columns.pairs(self._declared_projection, _RULES.pairs)
         ]
         declared = float(self.fit([]).cost)
         for change in self._changes:
@@ -254,7 +244,7 @@ class Search:
             gains = declared - costs[:, None] + self._columns.by_atom(projection)
             for atom, gain in zip(change.atoms, gains, strict=True):
                 ranked += [
-                    (gain[i], (atom, terms[i])) for i in np.argsort(gain)[::-1][:_EXACT_FITS]
+                    (gain[i], (atom, terms[i])) for i in np.argsort(gain)[::-1][: _RULES.exact]
                 ]
         ranked.sort(key=lambda pair: -pair[0])
         fits: dict[frozenset, Fit] = {}
@@ -262,12 +252,12 @@ class Search:
         for _, pair in ranked:
             placed = frozenset(atom.placed for atom in pair)
             compatible = len({atom.key for atom in pair}) == 2
-            if compatible and placed not in fits and tries[placed] < _PAIR_TRIES:
+            if compatible and placed not in fits and tries[placed] < _RULES.pair_tries:
                 tries[placed] += 1
                 fit = self.fit(pair)
                 if fit.physical:
                     fits[placed] = fit
-            if len(fits) >= _BEAM:
+            if len(fits) >= _RULES.beam:
                 break
         return sorted(fits.values(), key=self.value)
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.discovery.acceptance import DENIED
 from eoi_jax.discovery.confirm import only_short
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect, Curve, InputCurve
@@ -88,7 +87,7 @@ def _lacking(discovery: Discovery) -> str:
         start = f"The model lacks {lacking}, and something that none of the tested effects explains"
     elif code == "unexplained":
         start = "The model lacks something that none of the tested effects explains"
-        start += " on all records" if DENIED in discovery.status.message else ""
+        start += " on all records" if discovery.denied else ""
     elif lacking:
         start = f"The model lacks {lacking}"
     else:

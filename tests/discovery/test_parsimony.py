@@ -1,7 +1,5 @@
 """Laws that contain a simpler one: two carts with dry friction, each given a Stribeck law."""
 
-import importlib
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,14 +7,14 @@ from problems import noisy, stiff_response
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery import parsimony
 from eoi_jax.discovery.refit import free_runs
-from eoi_jax.discovery.round import Round, Task
+from eoi_jax.discovery.round import Task
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import augmented, place
 
 STEP, DRY = 4e-3, np.array([0.8, 0.5])
-discovery = importlib.import_module("eoi_jax.discovery.discover")
 
 
 def carts(t, x, u, p):
@@ -51,7 +49,7 @@ def record(seed: int, offset: float = 0.0) -> eoi.Record:
 @pytest.mark.slow
 def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     """Whatever free runs say: the second exchange must not undo the first."""
-    monkeypatch.setattr(discovery, "as_good", lambda *_: True)
+    monkeypatch.setattr(parsimony, "as_good", lambda *_: True)
     fit, held = (record(1),), (record(2),)
     prepared = prepare_records(PLANT, fit)
     library = (effects.CoulombFriction(), effects.StribeckFriction())
@@ -65,15 +63,14 @@ def test_each_of_two_wider_laws_is_made_plain(monkeypatch):
     }
     found = estimate(augmented(declared.plant, wide, values), prepared)
     runs = free_runs(task, found.plant)
-    first = Round(task, declared.plant, ())
-    placed, fewer, _ = discovery._plainest(task, wide, found, runs, first)
+    placed, fewer, _, laws = parsimony.with_simpler_laws(task, wide, found, runs)
     assert [one.effect.name for one in placed] == ["coulomb_friction"] * 2
     assert set(fewer.parameters) == {
         "b", "c1", "c2", "coulomb_friction_near", "coulomb_friction_far"
     }  # fmt: skip
     levels = [fewer.parameters[f"coulomb_friction_{name}"] for name in PLANT.outputs]
     np.testing.assert_allclose(levels, DRY, rtol=0.01)
-    assert set(first.refused) == set(wide)
+    assert set(laws) == set(wide)
 
 
 @pytest.mark.slow
@@ -90,6 +87,5 @@ def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offs
     placed = (*both, far)
     found = estimate(augmented(PLANT, placed, values), prepared)
     runs = free_runs(task, found.plant)
-    first = Round(task, task.declared.plant, ())
-    left, _, _ = discovery._plainest(task, placed, found, runs, first)
+    left, *_ = parsimony.with_simpler_laws(task, placed, found, runs)
     assert left == (placed if kept else (both[0], far))

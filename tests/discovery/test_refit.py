@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.discovery.refit import SEARCHED, free_runs, not_simulated, refitted, window_of
+from eoi_jax.discovery.refit import free_runs, not_simulated, refitted, window_of
 from eoi_jax.discovery.round import Task
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
@@ -39,7 +39,7 @@ def task():
 def test_parameters_of_the_search_are_kept_where_they_are_better_and_the_fit_is_theirs(task):
     notes = []
     found = refitted(task, TRUE, notes)
-    assert notes == [SEARCHED]
+    assert notes == ["parameters are those of the search: in free runs better than the refit's"]
     assert found.parameters == TRUTH
     assert found.plant.parameters == TRUTH
     assert np.array_equal(found.parameter_history[found.best_pass], TRUE.theta)

@@ -282,6 +282,8 @@ LATER_FIELDS = {
     "upper": None,
     "history": None,
     "probability": None,
+    "denied": {"tuple": []},
+    "reason": "",
     "rivals": {"tuple": []},
     "test_before": None,
     "test_after": None,
