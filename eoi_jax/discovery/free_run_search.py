@@ -56,7 +56,7 @@ class FreeRunAnswer:
         share: of the samples, in which effects were searched.
         rounds: of the search.
         better_base: whether it predicts otherwise than before it was refined, and not worse by more
-            than chance: it is what fits the records of the fit best.
+            than chance on all records: it is what fits those of the fit best.
     """
 
     base: Judged
@@ -176,11 +176,20 @@ class Search:
         """What the search came to, from this declared model."""
         base = self.base if self.searched is self.records else self.settled(self.base)
         best = best if self.further(best) else base
-        passes = self.judge.runs(start)
-        differs = not self.judge.is_same(mean_error(passes), base.error)
-        better = differs and not self.judge.prefers(passes, base.runs)
+        better = self._predicts_better(base, start)
         share = _count(self.searched) / _count(self.records)
         return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
+
+    def _predicts_better(self, base: Judged, start: Plant) -> bool:
+        """Whether the refined model predicts otherwise than that of the passes, and no worse.
+
+        Both have the same parameters: the records of the fit count as much as those that judge,
+        of which a few that move slowly may prefer either by chance.
+        """
+        if self.judge.is_same(mean_error(self.judge.runs(start)), base.error):
+            return False
+        judge = Judge.of((*self.searched, *self.judge.records)) or self.judge
+        return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
 
     def further(self, model: Judged) -> tuple[Placed, ...]:
         """Effects of a model that the base has not."""
