@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search
-from eoi_jax.discovery.free_run_search import search_free_runs
+from eoi_jax.discovery.free_run_search import Search, search_free_runs
 from eoi_jax.discovery.judge import Judge, _standardised
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
@@ -168,6 +168,29 @@ def test_an_input_that_yields_is_found_where_the_gain_has_made_up_for_it():
     assert answer is not None
     assert [placed.effect.name for placed in answer.best.placed] == ["input_yield"]
     assert answer.best.refinement.parameters["input_yield_level"] == pytest.approx(2.0, rel=0.1)
+
+
+def drifting(seed, count, gain):
+    """A plate whose lamp has this gain; exact, for an input that is held."""
+    voltage, random = staircase(seed)[:count], np.random.default_rng(seed)
+    pole, rise = np.exp(-PERIOD / TRUE["tau"]), gain * TRUE["tau"]
+    warmer = lfilter([0.0, (1.0 - pole) * rise], [1.0, -pole], voltage)
+    noise = NOISE * random.standard_normal(count)
+    return eoi.Record(
+        PERIOD * np.arange(count), voltage, TRUE["ambient"] + warmer + noise, f"run {seed}",
+        hold="zero", input_names=("voltage",), output_names=("temperature",),
+    )  # fmt: skip
+
+
+def test_a_few_held_out_samples_that_drift_do_not_choose_between_fits_of_one_model():
+    """The lamp ages between the records: one fit is right for the first one, one for the second."""
+    records, judging = (drifting(1, 400, 0.4),), (drifting(2, 60, 0.41),)
+    search = Search.begun([PLATE], records, judging)
+    assert search is not None
+    aged = PLATE.with_parameters({**search.base.refinement.parameters, "k": 0.41})
+    assert search.judge.prefers(search.judge.runs(aged), search.base.runs)
+    assert search._predicts_better(search.base, aged)
+    assert not replace(search, searched=judging)._predicts_better(search.base, aged)
 
 
 def test_records_too_short_for_windows_are_not_judged():
