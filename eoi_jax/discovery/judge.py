@@ -135,15 +135,15 @@ def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
 
 
 def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -> float:
-    """Probability that a model predicts better than another, from their free runs.
+    """Probability that a model predicts better than another, by the mean error of their free runs.
 
-    Blocks of the held-out records are compared by the logarithm of their errors, of whole runs and
-    of windows together.
+    The standard error of the difference is that of a mean over the blocks of the held-out records,
+    to first order (delta method).
 
     Args:
         first: free runs of the model.
         second: those of the other one, on the same records.
-        margin: difference of mean logarithms by which the first must be better.
+        margin: difference of mean errors by which the first must be better.
     """
     from scipy.special import stdtr  # only discovery needs it
 
@@ -151,43 +151,53 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
     diverges = [any(np.isinf(run.rmse).any() for run in runs) for runs in zip(*pairs, strict=True)]
     if diverges[0] != diverges[1]:
         return float(diverges[1])
-    fall = np.mean([_log_falls(theirs, ours) for ours, theirs in pairs], axis=0) - margin
-    return float(stdtr(max(len(fall) - 1, 1), _standardised(fall)))
+    falls = [_log_fall(theirs, ours) for ours, theirs in pairs]
+    fall = float(np.mean([fall for fall, _ in falls])) - margin
+    influence = np.mean([part for _, part in falls], axis=0)
+    error = max(float(np.std(influence, ddof=1)) / np.sqrt(len(influence)), np.finfo(float).tiny)
+    return float(stdtr(len(influence) - 1, fall / error))
 
 
-def _log_falls(rival: Validation, trial: Validation) -> Float[np.ndarray, " blocks"]:
-    """Half the logarithm of the ratio of mean squares, by blocks."""
+def _log_fall(rival: Validation, trial: Validation) -> tuple[float, Float[np.ndarray, " blocks"]]:
+    """Mean logarithm over outputs of an error over another, and what each block has to do with it.
+
+    With S the mean square of an error over the blocks and s that of a block: ½ log(S/S'), and the
+    mean of ½ (s/S - s'/S').
+    """
     tiny = np.finfo(float).tiny
-    scale = np.where(np.isfinite(rival.rmse), rival.rmse, 1.0)
-    old, new = (_blocks(runs, scale) for runs in (rival, trial))
-    return 0.5 * (np.log(old + tiny) - np.log(new + tiny))
+    blocks = [_blocks(runs) + tiny for runs in (rival, trial)]
+    means = [np.nanmean(squares, axis=0) for squares in blocks]
+    old, new = (squares / mean for squares, mean in zip(blocks, means, strict=True))
+    return float(np.mean(0.5 * np.log(means[0] / means[1]))), 0.5 * np.nanmean(old - new, axis=1)
 
 
 def _deviations(rival: Validation | None, trial: Validation | None) -> float:
-    """Mean fall of the error over blocks, over its standard error.
+    """Mean fall of the error over blocks, over its standard error; ± infinite where one diverges.
 
     Of squares or of logarithms, whichever is larger: a few blocks may hold most of the error.
     """
     if rival is None or trial is None:
         return 0.0
-    old, new = (_blocks(runs, rival.rmse) for runs in (rival, trial))
-    if not np.all(np.isfinite(old)) or not np.all(np.isfinite(new)):
-        return np.inf if np.all(np.isfinite(new)) else -np.inf
+    diverges = [bool(np.isinf(runs.rmse).any()) for runs in (rival, trial)]
+    if any(diverges):
+        return 0.0 if all(diverges) else np.inf if diverges[0] else -np.inf
+    old, new = (np.nanmean(_blocks(runs) / rival.rmse**2, axis=1) for runs in (rival, trial))
     tiny = np.finfo(float).tiny
     return max(_standardised(old - new), _standardised(np.log((old + tiny) / (new + tiny))))
 
 
-def _blocks(
-    validation: Validation, scale: Float[np.ndarray, " ny"]
-) -> Float[np.ndarray, " blocks"]:
-    """Mean squared errors of the blocks of all records, all outputs together."""
+def _blocks(validation: Validation) -> Float[np.ndarray, "blocks ny"]:
+    """Mean squared errors of the blocks of all records; NaN where an output was not measured."""
     means = []
     for record, prediction in zip(validation.records, validation.predictions, strict=True):
-        error = (record.outputs - prediction.outputs) / scale
-        square = np.where(record.output_valid, error**2, np.nan)
+        square = (record.outputs - prediction.outputs) ** 2
+        square = np.where(record.output_valid, square, np.nan)
         for part in np.array_split(square, _RULES.blocks):
-            if np.any(~np.isnan(part)):
-                means.append(np.nanmean(part))
+            valid = np.sum(~np.isnan(part), axis=0)
+            if np.any(valid):
+                means.append(
+                    np.where(valid, np.nansum(part, axis=0) / np.maximum(valid, 1), np.nan)
+                )
     return np.asarray(means)
 
 

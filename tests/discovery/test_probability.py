@@ -63,17 +63,30 @@ def model(placed, runs):
     return Judged(REFINEMENT, placed, runs)
 
 
-def test_the_probability_is_student_s_of_the_logarithms_of_paired_blocks():
+def test_the_probability_is_student_s_of_the_mean_error_over_blocks():
     random = np.random.default_rng(0)
     first, second = np.exp(random.normal(0.0, 0.3, (2, 10)))
-    falls = np.log(second / first)
-    expected = student.cdf(np.mean(falls) / (np.std(falls, ddof=1) / np.sqrt(10)), 9)
-    assert probability_better(runs_with(first), runs_with(second)) == pytest.approx(expected)
-    assert probability_better(runs_with(second), runs_with(first)) == pytest.approx(1 - expected)
-    margin = 0.2
-    shifted = student.cdf((np.mean(falls) - margin) / (np.std(falls, ddof=1) / np.sqrt(10)), 9)
-    probability = probability_better(runs_with(first), runs_with(second), margin)
-    assert probability == pytest.approx(shifted)
+    squares = first**2, second**2
+    fall = 0.5 * np.log(np.mean(squares[1]) / np.mean(squares[0]))
+    ours, theirs = (square / np.mean(square) for square in squares)
+    error = np.std(0.5 * (theirs - ours), ddof=1) / np.sqrt(10)
+    runs = runs_with(first), runs_with(second)
+    assert probability_better(*runs) == pytest.approx(student.cdf(fall / error, 9))
+    assert probability_better(*runs[::-1]) == pytest.approx(student.sf(fall / error, 9))
+    assert (probability_better(*runs) > 0.5) == (runs[0][0].rmse[0] < runs[1][0].rmse[0])
+    shifted = student.cdf((fall - 0.2) / error, 9)
+    assert probability_better(*runs, 0.2) == pytest.approx(shifted)
+
+
+def test_the_probability_is_right_where_models_are_alike():
+    """Of two models with errors of one size neither is said to be better more often than chance."""
+    random = np.random.default_rng(4)
+    said = [
+        probability_better(runs_with(np.abs(first)), runs_with(np.abs(second)))
+        for first, second in random.normal(size=(300, 2, 10))
+    ]
+    for level in (0.1, 0.5, 0.9):
+        assert np.mean(np.asarray(said) < level) == pytest.approx(level, abs=0.06)
 
 
 def test_what_diverges_does_not_predict_better():
@@ -127,7 +140,7 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
         return runs_with(size * np.exp(random.normal(0.0, 0.2, 10)))
 
     bare, friction, offset = model((), level(1.0)), model((FRICTION,), level(0.5)), level(0.55)
-    cubic = model((CUBIC,), level(0.55))
+    cubic = model((CUBIC,), level(0.5))
     both = model((FRICTION, OFFSET), level(0.2))
     first = Contest(bare, friction, (friction, model((OFFSET,), offset), cubic))
     second = Contest(friction, both, (both,))
