@@ -46,12 +46,29 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
         below the noise.
     """
     first, last = rounds[0], rounds[-1]
-    residual_before = first.declared.residual
-    residual_after = last.declared.residual if not last.chosen.atoms else last.bounded_fit.residual
+    residual_before, residual_after = first.declared.residual, _final_residual(last)
     if plain is not None:
         power = last.candidate_search.power
         residual_after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
     return _power_explained(first, last, residual_before, residual_after)
+
+
+def left_power(rounds: Sequence[Round], share: float, noise_like: bool) -> float:
+    """Power of the residual that is left beyond the noise.
+
+    Args:
+        rounds: of the search.
+        share: that is explained.
+        noise_like: whether the remaining residual is noise.
+    """
+    first, last = rounds[0], rounds[-1]
+    noise = _noise_scale(last.base, _final_residual(last)) * first.base.noise_power
+    excess = first.base.signal_power(first.declared.residual) - noise
+    return 0.0 if noise_like else max((1.0 - share) * excess, 0.0)
+
+
+def _final_residual(last: Round) -> Float[np.ndarray, " rows"]:
+    return last.declared.residual if not last.chosen.atoms else last.bounded_fit.residual
 
 
 def denied(first: Round) -> tuple[tuple[Placed, ...], Status] | None:

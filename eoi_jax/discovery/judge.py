@@ -116,6 +116,16 @@ def mean_error(runs: FreeRuns) -> float:
     return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
 
 
+def noise_level(runs: FreeRuns) -> float:
+    """What the mean error would be if the errors were the noise of the sensors."""
+    levels = []
+    for run in runs:
+        if run is not None:
+            noise = np.max([record.noise for record in run.records], axis=0)
+            levels.append(noise * run.nrmse / run.rmse)
+    return float(np.mean(np.log(np.maximum(levels, np.finfo(float).tiny))))
+
+
 def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
     """Odds that a rival predicts better than a model that was chosen.
 

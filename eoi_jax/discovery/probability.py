@@ -14,15 +14,18 @@ the model with the effect (`judge.probability_better`),
 
 over models without any effect in its place, and with the one that does best there.
 
-Either is the probability of an effect among those of the library: what the library lacks has none.
+Either is a probability among the effects of the library. What is left may have a cause that the
+library lacks, and an effect that takes less than that may be a part of it: with D the power that an
+effect takes beside the others, and R what is left beyond the noise, its probability and those of
+its rivals are multiplied by D/(D + R).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eoi_jax.discovery.judge import Judged, odds
+from eoi_jax.discovery.judge import Judged, noise_level, odds
 from eoi_jax.discovery.result import Rival
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
@@ -44,6 +47,14 @@ class Standing:
 
     probability: float
     rivals: tuple[Rival, ...]
+
+    def beside(self, taken: float, left: float) -> "Standing":
+        """With the power that the effect takes, and that which is left beyond the noise."""
+        share = 1.0 if left <= 0.0 else max(taken, 0.0) / (max(taken, 0.0) + left)
+        rivals = tuple(
+            replace(rival, probability=share * rival.probability) for rival in self.rivals
+        )
+        return Standing(share * self.probability, rivals)
 
 
 @dataclass(frozen=True)
@@ -137,7 +148,7 @@ def from_contests(
         contests: the rounds.
     """
     places = {_place_of(rival) for rival in best.placed}
-    standings = {}
+    left, standings = _power(best.error) - _power(noise_level(best.runs)), {}
     for placed in effects:
         place = _place_of(placed)
         contest = next((one for one in contests if place in _places(one.chosen)), None)
@@ -151,7 +162,8 @@ def from_contests(
                 further = len(trial.placed) - len(chosen.placed)
                 found = odds(trial.runs, chosen.runs, further)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
-        standings[placed] = standing(plant, _one_of_each_place(against))
+        taken = _power(contest.origin.error) - _power(chosen.error)
+        standings[placed] = standing(plant, _one_of_each_place(against)).beside(taken, left)
     return standings
 
 
@@ -163,6 +175,11 @@ def _one_of_each_place(against: Mapping[Placed | None, float]) -> dict[Placed | 
         if place not in best or value > against[best[place]]:
             best[place] = rival
     return {rival: against[rival] for rival in best.values()}
+
+
+def _power(error: float) -> float:
+    """The power of errors from the logarithm of their root mean square."""
+    return float(np.exp(2.0 * error))
 
 
 def _places(model: Judged) -> set[tuple]:

@@ -1,7 +1,7 @@
 """A round of discovery: a search from a model, and the tests of its sets on held-out records."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, islice
@@ -336,6 +336,13 @@ class Round:
         if rivals and self.task.held_out:
             costs = self._held_out_costs([chosen, *rivals])
         return [(fit.keys, search.value(fit) + costs[fit.keys]) for fit in (chosen, *rivals)]
+
+    def taken(self, laws: Collection[Placed]) -> float:
+        """Power of the residual that laws of the chosen set take beside the others."""
+        search = self.candidate_search
+        remaining = [atom for atom in self.chosen.atoms if atom.placed not in laws]
+        power = self.base.signal_power
+        return power(search.fit(remaining).residual) - power(self.chosen.residual)
 
     def _passes_product_test(self, fit: Fit) -> bool:
         """Whether no product of signals explains most of the residual of a set and its extensions.

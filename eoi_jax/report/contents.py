@@ -226,8 +226,8 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
 
 
 _PROBABILITY = (
-    "Of each effect, against the others of the library that were tried in its place; what the "
-    "library lacks has none."
+    "Of each effect, against the others of the library in its place, and against something else "
+    "where more than noise is left."
 )
 
 # -- numbers ----------------------------------------------------------------------------------

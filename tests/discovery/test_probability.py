@@ -6,8 +6,9 @@ from scipy.stats import t as student
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.judge import Judged, odds, probability_better
-from eoi_jax.discovery.probability import Contest, from_contests, from_sets
+from eoi_jax.discovery.judge import Judged, noise_level, odds, probability_better
+from eoi_jax.discovery.probability import Contest, Standing, from_contests, from_sets
+from eoi_jax.discovery.result import Rival
 from eoi_jax.models.augmented import place
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import Validation
@@ -133,6 +134,16 @@ def test_a_wider_law_that_gave_way_in_free_runs_stays_a_rival():
     assert found.rivals[0].effect == "stribeck_friction"
 
 
+def test_an_effect_that_takes_less_than_is_left_may_be_a_part_of_something_else():
+    rival = Rival("cubic_stiffness", "", "position", 0.1)
+    found = Standing(0.9, (rival,))
+    assert found.beside(1.0, 0.0) == found
+    half = found.beside(2.0, 2.0)
+    assert half.probability == pytest.approx(0.45)
+    assert half.rivals[0].probability == pytest.approx(0.05)
+    assert found.beside(-1.0, 1.0).probability == 0.0
+
+
 def test_models_with_another_effect_of_the_answer_are_no_rivals():
     random = np.random.default_rng(2)
 
@@ -146,9 +157,13 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
     second = Contest(friction, both, (both,))
     found = from_contests(MASS, both, both.placed, [first, second])
     against = odds(bare.runs, friction.runs) + odds(cubic.runs, friction.runs)
-    assert found[FRICTION].probability == pytest.approx(1.0 / (1.0 + against))
+    powers = np.exp(2.0 * np.array([one.error for one in (bare, friction, both)]))
+    left = powers[-1] - np.exp(2.0 * noise_level(both.runs))
+    shares = [taken / (taken + left) for taken in -np.diff(powers)]
+    assert 0.5 < shares[1] < shares[0] < 0.97
+    assert found[FRICTION].probability == pytest.approx(shares[0] / (1.0 + against))
     assert [rival.effect for rival in found[FRICTION].rivals] == ["cubic_stiffness"]
-    expected = 1.0 / (1.0 + odds(friction.runs, both.runs))
+    expected = shares[1] / (1.0 + odds(friction.runs, both.runs))
     assert found[OFFSET].probability == pytest.approx(expected)
     assert found[OFFSET].rivals == ()
     assert from_contests(MASS, both, both.placed, []) == {}
