@@ -26,6 +26,9 @@ CALLS = {
     "online_estimator(plant, run)": "`result` must be a result of `identify`, got Plant",
     "export_estimator(plant, 'rig.c')": "`estimator` must be an OnlineEstimator, got Plant",
     "OnlineEstimator(3, None, None, 0.01)": "`plant` must be a Plant, got int",
+    "OnlineEstimator(plant, eoi.observers.SuperTwisting(9.0), eoi.LowPass(9.0, 3), 0.01, alarm=5.0)"
+    "": "`alarm` must be an Alarm or None, got float",
+    "Alarm([1.0], '1 s', 5.0)": "`memory` must be positive and finite, got 1 s. It is a time in",
     "rollout('pendulum', None, None, time, 0.01)": "`plant` must be a Plant, got str",
     "validate(plant, None)": "`records` must hold at least one record, got none",
     "validate(plant, run, controller=max)": "`controller` must be a Controller, got",

@@ -28,14 +28,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from eoi_jax._checks import check, check_kind, check_shape, real
+from eoi_jax._checks import check, check_kind, check_positive, check_shape, real
 from eoi_jax._types import Output, Scalar
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import Carry, Kernel, Step
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observe import ObserverPass, observe
-from eoi_jax.estimation.observers.observer import AbstractObserver
+from eoi_jax.estimation.observers.observer import AbstractObserver, gain
 from eoi_jax.estimation.preparation import TAPER, check_observer
 from eoi_jax.estimation.regression.recursive_least_squares import (
     RecursiveLeastSquares,
@@ -61,17 +62,30 @@ _SETTINGS = OnlineSettings()
 
 
 class Alarm(eqx.Module):
-    """When the injection is more than noise.
+    """When the injection is more than noise; `online_estimator` makes one.
 
-    Attributes:
+    Args:
         power: P of each output where the model holds, shape (ny,).
         memory: T [s].
         threshold: of s, above which the alarm is on.
+
+    Raises:
+        ValueError: a power, a memory or a threshold that is not positive.
     """
 
     power: Float[Array | np.ndarray, " ny"]
-    memory: float
-    threshold: float
+    memory: Any
+    threshold: Any
+
+    def __init__(self, power: Any, memory: Any, threshold: Any):
+        for name, value, advice in (
+            ("power", power, "It is the mean square of an output's injection."),
+            ("memory", memory, "It is a time in seconds."),
+            ("threshold", threshold, "Where the model holds, the power is 1 on average."),
+        ):
+            if not isinstance(value, Tracer):
+                check_positive(name, value, advice)
+        self.power, self.memory, self.threshold = gain(power), memory, threshold
 
 
 class OnlineState(eqx.Module):
@@ -135,7 +149,8 @@ class OnlineEstimator(eqx.Module):
         alarm: by default none.
 
     Raises:
-        ValueError: a plant with delays or lags, arguments that do not match it.
+        ValueError: a plant with delays or lags, arguments that do not match it, an alarm with
+            another number of outputs or a memory shorter than the sample period.
     """
 
     plant: Plant
@@ -187,7 +202,7 @@ class OnlineEstimator(eqx.Module):
         self.taper = TAPER / real(lowpass.cutoff) / h
         speed = np.where(np.asarray(plant.degrees) == 1, 1.0, np.sqrt(2.0) / h)
         self.velocity_noise = np.broadcast_to(np.asarray(noise, float), ny) * speed
-        self.alarm = alarm
+        self.alarm = _checked_alarm(alarm, ny, h)
         self.jumps = tuple(map(tuple, plant.jumps.tolist()))
 
     @property
@@ -310,6 +325,17 @@ class OnlineEstimator(eqx.Module):
         return jnp.where(count > 0.0, power + share * (latest - power), power)
 
 
+def _checked_alarm(alarm: Alarm | None, ny: int, h: float) -> Alarm | None:
+    if alarm is None:
+        return None
+    check_kind("alarm", alarm, Alarm, "an Alarm or None")
+    check_shape("alarm.power", alarm.power, (ny,), "one number an output")
+    if not isinstance(alarm.memory, Tracer):
+        rule = f"must be at least a sample period, {h:g} s"
+        check(real(alarm.memory) >= h, "alarm.memory", rule, alarm.memory)
+    return alarm
+
+
 def online_estimator(
     result: Identification,
     records: Record | Sequence[Record],
@@ -335,7 +361,7 @@ def online_estimator(
 
     Raises:
         ValueError: no estimate, records of several sample periods or none that count, a plant with
-            delays or lags, a rate or a memory that is not positive.
+            delays or lags, a rate that is not positive, a memory shorter than the sample period.
     """
     check_kind("result", result, Identification, "a result of `identify`")
     rule = "must have an estimate"

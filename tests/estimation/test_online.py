@@ -309,6 +309,34 @@ def test_wrong_estimators_are_named():
             eoi.OnlineEstimator(plant, observer, lowpass, **{"sample_period": H, **arguments})
 
 
+def test_a_wrong_alarm_is_named():
+    for arguments, message in (
+        (([0.0], 0.5, 5.0), r"`power` must be positive and finite, got \[0.0\]. It is the mean"),
+        (([1.0], -1.0, 5.0), "`memory` must be positive and finite, got -1.0. It is a time in sec"),
+        (([1.0], 0.5, np.nan), "`threshold` must be positive and finite, got nan. Where the model"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            eoi.Alarm(*arguments)
+    for alarm, message in (
+        (eoi.Alarm([1.0, 1.0], 0.5, 5.0), r"`alarm.power` must have shape \(1\): one number an"),
+        (eoi.Alarm([1.0], 0.1 * H, 5.0), "`alarm.memory` must be at least a sample period, 0.01 s"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            estimator_of("oscillator", alarm=alarm)
+
+
+def test_an_alarm_may_be_traced(identified):
+    """The power with half the noise is twice as large, at any threshold."""
+    _, record = identified
+
+    def last(power, threshold):
+        estimator, _ = estimator_of("oscillator", alarm=eoi.Alarm(power, 0.5, threshold))
+        return run(estimator, record.outputs, record.inputs).power[-1]
+
+    once, twice = jax.jit(jax.vmap(last))(jnp.array([[1e-4], [5e-5]]), jnp.array([5.0, 6.0]))
+    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-3)
+
+
 def test_a_model_with_a_delay_is_refused():
     from eoi_jax.models.augmented import augmented, place
 
