@@ -10,6 +10,7 @@ same kind.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -22,6 +23,17 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs
 
 Host = Array | np.ndarray
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Steps that do not count, beside rest and behind a start."""
+
+    certainty: float = 4.0  # standard deviations within which a velocity has no certain sign
+    settling: int = 3  # steps after which an implicit observer slides: about the relative degree
+
+
+SETTINGS = MaskSettings()
 
 
 def _namespace(array: Any) -> Any:
@@ -104,12 +116,30 @@ def over_samples(
     return values
 
 
-def moving(
+def direction_of_motion(
     degrees: Sequence[int],
-    outputs: Float[Host, "time ny"],
+    first: Float[Host, "*steps ny"],
+    second: Float[Host, "*steps ny"],
     h: Any,
     noise: Float[Host, " ny"],
-    certainty: float = 4.0,
+) -> Any:
+    """Signs of the velocities between samples and those that follow them; 0 if not certain.
+
+    Args:
+        degrees: of the outputs; of degree one they are speeds themselves.
+        first: outputs at the samples.
+        second: outputs at those that follow.
+        h: time between both [s].
+        noise: standard deviation of that of the velocities, `defaults.velocity_noise`, shape (ny,).
+    """
+    xp = _namespace(first)
+    is_speed = np.asarray(degrees) == 1
+    velocity = xp.where(is_speed, 0.5 * (second + first), (second - first) / h)
+    return xp.where(xp.abs(velocity) > SETTINGS.certainty * noise, xp.sign(velocity), 0.0)
+
+
+def moving(
+    degrees: Sequence[int], outputs: Float[Host, "time ny"], h: Any, noise: Float[Host, " ny"]
 ) -> Any:
     """Steps in which the direction of motion is certain.
 
@@ -118,16 +148,13 @@ def moving(
     begin or end inside it.
 
     Args:
-        degrees: of the outputs; of degree one they are speeds themselves.
+        degrees: as of `direction_of_motion`.
         outputs: on a uniform grid.
         h: its step [s].
-        noise: standard deviation of that of the velocities, `defaults.velocity_noise`, shape (ny,).
-        certainty: standard deviations of the noise within which a velocity has no certain sign.
+        noise: as of `direction_of_motion`.
     """
     xp = _namespace(outputs)
-    mean, rate = 0.5 * (outputs[1:] + outputs[:-1]), (outputs[1:] - outputs[:-1]) / h
-    velocity = xp.where(np.asarray(degrees) == 1, mean, rate)
-    direction = xp.sign(velocity) * (xp.abs(velocity) > certainty * noise)
+    direction = direction_of_motion(degrees, outputs[:-1], outputs[1:], h, noise)
     previous = xp.concatenate([direction[:1], direction[:-1]])
     following = xp.concatenate([direction[1:], direction[-1:]])
     return (direction != 0) & (direction == previous) & (direction == following)
@@ -139,7 +166,6 @@ def usable_steps(
     degrees: Sequence[int],
     jumps: Bool[np.ndarray, "ny ny"],
     noise: Float[np.ndarray, " ny"],
-    settling: int = 3,
     enters: Bool[np.ndarray, "ny ny"] | None = None,
 ) -> tuple[Bool[np.ndarray, "steps ny"], Bool[np.ndarray, " steps"]]:
     """Steps in which model and measurement belong together, and those at which an observer starts.
@@ -150,8 +176,6 @@ def usable_steps(
         degrees: relative degrees of the outputs.
         jumps: `Plant.jumps`: which outputs' directions each acceleration jumps with.
         noise: of the velocities, as of `moving`.
-        settling: steps, beside its moving average, after which an implicit observer that starts
-            on the measurement slides: about the relative degree.
         enters: as of `valid_steps`.
 
     Returns:
@@ -164,7 +188,7 @@ def usable_steps(
         return valid_samples(record, enters)[:-1], restart
     return moved_steps(
         valid_steps(record, enters), record.outputs, record.sample_period,
-        taps, degrees, jumps, noise, settling, constant(record),
+        taps, degrees, jumps, noise, constant(record),
     )  # fmt: skip
 
 
@@ -176,7 +200,6 @@ def moved_steps(
     degrees: Sequence[int],
     jumps: Bool[np.ndarray, "ny ny"],
     noise: Float[Host, " ny"],
-    settling: int = 3,
     resting: Bool[np.ndarray, " ny"] | None = None,
 ) -> tuple[Any, Any]:
     """`usable_steps` from arrays, where some output has an observer.
@@ -189,7 +212,6 @@ def moved_steps(
         degrees: of the outputs.
         jumps: of the plant.
         noise: of the velocities.
-        settling: in steps.
         resting: outputs that never move; None: all do.
     """
     xp = _namespace(outputs)
@@ -202,7 +224,7 @@ def moved_steps(
     if resting is not None:
         good = good & (~resting | (np.asarray(degrees) == 0))
     use = consecutive(good, taps)  # every step of the moving average must be good
-    return use & beyond_starts(restart, taps + settling)[:, None], restart
+    return use & beyond_starts(restart, taps + SETTINGS.settling)[:, None], restart
 
 
 def consecutive(good: Bool[Host, "steps ny"], count: int) -> Any:

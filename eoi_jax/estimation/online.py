@@ -31,6 +31,8 @@ from jaxtyping import Array, Float
 from eoi_jax._checks import check, check_kind, check_positive, check_shape, real
 from eoi_jax._types import Output, Scalar
 from eoi_jax.compiler.jax_private import Tracer
+from eoi_jax.data.masks import SETTINGS as MASK_SETTINGS
+from eoi_jax.data.masks import direction_of_motion
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import Carry, Kernel, Step
@@ -49,10 +51,8 @@ from eoi_jax.simulation.residual_correlation import lagged_products
 
 @dataclass(frozen=True)
 class OnlineSettings:
-    """Which steps count, as in `data/masks.py`, and how the threshold of an alarm is found."""
+    """How long steps are counted, and how the threshold of an alarm is found."""
 
-    settling: int = 3  # steps after a start
-    certainty: float = 4.0  # standard deviations within which a velocity has no certain sign
     ages: float = 1e9  # steps, beyond which they are no longer counted
     time_constants: float = 20.0  # of F, over which the injection's noise is correlated
     deviations: tuple[float, float] = (1.5, 12.0)  # u of a threshold
@@ -244,7 +244,7 @@ class OnlineEstimator(eqx.Module):
         direction, moving = self._motion(state, y)
         usable, since, use = jnp.ones(y.shape, bool), state.scored, jnp.ones(y.shape)
         if any(self.plant.degrees):
-            usable = (moving >= self._taps) & (number >= self._taps + _SETTINGS.settling)
+            usable = (moving >= self._taps) & (number >= self._taps + MASK_SETTINGS.settling)
             since = jnp.where(usable, jnp.minimum(state.scored + 1.0, _SETTINGS.ages), 0.0)
             length = jnp.maximum(self.taper, 1.0)
             use = 0.5 - 0.5 * jnp.cos(jnp.pi * jnp.minimum(since, length) / length)
@@ -302,11 +302,8 @@ class OnlineEstimator(eqx.Module):
         jumps = np.asarray(self.jumps)
         if not np.any(jumps):
             return state.direction, jnp.full(y.shape, _SETTINGS.ages)
-        difference = (y - state.y) / self.sample_period
-        first_order = np.asarray(self.plant.degrees) == 1
-        velocity = jnp.where(first_order, 0.5 * (y + state.y), difference)
-        certain = jnp.abs(velocity) > _SETTINGS.certainty * self.velocity_noise
-        direction = jnp.where(certain, jnp.sign(velocity), 0.0)
+        spread = jnp.asarray(self.velocity_noise)
+        direction = direction_of_motion(self.plant.degrees, state.y, y, self.sample_period, spread)
         previous = jnp.where(state.samples == 1.0, direction, state.direction)
         resting = (direction == 0.0) | (direction != previous)
         stopped = jnp.stack([jnp.any(jnp.where(row, resting, False)) for row in jumps])

@@ -6,7 +6,9 @@ import pytest
 from eoi_jax.data.masks import (
     beyond_starts,
     consecutive,
+    direction_of_motion,
     longest_run,
+    moving,
     scored_samples,
     transient_samples,
     valid_steps,
@@ -51,3 +53,13 @@ def test_consecutive_asks_for_the_steps_before():
 def test_steps_beyond_each_start():
     starts = np.array([1, 0, 0, 0, 1, 0, 0], bool)
     np.testing.assert_array_equal(beyond_starts(starts, 2), np.array([0, 0, 1, 1, 0, 0, 1], bool))
+
+
+def test_motion_is_certain_beyond_its_noise_and_away_from_reversals():
+    """A position of noise 0.1, and a speed of noise 0.5."""
+    y = np.array([[0.0, 9.0], [1.0, 9.0], [2.0, 9.0], [2.01, 1.0], [1.0, 1.0], [0.0, 1.0]])
+    noise = np.array([0.1 * np.sqrt(2.0) / H, 0.5])
+    direction = direction_of_motion((2, 1), y[:-1], y[1:], H, noise)
+    np.testing.assert_array_equal(direction.T, [[1, 1, 0, -1, -1], [1, 1, 1, 0, 0]])
+    want = [[True, False, False, False, True], [True, True, False, False, False]]
+    np.testing.assert_array_equal(moving((2, 1), y, H, noise).T, want)
