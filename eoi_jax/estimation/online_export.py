@@ -4,7 +4,6 @@ The step is that of `OnlineEstimator`, traced as models are: there is no second 
 no result depends on, such as the sums of a whole pass, is left out.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version as version_of
@@ -21,12 +20,12 @@ from eoi_jax.compiler.trace import translate
 from eoi_jax.estimation.online import OnlineEstimator
 from eoi_jax.models.equations.expression import Symbol
 from eoi_jax.models.equations.from_plant import shared_formulas, unused_names
-from eoi_jax.models.export.c import c_listing, helper_functions
+from eoi_jax.models.export.c import DOUBLE, SINGLE, c_listing, helper_functions
 from eoi_jax.models.export.files import write_content
 from eoi_jax.models.export.names import comment, identifier
 from eoi_jax.models.export.program import Program, Variable
 
-PRECISIONS = ("double", "single")
+PRECISIONS = {"double": DOUBLE, "single": SINGLE}
 
 _TEXT = """\
 /*
@@ -43,40 +42,35 @@ _TEXT = """\
 #include <math.h>
 
 typedef struct {{
-    double memory[{size}];
+    {real} memory[{size}];
 }} {name}_state;
 
 typedef struct {{
-    double parameters[{np}];
-    double injection[{ny}]; /* the model's error, filtered */
-    double power;        /* of the injection over that of its noise; 0 without an alarm */
+    {real} parameters[{np}];
+    {real} injection[{ny}]; /* the model's error, filtered */
+    {real} power;        /* of the injection over that of its noise; 0 without an alarm */
     int alarm;           /* 1: the model holds no longer */
 }} {name}_estimate;
 
 {helpers}void {name}_init({name}_state *state);
-void {name}_step({name}_state *state, const double *outputs, const double *inputs,
+void {name}_step({name}_state *state, const {real} *outputs, const {real} *inputs,
     {name}_estimate *estimate);
 
 void {name}_init({name}_state *state)
 {{
-    static const double start[{size}] = {{
+    static const {real} start[{size}] = {{
 {start}
     }};
     int k;
     for (k = 0; k < {size}; k++) state->memory[k] = start[k];
 }}
 
-void {name}_step({name}_state *state, const double *outputs, const double *inputs,
+void {name}_step({name}_state *state, const {real} *outputs, const {real} *inputs,
     {name}_estimate *estimate)
 {{
 {body}
 }}
 """
-_NUMBER = re.compile(r"(?<![\w.])((?:\d+\.\d*|\.\d+)(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)")
-_CALL = re.compile(
-    r"\b(pow|fabs|fmax|fmin|fmod|rint|sqrt|exp|log|log10|log1p|expm1|sin|cos|tan|asin|acos|atan"
-    r"|atan2|sinh|cosh|tanh|floor|ceil|hypot|erf|cbrt)\("
-)
 
 
 def export_estimator(
@@ -121,7 +115,8 @@ def estimator_text(estimator: OnlineEstimator, name: str, precision: str = "doub
         precision: one of `PRECISIONS`.
     """
     plant, traced = estimator.plant, _traced(estimator, precision == "double")
-    listing, ny = c_listing(traced.model), len(estimator.plant.outputs)
+    real, ny = PRECISIONS[precision], len(estimator.plant.outputs)
+    listing = c_listing(traced.model, real)
 
     def element(vector: str, k: int) -> str:
         if vector == "states":
@@ -137,13 +132,14 @@ def estimator_text(estimator: OnlineEstimator, name: str, precision: str = "doub
         *listing.definitions(),
         *(f"{target} = {listing.code(tree)};" for target, tree in assigned),
     ]
-    values = [f"{value!r}," for value in traced.start]
+    values = [f"{real.number(value)}," for value in traced.start]
     parameters = enumerate(zip(plant.names, estimator.theta, strict=True))
-    text = _TEXT.format(
+    return _TEXT.format(
         model=comment(plant.name),
         with_alarm=", alarm" if estimator.alarm is not None else "",
         version=version_of("eoi_jax"),
         precision=precision,
+        real=real.name,
         name=name,
         period=estimator.sample_period,
         outputs=comment(", ".join(plant.outputs)),
@@ -157,10 +153,9 @@ def estimator_text(estimator: OnlineEstimator, name: str, precision: str = "doub
         ),
         size=len(values),
         start="\n".join(f"        {' '.join(values[k : k + 4])}" for k in range(0, len(values), 4)),
-        helpers=helper_functions(listing.called),
+        helpers=helper_functions(listing.called, real),
         body="\n".join(f"    {line}" for line in body),
     )
-    return _in_single(text) if precision == "single" else text
 
 
 @dataclass(frozen=True)
@@ -259,10 +254,3 @@ def _needed(wanted: Sequence[Node], following: Mapping[Symbol, Node]) -> list[Sy
         needed.update(added)
         pending = [following[symbol] for symbol in added]
     return [symbol for symbol in following if symbol in needed]
-
-
-def _in_single(text: str) -> str:
-    """The same in single precision: types, numbers and functions."""
-    head, mark, code = text.partition("#include <math.h>")
-    code = _CALL.sub(r"\1f(", _NUMBER.sub(r"\1f", code.replace("double", "float")))
-    return head + mark + code

@@ -140,6 +140,7 @@ class Exported:
             pytest.skip("no C compiler here (gcc or cc)")
         source = eoi.export_estimator(estimator, folder / "rig.c", precision)
         flags = ["-std=c99", "-Wall", "-Wextra", "-Wno-unused-variable", "-Werror", "-O1"]
+        flags += ["-Wdouble-promotion"] * (precision == "single")
         library = folder / "rig.so"
         command = [compiler, *flags, "-shared", "-fPIC", source, "-o", library, "-lm"]
         subprocess.run([str(part) for part in command], check=True)

@@ -1,32 +1,75 @@
 """A model as C functions (C99, `math.h` and nothing else): its right-hand side, and its step."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
-from eoi_jax.models.equations.printer import ATOM, LOGIC, Infix, code_notation
+from eoi_jax.models.equations.printer import ATOM, LOGIC, Infix, Notation, code_notation
 from eoi_jax.models.export.listing import Listing
 from eoi_jax.models.export.names import comment
 from eoi_jax.models.export.program import Program
 
-_C = code_notation(
-    power=Infix("pow({}, {})".format, LOGIC, LOGIC, ATOM),
-    comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
-    logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "!({0})"},
-    functions={
-        "abs": "fabs({0})",
-        "max": "fmax({0}, {1})",
-        "min": "fmin({0}, {1})",
-        "clip": "fmin(fmax({0}, {1}), {2})",
-        "rem": "fmod({0}, {1})",
-        "round": "rint({0})",
-        "where": "({0} ? {1} : {2})",
-        "plain_root": "sqrt({0})",
-        "sqrt": "guarded_root({0})",
-        "sign": "sign_of({0})",
-    },
-)
+
+@dataclass(frozen=True)
+class FloatingType:
+    """A floating type of C, with the ending of its literals and of its functions in `math.h`.
+
+    Attributes:
+        name: of the type.
+        ending: of ``1.0``, ``sqrt``, …
+    """
+
+    name: str
+    ending: str
+
+    def number(self, value: float) -> str:
+        """A literal.
+
+        Args:
+            value: finite.
+        """
+        return repr(value) + self.ending
+
+    def function(self, name: str) -> str:
+        """What a function of `math.h` is called.
+
+        Args:
+            name: of that for double.
+        """
+        return name + self.ending
+
+    @property
+    def notation(self) -> Notation:
+        """How formulas are written."""
+        templates = {key: form.replace("~", self.ending) for key, form in _FUNCTIONS.items()}
+        shared = code_notation(
+            power=Infix(f"{self.function('pow')}({{}}, {{}})".format, LOGIC, LOGIC, ATOM),
+            comparisons={"≤": "<=", "≥": ">=", "=": "==", "≠": "!="},
+            logic={"and": "({0} && {1})", "or": "({0} || {1})", "not": "!({0})"},
+            functions=templates,
+        )
+        return replace(shared, number=self.number, head=self.function)
+
+
+DOUBLE, SINGLE = FloatingType("double", ""), FloatingType("float", "f")
+
+# ~ is the ending of the type.
+_FUNCTIONS = {
+    "abs": "fabs~({0})",
+    "max": "fmax~({0}, {1})",
+    "min": "fmin~({0}, {1})",
+    "clip": "fmin~(fmax~({0}, {1}), {2})",
+    "rem": "fmod~({0}, {1})",
+    "round": "rint~({0})",
+    "where": "({0} ? {1} : {2})",
+    "plain_root": "sqrt~({0})",
+    "sqrt": "guarded_root({0})",
+    "sign": "sign_of({0})",
+}
+# {0} is the type, {1} its ending.
 _HELPERS = {
-    "sign": "static double sign_of(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x; }",
-    "sqrt": "static double guarded_root(double x) { return x > 0.0 ? sqrt(x) : 0.0; }",
+    "sign": "static {0} sign_of({0} x) "
+    "{{ return x > 0.0{1} ? 1.0{1} : x < 0.0{1} ? -1.0{1} : x; }}",
+    "sqrt": "static {0} guarded_root({0} x) {{ return x > 0.0{1} ? sqrt{1}(x) : 0.0{1}; }}",
 }
 
 
@@ -98,22 +141,26 @@ def c_text(
     return f"/*\n{top}\n */\n#include <math.h>\n\n{helper_functions(called)}" + "\n".join(functions)
 
 
-def helper_functions(called: Collection[str]) -> str:
+def helper_functions(called: Collection[str], real: FloatingType = DOUBLE) -> str:
     """Functions of ours that formulas call.
 
     Args:
         called: names of all functions that they call.
+        real: type of their arguments.
     """
-    return "".join(f"{text}\n\n" for key, text in _HELPERS.items() if key in called)
+    forms = (form for key, form in _HELPERS.items() if key in called)
+    return "".join(f"{form.format(real.name, real.ending)}\n\n" for form in forms)
 
 
-def c_listing(model: Program) -> Listing:
+def c_listing(model: Program, real: FloatingType = DOUBLE) -> Listing:
     """A model in C.
 
     Args:
         model: what to write.
+        real: type of its variables.
     """
-    return Listing(model, _C, "const double {} = {};", " /* {} */", "const int {} = {};")
+    line = f"const {real.name} {{}} = {{}};"
+    return Listing(model, real.notation, line, " /* {} */", "const int {} = {};")
 
 
 def _step(listing: Listing, name: str, count: int) -> str:

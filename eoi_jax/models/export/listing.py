@@ -79,7 +79,7 @@ class Listing:
     def parameters(self) -> list[str]:
         """Values of those that are used."""
         return [
-            self.assigned.format(self.names[variable.symbol], repr(value))
+            self.assigned.format(self.names[variable.symbol], self.notation.number(value))
             + (self.remark.format(comment(remark)) if remark else "")
             for variable, value in self.model.parameters
             if variable.symbol in self.used
