@@ -15,7 +15,7 @@ Andrews, Econometrica 61 (1993) 821), times the number of parameters.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -98,7 +98,7 @@ def find_drifts(
     if found is None:
         return ()
     split, earlier, after = found
-    noise = _residual_variance(rows, used, split, settings)
+    noise = _residual_variance(rows, used, split, earlier + after, settings)
     if noise is None:
         return ()
     place, theta = records[rows.record[split]], np.asarray(plant.theta)[used]
@@ -134,18 +134,11 @@ def _most_likely_split(
     zeta, phi = rows.zeta[..., used], rows.regressors[..., used]
     bounds = [0, *places.tolist(), len(rows.error)]
     pieces = [slice(*ends) for ends in pairwise(bounds)]
-    totals = [
-        np.cumsum([np.einsum(form, zeta[piece], other[piece]) for piece in pieces], axis=0)
-        for form, other in (
-            ("sja,sjb->ab", phi),
-            ("sja,sjb->ab", zeta),
-            ("sja,sj->a", rows.error),
-        )
-    ]
+    sums = [normal_equations(rows.error[piece], phi[piece], zeta[piece]) for piece in pieces]
+    totals = list(accumulate(sums))
     best, largest = None, 0.0
-    for k, place in enumerate(places):
-        earlier = NormalEquations(*(total[k] for total in totals))
-        after = NormalEquations(*(total[-1] - total[k] for total in totals))
+    for place, earlier in zip(places, totals[:-1], strict=True):
+        after = totals[-1] - earlier
         if earlier.determined() and after.determined():
             change = after.estimate - earlier.estimate
             wald = change @ np.linalg.solve(earlier.covariance + after.covariance, change)
@@ -155,7 +148,11 @@ def _most_likely_split(
 
 
 def _residual_variance(
-    rows: SampleRows, used: Int[np.ndarray, " k"], split: int, settings: DriftSettings
+    rows: SampleRows,
+    used: Int[np.ndarray, " k"],
+    split: int,
+    sums: NormalEquations,
+    settings: DriftSettings,
 ) -> tuple[Float[np.ndarray, " k"], float] | None:
     """σ² for each parameter, and its degrees of freedom; None where the samples are too few."""
     zeta, phi = rows.zeta[..., used], rows.regressors[..., used]
@@ -171,7 +168,6 @@ def _residual_variance(
             continue
         count = max(cosine_count(independent), settings.min_cosines)
         waves = np.sqrt(2.0) * cosine_sums(joined.T, taken + count)[:, taken:]
-        sums = normal_equations(rows.error, phi, zeta)
         inverse = np.linalg.inv(sums.cross)
         covariance = inverse @ (waves @ waves.T / waves.shape[1]) @ inverse.T
         return np.diagonal(covariance) / np.diagonal(sums.covariance), float(waves.shape[1])

@@ -82,6 +82,16 @@ class NormalEquations:
     information: Float[np.ndarray, "k k"]
     rhs: Float[np.ndarray, " k"]
 
+    def __add__(self, part: "NormalEquations") -> "NormalEquations":
+        """Those of both together."""
+        matrices = self.cross + part.cross, self.information + part.information
+        return NormalEquations(*matrices, self.rhs + part.rhs)
+
+    def __sub__(self, part: "NormalEquations") -> "NormalEquations":
+        """Those of the samples without a part of them."""
+        matrices = self.cross - part.cross, self.information - part.information
+        return NormalEquations(*matrices, self.rhs - part.rhs)
+
     def determined(self, max_condition: float = 1e10) -> bool:
         """Whether A can be inverted.
 
