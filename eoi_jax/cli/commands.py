@@ -14,23 +14,28 @@ import typer
 
 from eoi_jax import cli
 from eoi_jax.cli.options import (
-    LANGUAGES,
     RUNS,
     AsJson,
     Data,
     DataFile,
     DataFiles,
+    Estimator,
+    EstimatorData,
+    ExportFile,
+    Joints,
+    Language,
     MaxGigabytes,
     Output,
+    ParametersOnly,
+    Precision,
     Quiet,
+    Robot,
     Run,
     RunFolder,
     RunsAndFiles,
     Source,
     Trust,
     complete_config,
-    complete_language,
-    complete_robot,
 )
 from eoi_jax.cli.terminal import (
     Commands,
@@ -330,55 +335,27 @@ def report(
 )
 def export(
     run: Run,
-    language: Annotated[
-        str | None,
-        typer.Option(
-            help=f"{', '.join(LANGUAGES[:-1])} or {LANGUAGES[-1]}; default: by suffix of the file.",
-            show_default=False,
-            autocompletion=complete_language,
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write; default: model.* or parameters.json in the folder of the run.",
-            show_default=False,
-        ),
-    ] = None,
-    parameters: Annotated[
-        bool, typer.Option("--parameters", help="Parameters only, as numbers: .json or .csv.")
-    ] = False,
-    estimator: Annotated[
-        bool, typer.Option("--estimator", help="The estimator for a loop in real time, as C.")
-    ] = False,
-    precision: Annotated[str, typer.Option(help="Of the estimator: double or single.")] = "double",
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            help="URDF or MJCF file, of which a copy gets the values of --joint.",
-            autocompletion=complete_robot,
-            show_default=False,
-        ),
-    ] = None,
-    joint: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="joint:attribute=formula,… of parameters; may be repeated.", show_default=False
-        ),
-    ] = None,
-    data: Data = None,
+    language: Language = None,
+    parameters: ParametersOnly = False,
+    estimator: Estimator = False,
+    robot: Robot = None,
+    precision: Precision = None,
+    data: EstimatorData = None,
+    joint: Joints = None,
+    output: ExportFile = None,
     trust: Trust = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export the model of a run, with the effects that were added, or its parameters."""
+    """Export the model of a run, its parameters, or its estimator, for other tools."""
     with failures(as_json):
         contents = {"--language": language, "--parameters": parameters, "--robot": robot}
         cli.exports.check_single({**contents, "--estimator": estimator})
+        cli.exports.check_precision(precision, estimator)
         if robot is not None or joint:
             outcome = cli.exports.robot(run, robot, joint or [], output, trust)
         elif estimator:
-            outcome = cli.exports.estimator(run, output, precision, data, trust)
+            outcome = cli.exports.estimator(run, output, precision or "double", data, trust)
         elif parameters:
             outcome = cli.exports.parameters(run, output, trust)
         else:

@@ -68,6 +68,20 @@ def check_single(options: Mapping[str, object]) -> None:
     )
 
 
+def check_precision(precision: str | None, estimator: bool) -> None:
+    """Check that only an estimator is asked for in a precision.
+
+    Args:
+        precision: as given.
+        estimator: whether an estimator is asked for.
+
+    Raises:
+        ValueError: another content, which is in double precision.
+    """
+    rule, advice = "must be given with --estimator", "All other files are in double precision."
+    check(precision is None or estimator, "--precision", rule, precision, advice)
+
+
 def estimator(
     run: Path, target: Path | None, precision: str, data: Path | None, trust: bool = False
 ) -> Outcome:

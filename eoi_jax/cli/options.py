@@ -145,3 +145,72 @@ MaxGigabytes = Annotated[
         show_default=False,
     ),
 ]
+
+# Options of `eoi export`, in the panels of its help.
+_CONTENT, _OF_ESTIMATOR = "Content: one of these", "With --estimator"
+Language = Annotated[
+    str | None,
+    typer.Option(
+        help=f"The model: {', '.join(LANGUAGES)}; default: by suffix.",
+        show_default=False,
+        autocompletion=complete_language,
+        rich_help_panel=_CONTENT,
+    ),
+]
+ParametersOnly = Annotated[
+    bool,
+    typer.Option(
+        "--parameters",
+        help="Parameters only, as numbers: .json or .csv.",
+        rich_help_panel=_CONTENT,
+    ),
+]
+Estimator = Annotated[
+    bool,
+    typer.Option(
+        "--estimator",
+        help="The estimator for a loop in real time, as C.",
+        rich_help_panel=_CONTENT,
+    ),
+]
+Robot = Annotated[
+    Path | None,
+    typer.Option(
+        help="URDF or MJCF file: a copy with values in its joints.",
+        autocompletion=complete_robot,
+        show_default=False,
+        rich_help_panel=_CONTENT,
+    ),
+]
+Precision = Annotated[
+    str | None,
+    typer.Option(
+        help="double or single; default: double.",
+        show_default=False,
+        rich_help_panel=_OF_ESTIMATOR,
+    ),
+]
+EstimatorData = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the data; default: as in the config.",
+        autocompletion=complete_folder,
+        show_default=False,
+        rich_help_panel=_OF_ESTIMATOR,
+    ),
+]
+Joints = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="joint:attribute=formula,…; may be repeated.",
+        show_default=False,
+        rich_help_panel="With --robot",
+    ),
+]
+ExportFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="File to write; default: in the folder of the run.",
+        show_default=False,
+    ),
+]

@@ -107,6 +107,18 @@ def test_every_command_has_help_with_examples_and_takes_json_and_quiet(name: str
     assert all(line.strip().startswith("eoi ") for line in examples), "one wraps at 80 columns"
 
 
+def test_what_is_exported_stands_apart_from_the_other_options():
+    done = CliRunner().invoke(app, ["export", "--help"], env={"COLUMNS": "80", "NO_COLOR": "1"})
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    panels = dict(re.findall(r"╭─ ([^─]*) ─+╮\n(.*?)╰", done.stdout, re.DOTALL))
+    options = {name: set(re.findall(r"│ (--[a-z]+)", text)) for name, text in panels.items()}
+    assert options["Content: one of these"] == {
+        *("--language", "--parameters", "--estimator", "--robot"),
+    }
+    assert options["With --estimator"] == {"--precision", "--data"}
+    assert options["With --robot"] == {"--joint"}
+
+
 def completed(tmp_path: Path, words: str) -> set[str]:
     """What the tab key offers behind these words, as bash asks for it."""
     position = str(len(words.split(" ")) - 1)

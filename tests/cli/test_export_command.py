@@ -414,6 +414,9 @@ def test_an_estimator_stands_alone_and_has_a_precision(run):
     done = called("export", run, "--estimator", "--parameters")
     assert done.exit_code == 2
     assert "must stand alone" in done.stderr
+    done = called("export", run, "--language", "c", "--precision", "single")
+    assert done.exit_code == 2
+    assert "`--precision` must be given with --estimator, got single. All other" in done.stderr
     done = called("export", run, "--estimator", "--precision", "half")
     assert done.exit_code == 2
     assert "`precision` must be" in done.stderr
