@@ -62,11 +62,13 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     order, values = _rough_fit(record, output)
     _check_columns(inspections, [*inputs, outputs[0]])
     name = _plain_name(inspection.path.name.split(".")[0]) or "run"
+    symbols = _symbols(output.name, inputs)
     blocks = [
         _head(inspection, name, target),
-        _model_lines(inspection, inputs, output, order, values),
+        _model_lines(inspection, inputs, output, symbols, order, values),
         _data_lines(inspections, inputs, output, outputs[1:], target),
         _option_lines(),
+        *(_controller_lines(reference, symbols) for reference in inspection.references[:1]),
     ]
     return "\n".join(blocks)
 
@@ -187,18 +189,38 @@ def _head(inspection: Inspection, name: str, target: Path) -> str:
     return "\n".join(lines)
 
 
+@dataclass(frozen=True)
+class _Symbols:
+    """What equations call the signals.
+
+    Attributes:
+        output, rate, inputs: of the record.
+        used: all names that have a meaning.
+    """
+
+    output: str
+    rate: str
+    inputs: list[str]
+    used: set[str]
+
+
+def _symbols(output: str, inputs: Sequence[str]) -> _Symbols:
+    used: set[str] = {"t", "pi"}
+    y = _symbol(output, "y", used)
+    rate = _symbol(f"{y}_rate", "rate", used)
+    return _Symbols(y, rate, [_symbol(name, "u", used) for name in inputs], used)
+
+
 def _model_lines(
     inspection: Inspection,
     inputs: Sequence[str],
     output: Channel,
+    symbols: _Symbols,
     order: int,
     values: Float[np.ndarray, " terms"],
 ) -> str:
     """[model]: the equation of the highest derivative as text, with nominal values."""
-    used: set[str] = {"t", "pi"}
-    y = _symbol(output.name, "y", used)
-    rate = _symbol(f"{y}_rate", "rate", used)
-    drive = [_symbol(name, "u", used) for name in inputs]
+    y, rate, drive, used = symbols.output, symbols.rate, symbols.inputs, set(symbols.used)
     names = [_symbol(name, name, used) for name in ("stiffness", "damping")]
     gains = [
         _symbol("gain" if len(drive) == 1 else f"gain_{symbol}", "gain", used) for symbol in drive
@@ -303,6 +325,22 @@ def _option_lines() -> str:
             "",
         ]
     )
+
+
+def _controller_lines(reference: str, symbols: _Symbols) -> str:
+    """[controller], commented out: a file does not say what its law is."""
+    lines = [
+        f"{_text(reference)} looks like the reference of a controller. With its law, free runs",
+        "of `eoi identify` and `eoi refine` have it in the loop, as an unstable plant needs:",
+        "[controller]",
+        'kind = "pid"',
+        "proportional = 1.0             # insert the gains of the rig; they are not in the file",
+        "integral = 0.0",
+        "derivative = 0.0",
+        f"reference = {_text(reference)}",
+        f"inputs = {_text(symbols.inputs[0])}  # the input that it drives",
+    ]
+    return "\n".join([*(f"# {_one_line(line)}" for line in lines), ""])
 
 
 def _path_in(path: Path, target: Path) -> str:

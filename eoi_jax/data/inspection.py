@@ -141,6 +141,12 @@ class Inspection(Result):
         """Names of the columns that look like outputs."""
         return tuple(channel.name for channel in self.channels if channel.role == "output")
 
+    @property
+    def references(self) -> tuple[str, ...]:
+        """Names of the columns that look like references of a controller, beside an input."""
+        unused = [channel.name for channel in self.channels if channel.role == "other"]
+        return tuple(name for name in unused if self.inputs and _is_reference(name))
+
     def summary(self) -> dict[str, Any]:
         """The inspection as JSON values; numbers that are not finite become None."""
         return _plain(
@@ -435,16 +441,16 @@ def _is_held_input(channel: Channel) -> bool:
 def _separate_references(roles: dict[str, tuple[str, str]]) -> None:
     """Take references out of the inputs where another input follows them; keep one output."""
     inputs = [key for key, (role, _) in roles.items() if role == "input"]
-    references = [
-        key
-        for key in inputs
-        if any(word in _REFERENCES or word.endswith(_ENDINGS) for word in _words(key))
-    ]
+    references = [key for key in inputs if _is_reference(key)]
     if len(references) < len(inputs):
         roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
         inputs = [key for key in inputs if key not in references]
     if len(inputs) > 1 and not any(role == "output" for role, _ in roles.values()):
         roles[max(inputs)] = ("output", "there must be one, and it comes last by its name")
+
+
+def _is_reference(name: str) -> bool:
+    return any(word in _REFERENCES or word.endswith(_ENDINGS) for word in _words(name))
 
 
 def _words(name: str) -> list[str]:

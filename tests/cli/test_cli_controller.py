@@ -306,3 +306,39 @@ def test_a_pid_controller_names_its_input_where_the_plant_has_several(tmp_path: 
                      ("+ c*current", "+ c*(current + push)"))  # fmt: skip
     with pytest.raises(ValueError, match=r"`controller\.inputs` must name .* current, push"):
         built(config)
+
+
+# -- a drafted config -----------------------------------------------------------------------------
+
+
+def drafted(folder: Path, reference: str, proportional: float = 4.0) -> Path:
+    """A config drafted from the log of a motor under proportional control."""
+    h, samples, state, rows = 0.01, 400, np.zeros(2), []
+    levels = np.random.default_rng(1).uniform(-1.0, 1.0, samples // 50)
+    step = np.linalg.inv(np.eye(2) - h * np.array([[0.0, 1.0], [0.0, -2.0]]))
+    for k, wanted in enumerate(levels.repeat(50)):
+        drive = proportional * (wanted - state[0])
+        rows.append(f"{h * k:.2f},{wanted:.4f},{drive:.5f},{state[0]:.6f}")
+        state = step @ (state + h * np.array([0.0, 15.0 * drive]))
+    lines = [f"time [s],{reference},voltage [V],angle [rad]", *rows]
+    (folder / "loop.csv").write_text("\n".join(lines))
+    path = folder / "loop.toml"
+    done = CliRunner().invoke(app, ["init", str(folder / "loop.csv"), "--output", str(path)])
+    assert done.exit_code == 0, done.output
+    return path
+
+
+def test_a_draft_has_a_controller_for_a_column_that_looks_like_a_reference(tmp_path: Path):
+    path = drafted(tmp_path, "angle setpoint [rad]")
+    assert configs.load(path).controller is None
+    head, mark, table = path.read_text().partition("# [controller]\n")
+    assert '"angle setpoint [rad]" looks like the reference of a controller' in head
+    table = (mark + table).replace("# ", "", 1).replace("\n# ", "\n").replace("= 1.0", "= 4.0")
+    path.write_text(head + table)
+    job = run_folder.job(configs.load(path), tmp_path, None)
+    assert job.loop is not None  # it reproduces the recorded voltage
+    assert job.loop.controller.reference == ("angle setpoint [rad]",)
+
+
+def test_a_draft_has_no_controller_without_such_a_column(tmp_path: Path):
+    assert "[controller]" not in drafted(tmp_path, "second angle [rad]").read_text()

@@ -163,6 +163,19 @@ def test_inputs_and_outputs_are_guessed_and_the_guess_has_a_reason(
     assert all(channel(found, name).why for name in (*inputs, *outputs))
 
 
+@pytest.mark.parametrize(
+    ("columns", "references"),
+    [
+        ({"reference": U, "pwm": U + 0.1 * Y, "angle": Y}, ("reference",)),
+        ({"pwm": U + 0.1 * Y, "Tsoll": U, "angle": Y}, ("Tsoll",)),
+        ({"setpoint": U, "angle": Y}, ()),  # the only input
+        ({"u": U, "y": Y}, ()),
+    ],
+)
+def test_a_reference_stands_beside_an_input(tmp_path, columns, references):
+    assert inspect(written(tmp_path / "run.csv", t=T, **columns)).references == references
+
+
 def test_what_is_no_signal_is_told_apart(tmp_path):
     words = np.where(np.arange(N) % 2, "on", "off")
     gappy = np.where(np.arange(N) % 10 == 3, np.nan, Y)
