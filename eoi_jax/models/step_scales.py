@@ -259,8 +259,9 @@ def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolera
         _evaluated(plant, _moved(theta, i, float(theta[i]) / factor)) for factor in (1.0, 2.0, 3.0)
     )
     finite = np.isfinite(first) & np.isfinite(second) & np.isfinite(third)
-    bend = np.abs(first - 2.0 * second + third)[finite]
-    size = (np.abs(first) + np.abs(second) + np.abs(third))[finite]
+    first, second, third = first[finite], second[finite], third[finite]
+    bend = np.abs(first - 2.0 * second + third)
+    size = np.abs(first) + np.abs(second) + np.abs(third)
     return bool(np.any(finite) and np.all(bend <= tolerance * size))
 
 

@@ -73,6 +73,12 @@ def test_a_divisor_moves_by_its_reciprocal_and_others_that_keep_their_sign_by_th
     assert step_scales(negative).scales[2] == LOGARITHMIC
 
 
+def test_what_overflows_beside_a_parameter_says_nothing_about_it():
+    """Warnings are errors here: exp(y/w) is infinite at some of the points."""
+    diode = body("(u - y - k*exp(y/w))/C", bounds={"w": (0.0, None)}, k=1e-8, w=0.05, C=2.0)
+    assert step_scales(diode).scales == (LINEAR, LOGARITHMIC, SIGNED_RECIPROCAL)
+
+
 def test_a_step_of_a_reciprocal_is_exact_where_f_is_affine_in_it():
     """f = 1/θ, from 2 to 8: Gauss-Newton's step is (1/8 - 1/2)/(-1/4) = 1.5."""
     for start, target in ((2.0, 8.0), (8.0, 2.0), (-2.0, -3.0)):
