@@ -15,9 +15,10 @@ from eoi_jax._checks import check
 from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
-from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
+from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings, stem
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
+from eoi_jax.models.export.names import TEXT_WORDS, identifier
 from eoi_jax.models.kinds import kind_of
 
 
@@ -27,7 +28,9 @@ class DraftSettings:
 
     held_out: float = 0.3  # share of the samples, at the end
     bandwidths: float = 4.0  # of the output, within which the first guess is fitted
-    first_order_share: float = 0.95  # of ẏ, that a first-order model must explain to be chosen
+    # A first-order model is chosen that explains so much of ẏ, or more of it than one of second
+    # order explains of ÿ.
+    first_order_share: float = 0.95
     # What is stored or dragged along, and has no inertia of its own.
     first_order_kinds: tuple[str, ...] = (
         "temperature", "level", "pressure", "concentration", "flow", "speed"
@@ -151,9 +154,9 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
     first_order, remainder = _least_squares(np.delete(table, 1, axis=1), rate)
     if kind_of(output.name, output.unit, 2) in _SETTINGS.first_order_kinds:
         return 1, first_order
-    if remainder < 1.0 - _SETTINGS.first_order_share and first_order[0] > 0:
+    second_order, remainder_2 = _least_squares(table, acceleration)
+    if remainder < max(1.0 - _SETTINGS.first_order_share, remainder_2) and first_order[0] > 0:
         return 1, first_order
-    second_order, _ = _least_squares(table, acceleration)
     return 2, second_order
 
 
@@ -355,10 +358,8 @@ def _path_in(path: Path, target: Path) -> str:
 
 def _symbol(name: str, default: str, used: set[str]) -> str:
     """The name of a column as a symbol of an equation, different from those in use."""
-    stem = re.sub(r"[\[(].*", "", name.rsplit(".", 1)[-1].rsplit("/", 1)[-1])
-    plain = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_")
-    if not plain or not plain[0].isalpha() or plain in used:
-        plain = default if default not in used else f"{default}_{len(used)}"
+    text = stem(name)
+    plain = identifier(text if re.search(r"[^\W\d_]", text) else default, used, TEXT_WORDS)
     used.add(plain)
     return plain
 

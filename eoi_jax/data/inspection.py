@@ -421,7 +421,7 @@ def _assign_roles(
         roles |= dict.fromkeys(
             undecided[len(first) :], ("output", "there is no evidence of its role")
         )
-    _separate_references(roles)
+    _separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
         if channel.name in roles
@@ -430,15 +430,16 @@ def _assign_roles(
     ]
     # The differences of a held signal measure its jumps, not its noise.
     return [
-        replace(channel, noise=None) if _is_held_input(channel) else channel for channel in labelled
+        replace(channel, noise=None) if channel.role == "input" and _is_held(channel) else channel
+        for channel in labelled
     ]
 
 
-def _is_held_input(channel: Channel) -> bool:
-    return channel.role == "input" and channel.changes is not None and channel.changes <= STAIRCASE
+def _is_held(channel: Channel) -> bool:
+    return channel.changes is not None and channel.changes <= STAIRCASE
 
 
-def _separate_references(roles: dict[str, tuple[str, str]]) -> None:
+def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> None:
     """Take references out of the inputs where another input follows them; keep one output."""
     inputs = [key for key, (role, _) in roles.items() if role == "input"]
     references = [key for key in inputs if _is_reference(key)]
@@ -446,7 +447,19 @@ def _separate_references(roles: dict[str, tuple[str, str]]) -> None:
         roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
         inputs = [key for key in inputs if key not in references]
     if len(inputs) > 1 and not any(role == "output" for role, _ in roles.values()):
-        roles[max(inputs)] = ("output", "there must be one, and it comes last by its name")
+        moving = [key for key in inputs if key not in held]
+        only = "it alone is not held" if len(moving) == 1 else "it comes last by its name"
+        roles[max(moving or inputs)] = ("output", f"there must be one, and {only}")
+
+
+def stem(name: str) -> str:
+    """The name of a column without path and unit: ``motorVoltage_2`` of ``log.motorVoltage_2 [V]``.
+
+    Args:
+        name: any text; one with spaces is no path.
+    """
+    plain = re.sub(r"[\[(].*", "", name).strip()
+    return plain if " " in plain else re.split(r"[./]", plain)[-1]
 
 
 def _is_reference(name: str) -> bool:
@@ -455,9 +468,7 @@ def _is_reference(name: str) -> bool:
 
 def _words(name: str) -> list[str]:
     """The words of a name without path and unit: motor, voltage of ``log.motorVoltage_2 [V]``."""
-    stem = name.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
-    plain = re.sub(r"[\[(].*", "", stem)
-    return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", plain)]
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", stem(name))]
 
 
 def _role_of_name(name: str) -> str:
@@ -476,7 +487,7 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
     steps = np.abs(np.diff(values[measured])) / np.diff(measured)
     value_range = float((channel.high or 0.0) - (channel.low or 0.0))
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
-    staircase = channel.changes is not None and channel.changes <= STAIRCASE
+    staircase = _is_held(channel)
     name_role = _role_of_name(channel.name)
     called_output = name_role == "output"
     if name_role == "input":
@@ -546,7 +557,7 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
     missing = [
         f"`{channel.name}` {channel.missing}"
         for channel in channels
-        if channel.missing and channel.role != "text"
+        if channel.role != "text" and 0 < channel.missing < samples
     ]
     if missing:
         advice.append(f"Empty or not finite: {', '.join(missing[:8])}; such samples are masked.")

@@ -17,8 +17,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eoi_jax.cli import exports
+from eoi_jax.cli import build, exports
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.config import load
 from eoi_jax.cli.options import complete_config, complete_data
 from eoi_jax.cli.terminal import progress, say, shell_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
@@ -382,6 +383,22 @@ def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, 
         == "motor.toml\n"
     )
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_a_store_with_a_nonlinear_leak_is_drafted_as_of_first_order(tmp_path: Path, monkeypatch):
+    """A linear model explains half of its rate; columns are named as a unit and as a function."""
+    monkeypatch.chdir(tmp_path)
+    h, levels = 0.01, np.random.default_rng(1).uniform(-3, 3, 40)
+    state, rows = 0.0, ["time [s];drive (1/min);max"]
+    for k, drive in enumerate(levels.repeat(50)):
+        rows.append(f"{h * k:.2f};{drive:.4f};{state:.6f}")
+        for _ in range(10):
+            state += 0.1 * h * 20.0 * (drive - 30.0 * state**3)
+    (tmp_path / "tank.csv").write_text("\n".join(rows))
+    done = CliRunner().invoke(app, ["init", "tank.csv"])
+    assert done.exit_code == 0, done.output
+    model = build.plant(load(tmp_path / "tank.toml"), tmp_path)
+    assert (model.inputs, model.outputs, model.degrees) == (("drive",), ("max_",), (1,))
 
 
 def test_the_next_command_is_quoted_and_names_the_file_that_was_written(

@@ -13,7 +13,7 @@ import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.data.inspection import Inspection, _band, inspect
+from eoi_jax.data.inspection import Inspection, _band, inspect, stem
 
 N = 600
 H = 0.01
@@ -153,6 +153,8 @@ def test_noise_steps_saturation_and_band_are_those_of_the_signal(tmp_path):
         ({"b": Y, "a": U}, ("a",), ("b",)),
         ({"reference": U, "pwm": U + 0.1 * Y, "angle": Y}, ("pwm",), ("angle",)),
         ({"V1": U, "V2": Y}, ("V1",), ("V2",)),
+        ({"V2": U, "V1": Y}, ("V2",), ("V1",)),  # an input that is not held is the output
+        ({"Pump (l/min)": U, "Level %": Y}, ("Pump (l/min)",), ("Level %",)),
     ],
 )
 def test_inputs_and_outputs_are_guessed_and_the_guess_has_a_reason(
@@ -161,6 +163,13 @@ def test_inputs_and_outputs_are_guessed_and_the_guess_has_a_reason(
     found = inspect(written(tmp_path / "run.csv", t=T, **columns))
     assert (found.inputs, found.outputs) == (inputs, outputs)
     assert all(channel(found, name).why for name in (*inputs, *outputs))
+
+
+def test_a_name_has_no_path_and_no_unit():
+    names = ("log.motorVoltage_2 [V]", "group/angle", "Pump (l/min)", "Pump l/min", "Temp. 1")
+    assert [stem(name) for name in names] == [
+        *("motorVoltage_2", "angle", "Pump", "Pump l/min", "Temp. 1"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -185,7 +194,7 @@ def test_what_is_no_signal_is_told_apart(tmp_path):
     assert roles(found)["word"] == "text"
     assert "'off'" in channel(found, "word").why
     assert channel(found, "y").missing == N // 10
-    assert "`y` 60" in found.advice[-1]
+    assert found.advice[-1] == "Empty or not finite: `y` 60; such samples are masked."
 
 
 def test_what_an_iddata_structure_says_is_believed(tmp_path):

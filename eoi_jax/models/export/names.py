@@ -25,8 +25,8 @@ _WORDS = (
     "nargout zeros isargout fabs fmax fmin fmod rint pow nthroot fix mod choose root nearest "
     "states inputs rates outputs np array stack "
 )
-_TEXT_WORDS = frozenset((*keyword.kwlist, *RESERVED))
-_CODE_WORDS = _TEXT_WORDS.union(_WORDS.split())
+TEXT_WORDS = frozenset((*keyword.kwlist, *RESERVED))
+_CODE_WORDS = TEXT_WORDS.union(_WORDS.split())
 
 
 def identifier(
@@ -57,7 +57,8 @@ def _spelled(letter: str) -> str:
     greek = re.fullmatch(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, ""))
     if greek:
         return greek[1].lower()
-    return unicodedata.normalize("NFKD", letter)
+    parts = unicodedata.normalize("NFKD", letter)
+    return "".join(part for part in parts if not unicodedata.combining(part))
 
 
 def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
@@ -67,7 +68,7 @@ def identifiers(model: Program, *, as_text: bool = False) -> dict[Symbol, str]:
         model: its states, inputs, parameters and definitions.
         as_text: for formulas that are no code, which have fewer words of their own.
     """
-    words = _TEXT_WORDS if as_text else _CODE_WORDS
+    words = TEXT_WORDS if as_text else _CODE_WORDS
     named = [
         *((variable.symbol, variable.name) for variable, _ in model.parameters),
         *(

@@ -452,8 +452,9 @@ def test_identifiers_and_comments_hold_nothing_else(text):
     assert "\\" not in line
 
 
-def test_greek_is_spelled_out():
+def test_greek_is_spelled_out_and_accents_are_left_out():
     assert identifier("α_Ω") == "alpha_omega"
+    assert identifier("Füllstand é") == "Fullstand_e"
 
 
 # -- what cannot be exported ------------------------------------------------------------------
