@@ -62,6 +62,15 @@ class Clock:
     others: tuple[str, ...] = ()
 
 
+def seconds_per(unit: str) -> float | None:
+    """Seconds in a unit of time; None for what is none.
+
+    Args:
+        unit: its symbol or name, as ``ms`` or ``hours``.
+    """
+    return _UNITS.get(unit.strip().lower())
+
+
 def find_clock(
     table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]], column: str | None = None
 ) -> Clock:

@@ -24,7 +24,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import epoch_unit
+from eoi_jax.data.time_axis import epoch_unit, seconds_per
 
 
 def read_record(
@@ -50,6 +50,9 @@ def read_record(
     (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
     ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
     counted from 0. Columns of dates and times of day count in seconds from the first.
+
+    A file that declares its inputs, outputs and time, as an `iddata` in a .mat file does, needs no
+    names: ``read_record("run.mat")``.
 
     Args:
         path: the file.
@@ -78,10 +81,12 @@ def read_record(
             that unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
-    _checked_suffix(path)
-    _check_clock(time, sample_period)
     table = read_table(path, max_gigabytes)
-    columns = table.columns
+    columns, named = table.columns, (time, sample_period, inputs, outputs)
+    if table.outputs and all(option in (None, ()) for option in named):
+        time, inputs, outputs = table.time, table.inputs, table.outputs
+        scale, units = _declared(table) if (scale, units) == (None, None) else (scale, units)
+    _check_clock(time, sample_period)
     clock = None if time is None else _column_name("time", time)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
     check(
@@ -135,6 +140,17 @@ def _column_name(field: str, column: str | int) -> str:
 def _column_names(field: str, argument: str | int | Sequence[str | int]) -> list[str]:
     columns = [argument] if isinstance(argument, str | int | np.integer) else list(argument)
     return [_column_name(field, column) for column in columns]
+
+
+def _declared(table: Table) -> tuple[dict[str, float], dict[str, str]]:
+    """Factor of the time, and units of the channels, as the file declares them."""
+    unit = table.units.get(table.time or "", "s")
+    factor = seconds_per(unit)
+    advice = "Name the columns of time, inputs and outputs, and its `scale`."
+    check(factor is not None, "time", "must be in a known unit", unit, advice)
+    channels = (*table.inputs, *table.outputs)
+    units = {key: table.units[key] for key in channels if table.units.get(key)}
+    return ({table.time: float(factor or 1.0)} if table.time else {}), units
 
 
 def _options_by_column(

@@ -42,6 +42,19 @@ def test_the_fields_of_an_iddata_object_are_its_channels(tmp_path):
     assert record.sample_period == pytest.approx(0.02)
 
 
+@pytest.mark.parametrize(("unit", "seconds"), [("seconds", 1.0), ("minutes", 60.0)])
+def test_an_iddata_object_needs_no_names_of_columns(tmp_path, unit, seconds):
+    savemat(tmp_path / "run.mat", {**IDDATA, "TimeUnit": unit})
+    record = read_record(tmp_path / "run.mat")
+    assert record.sample_period == pytest.approx(0.02 * seconds)
+    assert (record.input_names, record.output_names) == (("volt", "load"), ("angle",))
+    assert record.units["load"] == "N m"
+    np.testing.assert_allclose(record.outputs[:, 0], Y)
+    savemat(tmp_path / "run.mat", {**IDDATA, "TimeUnit": "fortnights"})
+    with pytest.raises(ValueError, match=r"`time` must be in a known unit, got fortnights\. Name"):
+        read_record(tmp_path / "run.mat")
+
+
 def test_uneven_instants_and_nameless_channels_are_taken(tmp_path):
     instants = np.cumsum(np.r_[0.0, np.full(N - 1, 0.1)])
     given = {
