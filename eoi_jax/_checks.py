@@ -115,13 +115,15 @@ def check_positive(name: str, value: object, advice: str = "") -> None:
     )
 
 
-def check_shape(name: str, array: Any, shape: Sequence[int | None], meaning: str) -> None:
+def check_shape(
+    name: str, array: Any, shape: Sequence[int | None], meaning: str, advice: str = ""
+) -> None:
     """`array`, of NumPy or JAX, must have `shape`; `None` in it matches any length."""
     fits = len(array.shape) == len(shape) and all(
         length is None or length == size for length, size in zip(shape, array.shape, strict=True)
     )
     expected = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
-    check(fits, name, f"must have shape {expected}: {meaning}", f"shape {array.shape}")
+    check(fits, name, f"must have shape {expected}: {meaning}", f"shape {array.shape}", advice)
 
 
 def check_choice(name: str, value: str, choices: Iterable[str]) -> None:

@@ -148,7 +148,9 @@ def observe(
 def _columns(name: str, values: Any, count: int, channel: str) -> Float[Array, "time channels"]:
     array = jnp.asarray(values, float)
     array = array[:, None] if array.ndim == 1 else array
-    check_shape(name, array, (None, count), f"one row a sample, a column {channel}")
+    many = "Outputs of `rollout` are `.y[:, 0]`; several records side by side need `jax.vmap`."
+    advice = many if array.ndim > 2 else ""
+    check_shape(name, array, (None, count), f"one row a sample, a column {channel}", advice)
     return array
 
 

@@ -238,8 +238,13 @@ class OnlineEstimator(eqx.Module):
 
         Returns:
             The state after the sample, and what is known then.
+
+        Raises:
+            ValueError: outputs or inputs of another shape.
         """
         y, u = jnp.asarray(y, float), jnp.asarray(u, float)
+        check_shape("y", y, (len(self.plant.outputs),), "one number an output")
+        check_shape("u", u, (len(self.plant.inputs),), "one number an input")
         number, h = state.samples - 1.0, jnp.asarray(self.sample_period)  # number of the step
         direction, moving = self._motion(state, y)
         usable, since, use = jnp.ones(y.shape, bool), state.scored, jnp.ones(y.shape)
@@ -270,19 +275,19 @@ class OnlineEstimator(eqx.Module):
         power = self._power(state.power, trace.injection, trace.weight, score)
         begun = state.samples > 0.0  # the first sample ends no step
 
-        def kept(new: Array, old: Array) -> Array:
+        def updated(new: Array, old: Array) -> Array:
             return jnp.where(begun, new, old)
 
         after = OnlineState(
             state.samples + 1.0,
-            kept(direction, state.direction),
-            kept(moving, state.moving),
-            kept(since, state.scored),
+            updated(direction, state.direction),
+            updated(moving, state.moving),
+            updated(since, state.scored),
             y,
             u,
-            jax.tree.map(kept, kernel, state.kernel),
-            jax.tree.map(kept, recursion, state.recursion),
-            kept(power, state.power),
+            jax.tree.map(updated, kernel, state.kernel),
+            jax.tree.map(updated, recursion, state.recursion),
+            updated(power, state.power),
         )
         threshold = np.inf if self.alarm is None else self.alarm.threshold
         estimate = OnlineEstimate(

@@ -488,13 +488,13 @@ class Plant(eqx.Module):
             return traced_shape(field, function, call, theta, start)
 
         shape = shapes("dynamics", self.dynamics)
-        check(
-            shape == (ny,) or (ny == 1 and shape == ()),
-            "dynamics",
-            f"must return shape ({ny},), one value for each of the outputs "
-            f"{', '.join(self.outputs)}",
-            f"shape {shape}",
+        lower = (
+            "The lower ones follow from the highest: return that of each output, not each state."
         )
+        rule = f"must return shape ({ny},), one value for each of the outputs "
+        good = shape == (ny,) or (ny == 1 and shape == ())
+        advice = lower if shape == (sum(self.degrees),) else ""
+        check(good, "dynamics", rule + ", ".join(self.outputs), f"shape {shape}", advice)
         if self.actuator is not None:
             line = (
                 jax.ShapeDtypeStruct((3,), theta.dtype),

@@ -16,6 +16,11 @@ from jax.errors import (
 from eoi_jax._checks import check
 
 _UNTRACEABLE = (ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError)
+_FAILURES = (TypeError, AttributeError, IndexError, NameError)
+_ARGUMENTS = (
+    "It is called with `t`, `x`, `u`, `p`: `x.y` has a row for the outputs and one for each of "
+    "their derivatives, `x.z` the internal states, and parameters have their names, `p.mass`."
+)
 
 
 def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> tuple[int, ...]:
@@ -28,10 +33,12 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         arguments: of the call, arrays or their shapes.
 
     Raises:
-        ValueError: the function needs the values of what it gets.
+        ValueError: the function needs the values of what it gets, or does not run.
     """
     try:
         return jax.eval_shape(call, *arguments).shape
+    except ValueError:
+        raise
     except _UNTRACEABLE as error:
         branch = isinstance(error, TracerBoolConversionError)
         used = "an `if`, `and`, `or`, `min` or `max` on one" if branch else "a function of NumPy, "
@@ -39,6 +46,11 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         advice = "Use `jnp.where` in its place." if branch else "Use that of `jax.numpy`, `jnp`."
         rule = "must not need the values of `t`, `x`, `u` or `p`, which JAX traces"
         check(False, field, rule, used + _line(function, error), advice)
+        raise
+    except _FAILURES as error:
+        value = f"{type(error).__name__}: {error}{_line(function, error)}"
+        advice = "" if field == "actuator" else _ARGUMENTS
+        check(False, field, "must run where it is called", value, advice)
         raise
 
 

@@ -316,6 +316,7 @@ RIGHT = {"plant": SMOOTH, "observer": SECOND, "theta": None, "h": H, "y": INPUT,
     [
         ({"observer": FIRST}, "`observer` must have the relative degree of the plant's outputs"),
         ({"y": np.ones((500, 2))}, r"`y` must have shape \(any, 1\): one row a sample"),
+        ({"y": np.ones((500, 2, 1))}, r"Outputs of `rollout` are `.y\[:, 0\]`; several records"),
         ({"u": np.ones((500, 2))}, r"`u` must have shape \(any, 1\): one row a sample"),
         ({"u": INPUT[:-1]}, "`u` must have as many samples as `y`, 500, got 499"),
         ({"y": INPUT[:2], "u": INPUT[:2]}, "`y` must have at least three samples, got 2"),

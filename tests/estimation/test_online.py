@@ -310,6 +310,15 @@ def test_wrong_estimators_are_named():
             eoi.OnlineEstimator(plant, observer, lowpass, **{"sample_period": H, **arguments})
 
 
+def test_a_sample_of_another_shape_is_named():
+    estimator, _ = estimator_of("oscillator")
+    state = estimator.init()
+    with pytest.raises(ValueError, match=r"`y` must have shape \(1\): one number an output, got"):
+        estimator.step(state, 0.0, [0.0])
+    with pytest.raises(ValueError, match=r"`u` must have shape \(1\): one number an input, got sh"):
+        estimator.step(state, [0.0], [0.0, 1.0])
+
+
 def test_a_wrong_alarm_is_named():
     for arguments, message in (
         (([0.0], 0.5, 5.0), r"`power` must be positive and finite, got \[0.0\]. It is the mean"),

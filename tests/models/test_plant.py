@@ -321,6 +321,10 @@ def build(**change):
             r"`dynamics` must return shape \(1,\), one value for each of the outputs y, got shape",
         ),
         (
+            {"dynamics": lambda t, x, u, p: jnp.zeros(2)},  # dx of both states
+            r"got shape \(2,\)\. The lower ones follow from the highest: return that of each",
+        ),
+        (
             {"internal": lambda t, x, u, p: jnp.zeros(3), "internal_initial": [0.0, 1.0]},
             r"`internal` must return the shape of `internal_initial` \(2,\), got shape \(3,\)",
         ),

@@ -33,3 +33,26 @@ def test_a_model_that_needs_values_is_named(law, message):
     internal = {"internal": law, "internal_initial": [0.0]}
     with pytest.raises(ValueError, match=rule.format("internal")):
         eoi.Plant(lambda t, x, u, p: p.a * x.z, {"a": 1.0}, **internal)
+
+
+def by_element(t, x, u, p):
+    return -p.a * x[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (
+            by_element,
+            r"TypeError: 'State' object is not subscriptable \(line \d+ of test_traced_sh",
+        ),
+        (lambda t, x, u, p: -p["a"] * x.y[0], r"TypeError: tuple indices must be .* \(line \d+"),
+        (lambda x, u, p: -p.a * x.y[0], "TypeError: .* takes 3 positional arguments but 4 were"),
+    ],
+)
+def test_a_model_that_does_not_run_is_named_with_what_it_is_called_with(law, message):
+    advice = r".* It is called with `t`, `x`, `u`, `p`: `x.y` has a row for the outputs and one"
+    with pytest.raises(ValueError, match=f"`dynamics` must run where it is called, got {message}"):
+        eoi.Plant(law, {"a": 1.0})
+    with pytest.raises(ValueError, match=advice):
+        eoi.Plant(law, {"a": 1.0})
