@@ -5,6 +5,8 @@ raise `ValueError`.
 """
 
 import difflib
+import inspect
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -12,6 +14,8 @@ from typing import Any
 import numpy as np
 
 Whole = int | np.integer
+# Packages of frames that lead from a caller to here; the latter four wrap functions.
+_INSIDE = ("eoi_jax", "numpy", "contextlib", "jaxtyping", "beartype")
 
 
 class RecordWarning(UserWarning):
@@ -24,6 +28,19 @@ class StoreWarning(UserWarning):
 
 class FigureWarning(UserWarning):
     """A figure could not be drawn and is left out; results are not affected."""
+
+
+def warn_caller(message: str, category: type[Warning]) -> None:
+    """A warning with the place outside this package that called it.
+
+    Args:
+        message: the sentence.
+        category: of the warning.
+    """
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in _INSIDE:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
 
 
 def check(

@@ -4,7 +4,6 @@ A record holds NumPy arrays on the host; kernels take their arrays from it.
 """
 
 import copy
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_choice, check_positive, counted
+from eoi_jax._checks import RecordWarning, check, check_choice, check_positive, counted, warn_caller
 from eoi_jax._display import Result, text
 from eoi_jax._types import WHERE_SET, Mask, TimeAxis
 from eoi_jax.data.cleaning import (
@@ -191,7 +190,7 @@ class Record(Result):
         certain = known_inputs(u_names, inputs, u_valid, input_hold, grid.sample_period, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:
-            warnings.warn(f"Record `{name}`: {note}", RecordWarning, stacklevel=2)
+            warn_caller(f"Record `{name}`: {note}", RecordWarning)
         masks = u_valid & measured.all(axis=1), certain, measured
         self._set(inputs, outputs, masks, grid.time, grid.sample_period)
         labels = {

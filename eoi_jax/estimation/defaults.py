@@ -15,7 +15,6 @@ removes the noise that it passes.
 """
 
 import functools
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from eoi_jax._checks import check
+from eoi_jax._checks import check, warn_caller
 from eoi_jax.data.cleaning import SHORTEST, SLOW
 from eoi_jax.data.masks import longest_run, valid_steps
 from eoi_jax.data.noise import white_noise
@@ -414,5 +413,5 @@ def precision_notes() -> list[str]:
         "runs in single precision: differences of a finely sampled record lose most of its "
         "digits. Call `eoi_jax.configure()` first for double precision"
     )
-    warnings.warn(note, RuntimeWarning, stacklevel=5)
+    warn_caller(note, RuntimeWarning)
     return [note]

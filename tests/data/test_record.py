@@ -556,3 +556,11 @@ def test_a_record_plots_each_channel_and_leaves_its_masked_samples_out():
     assert [axis.get_ylabel() for axis in axes] == ["y1", "y2 [m]", "u"]
     assert np.isnan(axes[0].lines[0].get_ydata()[7])
     assert not np.any(np.isnan(axes[1].lines[0].get_ydata()))  # y2 was measured throughout
+
+
+def test_a_warning_stands_at_the_line_that_made_the_record():
+    y = np.sin(np.arange(50.0))
+    y[7] = np.nan
+    with pytest.warns(RecordWarning) as caught:
+        Record.from_period(0.1, np.zeros(50), y)
+    assert {warning.filename for warning in caught} == {__file__}
