@@ -62,13 +62,16 @@ class Clock:
     others: tuple[str, ...] = ()
 
 
-def seconds_per(unit: str) -> float | None:
-    """Seconds in a unit of time; None for what is none.
+def declared_unit(column: str, unit: str) -> tuple[str, float] | None:
+    """The unit of time that a column has by its file or its name, with its seconds; None: neither.
 
     Args:
-        unit: its symbol or name, as ``ms`` or ``hours``.
+        column: as ``time_ms`` or ``ms``.
+        unit: as the file gives it; empty if it gives none.
     """
-    return _UNITS.get(unit.strip().lower())
+    text = column.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
+    words = (unit.strip().lower(), text.rpartition("_")[2].lower())
+    return next(((word, _UNITS[word]) for word in words if word in _UNITS), None)
 
 
 def find_clock(
@@ -144,11 +147,9 @@ def _unit(
     """Seconds in a unit of the column, and the reason."""
     if dates:
         return 1.0, "read in seconds from the first"
-    text = column.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
-    tail = text.rpartition("_")[2].lower()
-    for word in (unit.lower(), tail if "_" in text else ""):
-        if word in _UNITS:
-            return _UNITS[word], f"in {word}, as the file says"
+    declared = declared_unit(column, unit)
+    if declared is not None:
+        return declared[1], f"in {declared[0]}, as the file says"
     first, step = float(values[0]), float(np.median(np.diff(values)))
     for word, low, factor in _EPOCHS:
         if low <= first < 3.0 * low and step * factor < 1e4:

@@ -24,7 +24,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import epoch_unit, seconds_per
+from eoi_jax.data.time_axis import declared_unit, epoch_unit
 
 
 def read_record(
@@ -82,8 +82,8 @@ def read_record(
     """
     path = Path(path)
     table = read_table(path, max_gigabytes)
-    columns, named = table.columns, (time, sample_period, inputs, outputs)
-    if table.outputs and all(option in (None, ()) for option in named):
+    columns, roles = table.columns, (time, sample_period, inputs, outputs)
+    if table.outputs and all(option in (None, ()) for option in roles):
         time, inputs, outputs = table.time, table.inputs, table.outputs
         scale, units = _declared(table) if (scale, units) == (None, None) else (scale, units)
     _check_clock(time, sample_period)
@@ -97,11 +97,8 @@ def read_record(
         f"Columns present: {_listed(columns)}.",
     )
     selected = _pick(path, table, clock, u_columns, y_columns)
-    factors = _options_by_column("scale", scale, selected)
-    for key, factor in factors.items():
-        good = bool(np.isfinite(factor)) and factor != 0
-        check(good, f"scale[{key}]", "must be finite and not zero", factor)
-        selected[key] = selected[key] * float(factor)
+    factors = _factors(scale, selected)
+    selected |= {key: selected[key] * factor for key, factor in factors.items()}
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
     new_names, unit_names = (
@@ -113,7 +110,7 @@ def read_record(
         words = _options_by_column("hold", hold, selected)
         hold = {labels[key]: word for key, word in words.items()}
     if clock is not None and clock not in factors:
-        _check_seconds(clock, selected[clock])
+        _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     return Record(
         stamps[rows],
@@ -144,13 +141,13 @@ def _column_names(field: str, argument: str | int | Sequence[str | int]) -> list
 
 def _declared(table: Table) -> tuple[dict[str, float], dict[str, str]]:
     """Factor of the time, and units of the channels, as the file declares them."""
-    unit = table.units.get(table.time or "", "s")
-    factor = seconds_per(unit)
+    unit = table.units.get(table.time or "", "")
+    seconds = declared_unit("", unit)
     advice = "Name the columns of time, inputs and outputs, and its `scale`."
-    check(factor is not None, "time", "must be in a known unit", unit, advice)
+    check(not unit or seconds is not None, "time", "must be in a known unit", unit, advice)
+    factors = {table.time: seconds[1]} if table.time and seconds else {}
     channels = (*table.inputs, *table.outputs)
-    units = {key: table.units[key] for key in channels if table.units.get(key)}
-    return ({table.time: float(factor or 1.0)} if table.time else {}), units
+    return factors, {key: table.units[key] for key in channels if table.units.get(key)}
 
 
 def _options_by_column(
@@ -161,6 +158,15 @@ def _options_by_column(
     for key in values:
         check_choice(field, key, tuple(picked))
     return values
+
+
+def _factors(scale: Mapping[Any, Any] | None, picked: Columns) -> dict[str, float]:
+    """The factors of `scale` by column."""
+    factors = _options_by_column("scale", scale, picked)
+    for key, factor in factors.items():
+        good = bool(np.isfinite(factor)) and factor != 0
+        check(good, f"scale[{key}]", "must be finite and not zero", factor)
+    return {key: float(factor) for key, factor in factors.items()}
 
 
 def _pick(
@@ -251,7 +257,13 @@ def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
         check_positive("sample_period", sample_period)
 
 
-def _check_seconds(clock: str, stamps: np.ndarray) -> None:
+def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
+    declared = declared_unit(clock, table.units.get(clock, ""))
+    dates = clock in table.columns and table.columns[clock].dtype.kind in "Mm"
+    if declared is not None and not dates:
+        advice = f"Give `scale` {{{clock!r}: {declared[1]:g}}}, or 1 if it is in seconds after all."
+        rule = "must be in seconds"
+        check(declared[1] == 1.0, f"time[{clock}]", rule, f"a column in {declared[0]}", advice)
     unit = epoch_unit(stamps)
     if unit is not None:
         advice = f"These seem to be {unit[0]} since 1970: give `scale` {{{clock}: {unit[1]:g}}}."

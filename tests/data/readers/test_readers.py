@@ -174,6 +174,18 @@ def test_stamps_of_a_parquet_file_may_be_datetimes(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("column", "unit"), [("t [ms]", "ms"), ("time_ms", "ms"), ("us", "us"), ("clock (min)", "min")]
+)
+def test_stamps_in_another_unit_of_time_need_a_scale(tmp_path, column, unit):
+    rows = "\n".join(f"{10 * k},{np.sin(k):.6f},{np.cos(k):.6f}" for k in range(50))
+    (tmp_path / "run.csv").write_text(f"{column},u,y\n{rows}\n")
+    names = {"time": column, "inputs": "u", "outputs": "y"}
+    with pytest.raises(ValueError, match=rf"must be in seconds, got a column in {unit}\. Give `sc"):
+        read_record(tmp_path / "run.csv", **names)
+    assert read_record(tmp_path / "run.csv", **names, scale={column: 1}).sample_period == 10.0
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"time": "T"}, "`time` must be a column of .*run.csv .present: t, u, y.*, got `T`"),
