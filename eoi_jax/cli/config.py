@@ -4,6 +4,7 @@
 is a `ValueError` that names the field with its table, the rule and the value.
 """
 
+import difflib
 import math
 import tomllib
 from pathlib import Path
@@ -13,6 +14,8 @@ import msgspec
 
 from eoi_jax._checks import check, is_shallow, printable
 from eoi_jax._schema import struct
+from eoi_jax.cli.options import DATA_FILES
+from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.models.equations.text_model import ModelTable
 
@@ -421,6 +424,17 @@ def _check_finite(value: Any, place: tuple[str, ...]) -> None:
         check(math.isfinite(value), ".".join(place), "must be a finite number", value)
 
 
+def _replacement(path: Path) -> str:
+    """What to give in the place of what is no config."""
+    if (path / "config.toml").is_file():
+        return f"Its folder has one: {shell_word(path / 'config.toml')}."
+    if path.is_file() and path.suffix.lower() in DATA_FILES:
+        return f"Data need a config: `eoi init {shell_word(path)}` drafts one."
+    present = [] if path.exists() else sorted(path.parent.glob("*.toml"))
+    close = difflib.get_close_matches(path.name, [file.name for file in present], n=1)
+    return f"Did you mean {shell_word(path.parent / close[0])}?" if close else ""
+
+
 def load(path: Path, max_depth: int = 20) -> Config:
     """Read and check a TOML file.
 
@@ -432,7 +446,7 @@ def load(path: Path, max_depth: int = 20) -> Config:
         ValueError: the file is missing or not TOML, a key is unknown (the known keys are listed),
             a value is missing, of the wrong type or out of range.
     """
-    check(path.is_file(), "config", "must be a file that exists", path)
+    check(path.is_file(), "config", "must be a file that exists", path, _replacement(path))
     try:
         tables = tomllib.loads(
             path.read_text(encoding="utf-8-sig")
@@ -440,7 +454,8 @@ def load(path: Path, max_depth: int = 20) -> Config:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         deep = isinstance(error, RecursionError)
         reason = "nested too deeply" if deep else printable(str(error))
-        check(False, "config", "must be a TOML file", path, f"Parser: {reason}.")
+        advice = _replacement(path) or f"Parser: {reason}."
+        check(False, "config", "must be a TOML file", path, advice)
         raise
     rule = f"must have at most {max_depth} levels of nested tables and lists"
     check(is_shallow(tables, max_depth), "config", rule, path)

@@ -406,6 +406,20 @@ def test_a_config_that_is_missing_or_no_toml_is_named(tmp_path: Path):
         config.load(tmp_path / "binary.toml")
 
 
+def test_what_is_given_in_the_place_of_a_config_is_answered_with_what_to_give(tmp_path: Path):
+    (tmp_path / "my run.csv").write_text("t,u,y\n0,1,2\n")
+    (tmp_path / "rig").mkdir()
+    (tmp_path / "rig" / "config.toml").write_text("")
+    (tmp_path / "motor.toml").write_text("")
+    for name, advice in (
+        ("my run.csv", r"Data need a config: `eoi init '.*my run\.csv'` drafts one"),
+        ("rig", r"Its folder has one: .*rig.config\.toml"),
+        ("motr.toml", r"Did you mean .*motor\.toml\?"),
+    ):
+        with pytest.raises(ValueError, match=rf"`config` must be a .* got .*{name}\. {advice}"):
+            config.load(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("table", "place"),
     [
