@@ -95,7 +95,10 @@ def checked(text: str, target: Path) -> str:
 
 def _outputs(inspection: Inspection) -> list[str]:
     outputs = list(inspection.outputs)
-    roles = [f"{channel.name} ({channel.role})" for channel in inspection.channels[:10]]
+    roles = [
+        f"{channel.name} ({channel.role}{f', {channel.why}' * (channel.role == 'text')})"
+        for channel in inspection.channels[:10]
+    ]
     check(
         len(outputs) > 0,
         "path",

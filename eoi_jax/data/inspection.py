@@ -318,7 +318,9 @@ def _channel(
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())
         example = next((value for value in raw.tolist() if isinstance(value, str)), "")
+        grouped = re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", example.strip())
         reason = f"such as {example!r}" if example else ""
+        reason += ": write numbers without thousands separators" if grouped else ""
         return Channel(key, kind, unit, "text", reason, missing=missing)
     values = numbers[key]
     finite = np.isfinite(values)
@@ -533,6 +535,12 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         advice += dict.fromkeys(note for channel in moving for note in channel.notes)
     if not by_role["input"]:
         advice.append("No column looks like an input: a free system, or it must be named by hand.")
+    if not by_role["output"]:
+        words = [
+            f"`{channel.name}`, {channel.why}" for channel in channels if channel.role == "text"
+        ]
+        text = f" Text, no numbers: {'; '.join(words[:5])}." if words else ""
+        advice.append(f"No column looks like an output, numbers that change.{text}")
     for channel in by_role["input"]:
         if channel.band is not None and clock.sample_period:
             nyquist = 0.5 / clock.sample_period

@@ -165,6 +165,20 @@ def test_inputs_and_outputs_are_guessed_and_the_guess_has_a_reason(
     assert all(channel(found, name).why for name in (*inputs, *outputs))
 
 
+def test_numbers_with_thousands_separators_are_told_to_be_text(tmp_path):
+    rows = "\n".join(
+        f"{t:.2f};{u:.2f};{1e5 + 1e3 * y:,.2f}" for t, u, y in zip(T, U, Y, strict=True)
+    )
+    (tmp_path / "run.csv").write_text(f"t;u;y\n{rows}\n")
+    found = inspect(tmp_path / "run.csv")
+    why = rf"such as '{1e5 + 1e3 * Y[0]:,.2f}': write numbers without thousands separators"
+    assert channel(found, "y").why == why
+    assert (
+        f"No column looks like an output, numbers that change. Text, no numbers: `y`, {why}."
+        in (found.advice)
+    )
+
+
 def test_a_name_has_no_path_and_no_unit():
     names = ("log.motorVoltage_2 [V]", "group/angle", "Pump (l/min)", "Pump l/min", "Temp. 1")
     assert [stem(name) for name in names] == [
