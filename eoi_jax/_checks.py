@@ -211,6 +211,10 @@ def is_or_are(number: Whole) -> str:
     return "is" if number == 1 else "are"
 
 
-def _short(value: object) -> str:
+def _short(value: object, elements: int = 12) -> str:
+    """The value in a line or so; of an array with many elements its shape."""
+    shape = getattr(value, "shape", ())
+    if isinstance(shape, tuple) and np.prod(shape, dtype=float) > elements:
+        return f"an array of shape {shape}"
     text = printable(str(value), "" if isinstance(value, str | PurePath) else "\n")
     return text if len(text) <= 200 else text[:197] + "..."

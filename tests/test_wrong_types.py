@@ -49,6 +49,8 @@ CALLS = {
     'by joint, {"shoulder": {"damping": "b"}}, got {\'a\': \'b\'}.',
     "export_robot(plant, 'a.urdf', 'b.urdf', {'a': {'damping': 'b'}})": "`robot` must be a file "
     "that can be read (No such file or directory), got a.urdf.",
+    "Record.from_period(run.outputs, run.inputs, 0.01)": "`sample_period` must be positive and "
+    "finite, got an array of shape (500, 1). It is the time between samples in seconds.",
     "discover(plant, None)": "`records` must hold at least one record, got none",
     "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
     "identify(plant, run, passes=True)": "`passes` must be an integer ≥ 1, got True",

@@ -116,9 +116,8 @@ def _from_file(
             return converted(getattr(module, name, None))
     # Any error of the user's code, `SystemExit` included, is an error of the config.
     except (Exception, SystemExit) as error:
-        raise ValueError(
-            f"`{field}` {rule} that runs, got {reference}: {type(error).__name__}: {error}."
-        ) from error
+        reason = f"{type(error).__name__}: {error}".rstrip(".")
+        raise ValueError(f"`{field}` {rule} that runs, got {reference}: {reason}.") from error
 
 
 def controller(config: Config, model: Plant, folder: Path, period: float) -> Controller | None:

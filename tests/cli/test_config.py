@@ -295,6 +295,7 @@ def test_a_plant_file_that_fails_is_named(tmp_path: Path, reference: str, messag
     with pytest.raises(ValueError, match=message) as failure:
         build.plant(config.load(path), tmp_path)
     assert "`plant`" in str(failure.value)
+    assert not str(failure.value).endswith("..")
 
 
 # -- mistakes ---------------------------------------------------------------------------------
