@@ -15,7 +15,8 @@ from eoi_jax._checks import check
 from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
-from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings, stem
+from eoi_jax.data.column_names import stem
+from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.models.export.names import TEXT_WORDS, identifier

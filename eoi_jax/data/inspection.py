@@ -17,6 +17,7 @@ from eoi_jax._checks import RecordWarning, check, check_choice, counted
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
+from eoi_jax.data.column_names import is_reference, role_of_name
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
@@ -25,29 +26,6 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import NAMED, Clock, find_clock
 
-_INPUT = frozenset((
-    "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
-    "torque", "tau", "force", "ref", "reference", "referencia", "target", "setpoint", "drive",
-    "control", "throttle", "pump", "valve", "heater", "power", "demand", "ctrl", "act",
-    "actuator", "current", "v", "vir", "steer", "excitation",
-))  # fmt: skip
-_OUTPUT = frozenset((
-    "y", "out", "output", "outputs", "angle", "angulo", "winkel", "pos", "position", "theta",
-    "phi", "alpha", "q", "qm", "x", "level", "height", "h", "speed", "vel", "velocity", "rate",
-    "omega", "rpm", "temp", "temperature", "pressure", "meas", "measured", "enc", "encoder",
-    "sensor", "dist", "distance", "displacement", "response",
-))  # fmt: skip
-# What a controller is to reach or sends, wherever the word stands: `speed_cmd`, `Tsoll`.
-_REFERENCES = frozenset((
-    "ref", "refs", "reference", "referencia", "référence", "riferimento", "target", "setpoint",
-    "sp", "demand", "desired", "des", "wanted", "goal", "soll", "sollwert", "consigne", "consigna",
-    "objetivo", "ziel",
-))  # fmt: skip
-_COMMANDS = frozenset((
-    "cmd", "command", "commanded", "befehl", "commande", "comando", "stellgroesse", "stellgröße",
-    "stellwert",
-))  # fmt: skip
-_ENDINGS = ("soll", "sollwert", "setpoint", "cmd", "ref", "consigne", "consigna")
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
 
@@ -145,7 +123,7 @@ class Inspection(Result):
     def references(self) -> tuple[str, ...]:
         """Names of the columns that look like references of a controller, beside an input."""
         unused = [channel.name for channel in self.channels if channel.role == "other"]
-        return tuple(name for name in unused if self.inputs and _is_reference(name))
+        return tuple(name for name in unused if self.inputs and is_reference(name))
 
     def summary(self) -> dict[str, Any]:
         """The inspection as JSON values; numbers that are not finite become None."""
@@ -444,7 +422,7 @@ def _is_held(channel: Channel) -> bool:
 def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> None:
     """Take references out of the inputs where another input follows them; keep one output."""
     inputs = [key for key, (role, _) in roles.items() if role == "input"]
-    references = [key for key in inputs if _is_reference(key)]
+    references = [key for key in inputs if is_reference(key)]
     if len(references) < len(inputs):
         roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
         inputs = [key for key in inputs if key not in references]
@@ -454,43 +432,13 @@ def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> N
         roles[max(moving or inputs)] = ("output", f"there must be one, and {only}")
 
 
-def stem(name: str) -> str:
-    """The name of a column without path and unit: ``motorVoltage_2`` of ``log.motorVoltage_2 [V]``.
-
-    Args:
-        name: any text; one with spaces is no path.
-    """
-    plain = re.sub(r"[\[(].*", "", name).strip()
-    return plain if " " in plain else re.split(r"[./]", plain)[-1]
-
-
-def _is_reference(name: str) -> bool:
-    return any(word in _REFERENCES or word.endswith(_ENDINGS) for word in _words(name))
-
-
-def _words(name: str) -> list[str]:
-    """The words of a name without path and unit: motor, voltage of ``log.motorVoltage_2 [V]``."""
-    return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", stem(name))]
-
-
-def _role_of_name(name: str) -> str:
-    """The role that a name stands for, by what is sent or set, else by its first known word."""
-    words = _words(name)
-    if any(word in _REFERENCES | _COMMANDS or word.endswith(_ENDINGS) for word in words):
-        return "input"
-    for word in words:
-        if word in _INPUT or word in _OUTPUT:
-            return "input" if word in _INPUT else "output"
-    return ""
-
-
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:
     (measured,) = np.nonzero(np.isfinite(values))
     steps = np.abs(np.diff(values[measured])) / np.diff(measured)
     value_range = float((channel.high or 0.0) - (channel.low or 0.0))
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
     staircase = _is_held(channel)
-    name_role = _role_of_name(channel.name)
+    name_role = role_of_name(channel.name)
     called_output = name_role == "output"
     if name_role == "input":
         manner = ", and is held between changes" if staircase else ""

@@ -13,7 +13,8 @@ import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.data.inspection import Inspection, _band, inspect, stem
+from eoi_jax.data.column_names import stem
+from eoi_jax.data.inspection import Inspection, _band, inspect
 
 N = 600
 H = 0.01
