@@ -53,7 +53,7 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     return _power_explained(first, last, residual_before, residual_after)
 
 
-def left_power(rounds: Sequence[Round], share: float, noise_like: bool) -> float:
+def remaining_power(rounds: Sequence[Round], share: float, noise_like: bool) -> float:
     """Power of the residual that is left beyond the noise.
 
     Args:

@@ -28,8 +28,8 @@ from eoi_jax.discovery.acceptance import (
     explained,
     judged,
     labels_of,
-    left_power,
     names_of,
+    remaining_power,
 )
 from eoi_jax.discovery.additions import (
     added_effect,
@@ -394,7 +394,7 @@ class _Chosen:
         fit: with them; that of the declared model without any.
         runs: its free runs.
         status: of the answer. share: of the residual's power above the noise that they explain.
-        left: power of the residual that is left beyond the noise.
+        remainder: power of the residual that is left beyond the noise.
         wider: laws that gave way to simpler ones. refused: why other effects are not in it.
         notes: on what was refused and on the fit.
         denied: a set that only the held-out records refuse.
@@ -405,7 +405,7 @@ class _Chosen:
     runs: FreeRuns
     status: Status
     share: float
-    left: float
+    remainder: float
     wider: Wider
     refused: dict[Placed, Refusal]
     notes: tuple[str, ...]
@@ -443,8 +443,10 @@ def _chosen(task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: F
             if plain != placed:
                 notes.append(_WIDER_LAW.format(labels_of(placed), share))
                 share, verdict = _share_of_simpler(task, plain, fit, rounds)
-            left = left_power(rounds, share, quiet)
-            return _Chosen(plain, fit, runs, verdict, share, left, wider, refused, tuple(notes), ())
+            remainder = remaining_power(rounds, share, quiet)
+            return _Chosen(
+                plain, fit, runs, verdict, share, remainder, wider, refused, tuple(notes), ()
+            )
         notes.append(_REFUSED.format(labels_of(placed)))
         refused |= dict.fromkeys(placed, FREE_RUN)
         status = Status("unexplained", _FREE_RUN_WORSE)
@@ -459,7 +461,7 @@ def _answer(
     """The discovery from the rounds of the search; the last steps may be refused."""
     chosen = _chosen(task, steps, rounds, prior)
     placed, fit = chosen.placed, chosen.fit
-    added = _added(task, fit, standings(rounds, placed, chosen.wider, chosen.left))
+    added = _added(task, fit, standings(rounds, placed, chosen.wider, chosen.remainder))
     rivals = ambiguous(rounds[0], names_of(placed)) if placed else ()
     notes = *_notes(task), *chosen.notes, *_bound_and_grid_notes(fit, placed, rounds)
     unexplained = chosen.status.code == "unexplained"

@@ -157,11 +157,13 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
     """
     from scipy.special import stdtr  # only discovery needs it
 
-    pairs = [(ours, theirs) for ours, theirs in zip(first, second, strict=True) if ours and theirs]
+    pairs = [
+        (run, rival_run) for run, rival_run in zip(first, second, strict=True) if run and rival_run
+    ]
     diverges = [any(np.isinf(run.rmse).any() for run in runs) for runs in zip(*pairs, strict=True)]
     if diverges[0] != diverges[1]:
         return float(diverges[1])
-    falls = [_log_fall(theirs, ours) for ours, theirs in pairs]
+    falls = [_log_fall(rival_run, run) for run, rival_run in pairs]
     fall = float(np.mean([fall for fall, _ in falls])) - margin
     influence = np.mean([part for _, part in falls], axis=0)
     error = max(float(np.std(influence, ddof=1)) / np.sqrt(len(influence)), np.finfo(float).tiny)

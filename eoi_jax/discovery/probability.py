@@ -48,9 +48,9 @@ class Standing:
     probability: float
     rivals: tuple[Rival, ...]
 
-    def beside(self, taken: float, left: float) -> "Standing":
+    def beside(self, removed: float, remainder: float) -> "Standing":
         """With the power that the effect takes, and that which is left beyond the noise."""
-        share = 1.0 if left <= 0.0 else max(taken, 0.0) / (max(taken, 0.0) + left)
+        share = 1.0 if remainder <= 0.0 else max(removed, 0.0) / (max(removed, 0.0) + remainder)
         rivals = tuple(
             replace(rival, probability=share * rival.probability) for rival in self.rivals
         )
@@ -110,13 +110,13 @@ def from_sets(
         sets: effects of every set that may be the answer, and its v.
         wider: laws that contain it and gave way to it in free runs, with their odds there.
     """
-    same = {placed, *(wide for wide in chosen if reads_as(wide, placed))}
+    alias = {placed, *(wide for wide in chosen if reads_as(wide, placed))}
     lowest = min(value for _, value in sets)
     weights = [(effects, float(np.exp(0.5 * (lowest - value)))) for effects, value in sets]
-    own = sum(weight for effects, weight in weights if effects & same)
+    own = sum(weight for effects, weight in weights if effects & alias)
     against: dict[Placed | None, float] = {**wider}
     for effects, weight in weights:
-        if not effects & same:
+        if not effects & alias:
             rivals = sorted(effects - set(chosen), key=lambda rival: rival.names)
             for rival in rivals or [None]:
                 against[rival] = against.get(rival, 0.0) + weight / (own * max(len(rivals), 1))
@@ -148,7 +148,7 @@ def from_contests(
         contests: the rounds.
     """
     places = {_place_of(rival) for rival in best.placed}
-    left, standings = _power(best.error) - _power(noise_level(best.runs)), {}
+    remainder, standings = _power(best.error) - _power(noise_level(best.runs)), {}
     for placed in effects:
         place = _place_of(placed)
         contest = next((one for one in contests if place in _places(one.chosen)), None)
@@ -162,8 +162,8 @@ def from_contests(
                 further = len(trial.placed) - len(chosen.placed)
                 found = odds(trial.runs, chosen.runs, further)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
-        taken = _power(contest.origin.error) - _power(chosen.error)
-        standings[placed] = standing(plant, _one_of_each_place(against)).beside(taken, left)
+        removed = _power(contest.origin.error) - _power(chosen.error)
+        standings[placed] = standing(plant, _one_of_each_place(against)).beside(removed, remainder)
     return standings
 
 

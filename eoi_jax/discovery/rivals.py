@@ -73,7 +73,7 @@ def standings(
     rounds: Sequence[Round],
     effects: Sequence[Placed],
     wider: Mapping[Placed, Mapping[Placed, float]],
-    left: float,
+    remainder: float,
 ) -> dict[Placed, Standing | None]:
     """The standings of effects that the injection justifies, each from the round that added it.
 
@@ -81,17 +81,17 @@ def standings(
         rounds: of the search.
         effects: of the answer.
         wider: laws that gave way to simpler ones in free runs, with their odds against these.
-        left: power of the residual that is left beyond the noise.
+        remainder: power of the residual that is left beyond the noise.
     """
     plant, found = rounds[0].task.plant, dict.fromkeys(effects)
     for placed in effects:
         for step in rounds:
             chosen = [atom.placed for atom in step.chosen.atoms]
-            same = [law for law in chosen if law == placed or reads_as(law, placed)]
-            if same:
+            alias = [law for law in chosen if law == placed or reads_as(law, placed)]
+            if alias:
                 laws = {law: odds[placed] for law, odds in wider.items() if placed in odds}
                 placed_standing = from_sets(plant, placed, chosen, step.plausible(), laws)
-                found[placed] = placed_standing.beside(step.taken(same), left)
+                found[placed] = placed_standing.beside(step.removed(alias), remainder)
                 break
     return found
 

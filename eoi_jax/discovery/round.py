@@ -83,7 +83,7 @@ class Round:
         self.refused: dict[Placed, Refusal] = {}
         self.denied: Fit | None = None  # the best set that only the held-out records refuse
         self.rejected: set[frozenset] = set()  # sets that were refused
-        self._made: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
+        self._columns_of: dict[tuple[Placed, bytes], list[CandidateColumns]] = {}
         self._least_with_product = np.inf  # least residual power of a set with a product
 
     @cached_property
@@ -158,7 +158,7 @@ class Round:
         )
         self.sets = self.candidate_search.run()
         self.chosen = self._first_accepted()
-        self._made.clear()  # the round stays in memory, its refined atoms need not
+        self._columns_of.clear()  # the round stays in memory, its refined atoms need not
 
     @property
     def exhausted(self) -> bool:
@@ -219,10 +219,10 @@ class Round:
         self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]
     ) -> list[CandidateColumns]:
         key = (placed, shapes.tobytes())
-        if key not in self._made:  # sets that share an effect ask for the same shapes
+        if key not in self._columns_of:  # sets that share an effect ask for the same shapes
             delay = self._delay_parameter(placed)
-            self._made[key] = atoms(self.model, placed, shapes, self.stretches, delay)
-        return self._made[key]
+            self._columns_of[key] = atoms(self.model, placed, shapes, self.stretches, delay)
+        return self._columns_of[key]
 
     def _peaks(self) -> Float[np.ndarray, " peaks"]:
         """Frequencies [rad/s] of the peaks in the residual of the declared model."""
@@ -337,7 +337,7 @@ class Round:
             costs = self._held_out_costs([chosen, *rivals])
         return [(fit.keys, search.value(fit) + costs[fit.keys]) for fit in (chosen, *rivals)]
 
-    def taken(self, laws: Collection[Placed]) -> float:
+    def removed(self, laws: Collection[Placed]) -> float:
         """Power of the residual that laws of the chosen set take beside the others."""
         search = self.candidate_search
         remaining = [atom for atom in self.chosen.atoms if atom.placed not in laws]

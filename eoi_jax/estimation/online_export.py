@@ -202,14 +202,14 @@ def _as_formulas(estimator: OnlineEstimator) -> _Traced:
         raise
     nodes = [node for array in results for node in np.ravel(array)]
     following, wanted = dict(zip(states, nodes, strict=False)), nodes[len(states) :]
-    kept = _needed(wanted, following)
+    memorised = _needed(wanted, following)
     start = dict(zip(states, np.concatenate([np.ravel(leaf) for leaf in leaves]), strict=True))
     names = unused_names([symbol.name for symbol in (*states, *signals)])
-    formulas = [*(following[symbol] for symbol in kept), *wanted]
+    formulas = [*(following[symbol] for symbol in memorised), *wanted]
     trees, definitions = shared_formulas(formulas, names, flags=True)
     model = Program(
         name=plant.name,
-        states=tuple(Variable(symbol, symbol.name, "") for symbol in kept),
+        states=tuple(Variable(symbol, symbol.name, "") for symbol in memorised),
         rates=tuple(trees),
         starts={},
         start_values={},
@@ -222,13 +222,13 @@ def _as_formulas(estimator: OnlineEstimator) -> _Traced:
         arguments=(),
     )
     targets = [
-        *(f"state->memory[{k}]" for k in range(len(kept))),
+        *(f"state->memory[{k}]" for k in range(len(memorised))),
         *(f"estimate->parameters[{k}]" for k in range(len(plant.names))),
         *(f"estimate->injection[{k}]" for k in range(ny)),
         "estimate->power",
         "estimate->alarm",
     ]
-    return _Traced(model, [float(start[symbol]) for symbol in kept], targets)
+    return _Traced(model, [float(start[symbol]) for symbol in memorised], targets)
 
 
 def _as_nodes(

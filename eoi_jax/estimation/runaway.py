@@ -81,11 +81,13 @@ def held_runaways(
     names = runaways(plant, values, lambda: fit.standard_errors)
     if not names or len(names) == int(np.sum(plant.free)):
         return fit
-    refitted, held = fit, dict(values)
+    refitted, fixed_values = fit, dict(values)
     for count in itertools.count(1):
-        held = {name: _towards(plant.parameters[name], values[name], count) for name in names}
-        is_last = all(held[name] == values[name] for name in names)
-        refitted = refit(plant.declared_anew({**values, **held}, fixed=names))
+        fixed_values = {
+            name: _towards(plant.parameters[name], values[name], count) for name in names
+        }
+        is_last = all(fixed_values[name] == values[name] for name in names)
+        refitted = refit(plant.declared_anew({**values, **fixed_values}, fixed=names))
         as_good = is_last or cost(refitted) <= cost(fit) + _SETTINGS.max_rise
         if refitted.status.ok and as_good:
             break
@@ -93,7 +95,7 @@ def held_runaways(
             return fit
     notes = [
         _RAN_OFF.format(name, values[name], plant.parameters[name], _side(plant, name, values),
-                        held[name])
+                        fixed_values[name])
         for name in names
     ]  # fmt: skip
     return replace(refitted, nominal=plant, notes=(*refitted.notes, *notes))
