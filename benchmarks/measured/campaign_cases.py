@@ -194,7 +194,7 @@ def mr_damper(folder: Path) -> Rig:
 
     return Rig(
         plant, _parts(read, ["1.1", "4.1", "7.1"], ["3.1", "8.1"], ["5.1", "10.1"]),
-        {"force": (26.6, 26.7)}, {"force": (10.1, 10.2)}, ("input_saturation",), "N",
+        {"force": (26.6, 26.7)}, {"force": (10.1, 10.2)}, ("input_saturation|input_yield",), "N",
     )  # fmt: skip
 
 
@@ -310,7 +310,7 @@ def steam_exchanger(folder: Path) -> Rig:
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
-        {"temperature": (0.6781, 0.6731)}, {"temperature": (0.3874, 0.3875)}, ("cells",), "K",
+        {"temperature": (0.6781, 0.6731)}, {"temperature": (0.3874, 0.3875)}, ("cells_in_series",), "K",
     )  # fmt: skip
 
 

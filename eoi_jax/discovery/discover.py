@@ -302,7 +302,8 @@ def _with_doubts(task: Task, discovery: Discovery, refined: bool) -> Discovery:
         return discovery
     doubts = beyond_noise(discovery.windows_after, task.held_out or task.records)
     suggestion = "" if refined else _REFINE_HINT
-    return replace(discovery, notes=(*discovery.notes, *(doubt + suggestion for doubt in doubts)))
+    notes = (FitNote(doubt + suggestion) for doubt in doubts)
+    return replace(discovery, notes=(*discovery.notes, *notes))
 
 
 def _no_progress(stage: str, done: int, stages: int) -> None:

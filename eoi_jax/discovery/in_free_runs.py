@@ -55,9 +55,10 @@ _RULES = RULES.questions
 def leaves_open(discovery: Discovery) -> bool:
     """Whether free runs are searched: without an answer, or with one that may stand in for another.
 
-    A disturbance in time may stand in for what the library lacks. Only records that are held out
-    can judge, and the score test of free runs knows no outputs that are functions of the states.
-    Effects that explain all but have no free run would be stood in for by others.
+    Also where the injection lacks nothing, and free runs miss by more than noise. A disturbance in
+    time may stand in for what the library lacks. Only records that are held out can judge, and the
+    score test of free runs knows no outputs that are functions of the states. Effects that explain
+    all but have no free run would be stood in for by others.
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
         return False
@@ -67,6 +68,8 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = any(
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
+    if code == "nothing_missing":
+        return bool(beyond_noise(discovery.windows_after, discovery.held_out))
     return code == "unexplained" or (code == "complete" and in_time)
 
 

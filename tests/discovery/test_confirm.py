@@ -47,17 +47,29 @@ def test_free_runs_beyond_the_noise_are_told(records):
     assert beyond_noise(None, [records[0]]) == []
 
 
-@pytest.mark.parametrize("refine", [False, True])
-def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(
-    records, monkeypatch, refine
-):
+@pytest.fixture
+def silenced(monkeypatch):
+    """An injection that is silent, of parameters that stay where they are."""
     module = importlib.import_module("eoi_jax.discovery.discover")
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
     monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
-    found = discover(plant(220.0), *records, effects="cubic_stiffness", refine=refine)
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(records, silenced, refine):
+    found = discover(plant(220.0), records[0], effects="cubic_stiffness", refine=refine)
     (doubt,) = [note for note in found.notes if "times the noise of its sensor" in note]
     assert ("`refine=True`" in doubt) is not refine
+
+
+def test_held_out_free_runs_that_miss_are_searched_and_may_blame_the_estimate(records, silenced):
+    found = discover(plant(220.0), *records, effects="cubic_stiffness")
+    assert (found.status.code, found.effects) == ("nothing_missing", ())
+    assert found.plant.parameters["k"] == pytest.approx(200.0, rel=1e-3)
+    assert beyond_noise(found.windows_after, [records[1]]) == []
+    assert any("was refined by the error of its free runs" in note for note in found.notes)
+    assert not any("noise of its sensor" in note for note in found.notes)
 
 
 def test_an_answer_of_nothing_stands_where_free_runs_agree(records):
