@@ -5,7 +5,7 @@ parameters of an equation of a jaxpr that are not those of an elementary operati
 this module run on every version that the README names.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -18,19 +18,11 @@ from jax.extend.core import Primitive as Primitive
 from jax.interpreters.partial_eval import dce_jaxpr
 
 try:
-    from jax.experimental.buffer_callback import buffer_callback
-except ImportError:  # experimental: without it arrays are copied on their way to the host
-    buffer_callback = None
-
-try:
     from jax._src.core import trace_state_clean as _trace_state_clean
 except ImportError:  # then the arguments alone tell
 
     def _trace_state_clean() -> bool:
         return True
-
-
-BUFFER_CALLBACK: Callable | None = buffer_callback
 
 
 def version() -> tuple[int, ...]:

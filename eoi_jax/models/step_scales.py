@@ -26,18 +26,15 @@ too: there e_j = -1, and a' changes its sign with θ_j.
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
-
-Host = Array | np.ndarray
 
 LINEAR, LOGARITHMIC, RECIPROCAL, SIGNED_RECIPROCAL = 0, 1, 2, 3
 
@@ -89,31 +86,6 @@ class StepScales:
     def coupled(self) -> bool:
         """Whether a parameter is multiplied by powers of others."""
         return any(map(any, self.exponents))
-
-    @property
-    def as_arguments(self) -> "StepScales | ScaleArrays":
-        """For a compiled program that serves all models: as arrays, where any is not trivial."""
-        if self.trivial:
-            return StepScales((), ())
-        return ScaleArrays(np.asarray(self.scales), np.asarray(self.exponents, dtype=float))
-
-
-class ScaleArrays(eqx.Module):
-    """`StepScales` whose values a compiled program is given, and does not depend on.
-
-    Attributes:
-        scales, exponents: as of `StepScales`.
-    """
-
-    scales: Int[Host, " np"]
-    exponents: Float[Host, "np np"]
-
-    trivial: ClassVar[bool] = False
-    signed: ClassVar[bool] = True
-    coupled: ClassVar[bool] = True
-
-
-Scales = StepScales | ScaleArrays
 
 
 def step_scales(plant: Plant) -> StepScales:
@@ -265,7 +237,7 @@ def _is_reciprocal(plant: Plant, theta: Float[np.ndarray, " np"], i: int, tolera
     return bool(np.any(finite) and np.all(bend <= tolerance * size))
 
 
-def coordinates(theta: Any, scales: Scales, xp: Any = np) -> Any:
+def coordinates(theta: Any, scales: StepScales, xp: Any = np) -> Any:
     """∂Δ/∂x, of steps x with κ in the place of Δ of what is multiplied; shape (…, np, np).
 
     Args:
@@ -278,7 +250,7 @@ def coordinates(theta: Any, scales: Scales, xp: Any = np) -> Any:
     return xp.eye(theta.shape[-1]) - coupled
 
 
-def scaled_step(theta: Any, step: Any, scales: Scales, xp: Any = np) -> Any:
+def scaled_step(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
     """The change of the parameters by a step of the linearised model, each on its scale.
 
     Args:
@@ -317,15 +289,15 @@ def _alone(theta: Any, step: Any, scales: Any, xp: Any) -> Any:
     return xp.where((scales == LINEAR) | (theta == 0), step, theta * (factor - 1.0))
 
 
-def shortened(theta: Any, step: Any, scales: Scales, xp: Any = np) -> Any:
+def shortened(theta: Any, step: Any, scales: StepScales, xp: Any = np) -> Any:
     """A step so short that the reciprocal of no divisor without bounds grows beyond the factor.
 
     Near its zero that is little of a step, and the rest of it, taken in full, would belong to a
     reciprocal that is not there yet: a search would never get away from zero.
 
     Args:
-        theta: parameters, shape (np,).
-        step: of the linearised model, shape (np,).
+        theta: parameters, shape (…, np).
+        step: of the linearised model, shape (…, np).
         scales: of `step_scales`.
         xp: `numpy` or `jax.numpy`.
     """
@@ -335,10 +307,11 @@ def shortened(theta: Any, step: Any, scales: Scales, xp: Any = np) -> Any:
     relative = step / xp.where(theta != 0, theta, 1.0)
     longest = xp.where(relative > 0, most + 1.0, most - 1.0)
     share = longest / xp.maximum(xp.abs(relative), longest)
-    return step * xp.min(xp.where(kinds == SIGNED_RECIPROCAL, share, 1.0))
+    share = xp.where(kinds == SIGNED_RECIPROCAL, share, 1.0)
+    return step * xp.min(share, axis=-1, keepdims=True)
 
 
-def linear_step(theta: Any, change: Any, scales: Scales, xp: Any = np) -> Any:
+def linear_step(theta: Any, change: Any, scales: StepScales, xp: Any = np) -> Any:
     """The step of the linearised model of which a change is the scaled one: `scaled_step` undone.
 
     It says what the linearised model expects of a change, where a bound or the largest factor has
@@ -375,7 +348,9 @@ def _sign(flipped: Any, exponents: Any, xp: Any) -> Any:
     return xp.prod(xp.where(flipped[..., None, :] & (exponents == -1.0), -1.0, 1.0), axis=-1)
 
 
-def step_room(theta: Any, lower: Any, upper: Any, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
+def step_room(
+    theta: Any, lower: Any, upper: Any, scales: StepScales
+) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest steps that `scaled_step` keeps in the bounds, κ where it takes κ.
 
     For κ only if the bound is zero, or the others stay.

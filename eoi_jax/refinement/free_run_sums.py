@@ -1,64 +1,41 @@
 r"""Sums and signals of free runs: what least squares needs of a problem, and all derivatives.
 
-One sweep over all runs gives the normal equations of all unknowns: `errors` are a small square root
-of these for each run. Runs are machine code where that is possible, else scans.
+One sweep over all runs gives the normal equations of all unknowns, and a small square root of these
+for each run. Runs are machine code where that is possible, else scans.
 """
 
 from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from eoi_jax.compiler.callback import borrowed, on_host
 from eoi_jax.compiler.programs import jit
 from eoi_jax.refinement.driven_inputs import DrivenInputs
-from eoi_jax.refinement.problem import HostRuns, Problem, Unknowns, driven, widened_sums
+from eoi_jax.refinement.problem import Problem, Unknowns, driven
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 
 
-def sums(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size size"]:
-    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed."""
-    if problem.start_sums is None:
-        return _simulated(unknowns, problem)
-    where, start_sums = problem.start_sums
-    pairs = zip(jax.tree.leaves(unknowns), jax.tree.leaves(where), strict=True)
-    at_start = jnp.stack([jnp.all(value == start_value) for value, start_value in pairs]).all()
-    start_sums = jnp.asarray(start_sums, unknowns.theta.dtype)
-    return jax.lax.cond(at_start, lambda: start_sums, lambda: _simulated(unknowns, problem))
+def sums(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "lanes runs size size"]:
+    r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed.
 
-
-def _simulated(unknowns: Unknowns, problem: Problem | HostRuns) -> Array:
-    if isinstance(problem, Problem):
-        theta = jnp.asarray(problem.theta).at[np.asarray(problem.free)].set(unknowns.theta)
-        return _scanned(problem, theta, unknowns.starts)[0]
-    runs, start_size = unknowns.starts.shape
-    size = start_size + len(problem.lower) + 1
-    shape = jax.ShapeDtypeStruct((runs, size, size), unknowns.theta.dtype)
-    return on_host(_compiled_sums, shape, unknowns.theta, unknowns.starts, problem.number)
-
-
-def _compiled_sums(theta: np.ndarray, starts: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """`sums` of the problem that was lent under this number, at values of the unknown parameters.
-
-    Of one lane, or of several: then all has a leading axis, of length one if it is shared.
+    Args:
+        unknowns: of one lane or several, a leading axis.
+        problem: the runs.
     """
-    problem: Problem = borrowed(np.ravel(number)[0])
-    count = len(problem.free)  # behind these are some that do nothing
-    theta, spare = theta[..., :count], theta.shape[-1] - count
-    if theta.ndim == 1:
-        return widened_sums(_summed(problem, theta[None], starts[None])[0], spare)
+    theta, starts = np.asarray(unknowns.theta), np.asarray(unknowns.starts)
+    if not problem.compiled:
+        theta = jnp.asarray(np.stack([problem.completed(values) for values in theta]))
+        return np.asarray(_scanned_sums(problem, theta, jnp.asarray(starts)), float)
     if problem.places is None:
-        return widened_sums(_summed(problem, theta, starts), spare)
-    lanes = zip(theta, np.broadcast_to(starts, (len(theta), *starts.shape[1:])), strict=True)
-    parts = [_summed(problem, *(part[None] for part in lane)) for lane in lanes]
-    return widened_sums(np.concatenate(parts), spare)
+        return _summed(problem, theta, starts)
+    lanes = zip(theta, starts, strict=True)
+    return np.concatenate([_summed(problem, *(part[None] for part in lane)) for lane in lanes])
 
 
 def _summed(
@@ -186,48 +163,53 @@ def outputs(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
 
 
 @jit
+def _scanned_sums(problem: Problem, theta: Array, starts: Array) -> Array:
+    if len(theta) == 1:
+        return _scanned(problem, theta[0], starts[0])[0][None]
+    return jax.vmap(lambda theta, starts: _scanned(problem, theta, starts)[0])(theta, starts)
+
+
+@jit
 def _scanned_signals(
     problem: Problem, theta: Array, starts: Host
 ) -> Float[Array, "runs rows ny size"]:
     return _scanned(problem, theta, starts, "signals")[1]
 
 
-@eqx.filter_custom_jvp
-def errors(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size"]:
-    """As many numbers a run as it has unknowns, and one: their squares sum up to its cost."""
-    return _roots(unknowns, problem)[..., -1]
+def roots(
+    square: Float[np.ndarray, "lanes runs size size"],
+    theta: Float[Host, "lanes free"],
+    power: Float[Host, " runs"],
+) -> Float[np.ndarray, "lanes runs size size"]:
+    r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows.
 
+    NaN where a run has diverged, or has no slopes to speak of.
 
-@errors.def_jvp
-def _jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """The whole Jacobian in one sweep; then products with it cost next to nothing."""
-    unknowns, problem = primals
-    moved, _ = tangents
-    start_size = unknowns.starts.shape[1]
-    roots = _roots(unknowns, problem)
-    product = jnp.einsum("riu,ru->ri", roots[..., :start_size], moved.starts)
-    return roots[..., -1], product + jnp.einsum("riu,u->ri", roots[..., start_size:-1], moved.theta)
-
-
-def _roots(unknowns: Unknowns, problem: Problem | HostRuns) -> Float[Array, "runs size size"]:
-    r"""$A$ with $A^\top A$ = the sums: all that least squares needs of $[J\ r]$, in few rows."""
-    square = sums(unknowns, problem)
-    length = jnp.sqrt(jnp.diagonal(square, axis1=1, axis2=2))
-    divisor = jnp.where(length > 0, length, 1.0)
-    scaled = square / (divisor[:, :, None] * divisor[:, None, :])
-    values, vectors = jnp.linalg.eigh(scaled)
-    root = jnp.sqrt(jnp.maximum(values, 0.0))[:, :, None] * jnp.swapaxes(vectors, 1, 2)
+    Args:
+        square: the sums.
+        theta: where.
+        power: sum of squares of the measured outputs of each run.
+    """
+    theta, power, free = np.asarray(theta), np.asarray(power), theta.shape[-1]
+    squares = np.diagonal(square, axis1=-2, axis2=-1)
+    bad = ~np.all(np.isfinite(square), axis=(-2, -1))
+    bad |= ill_conditioned(squares[..., -1 - free :], theta[:, None], power)
+    length = np.where(squares > 0, np.sqrt(squares), 1.0)
+    scaled = square / (length[..., :, None] * length[..., None, :])
+    scaled = np.where(bad[..., None, None], 0.0, scaled)  # LAPACK takes no NaN
+    values, vectors = np.linalg.eigh(scaled)
+    root = np.sqrt(np.maximum(values, 0.0))[..., None] * np.swapaxes(vectors, -1, -2)
     # Columns of zeros (the start of a declared internal state) end as zeros, not as rounding.
-    # NaN must stay: the maximum above would hide a run that has diverged.
-    bad = ~jnp.all(jnp.isfinite(square), axis=(1, 2))
-    start_size = unknowns.starts.shape[1]
-    bad |= ill_conditioned(
-        jnp.diagonal(square, axis1=1, axis2=2)[:, start_size:], unknowns.theta, problem.power
-    )
-    return jnp.where(bad[:, None, None], jnp.nan, root * length[:, None, :])
+    length = np.where(squares > 0, length, 0.0)
+    return np.where(bad[..., None, None], np.nan, root * length[..., None, :])
 
 
-def ill_conditioned(squares: Any, theta: Any, power: Any, max_share: float = 1e-3) -> Any:
+def ill_conditioned(
+    squares: Float[np.ndarray, "*lanes runs columns"],
+    theta: Float[np.ndarray, "..."],
+    power: Float[Host, " runs"],
+    max_share: float = 1e-3,
+) -> Bool[np.ndarray, "*lanes runs"]:
     """Whether rounding of a parameter moves the outputs of a run: it has no slopes to speak of.
 
     So it is where a step is too long for what the model does fast: the errors of the steps are then
@@ -235,10 +217,10 @@ def ill_conditioned(squares: Any, theta: Any, power: Any, max_share: float = 1e-
 
     Args:
         squares: sums of squares of the derivatives with the free parameters, then of the errors,
-            shape (runs, free + 1).
-        theta: these parameters, shape (free,).
+            shape (…, runs, free + 1).
+        theta: these parameters, shape (…, free).
         power: sums of squares of the measured outputs, shape (runs,).
         max_share: of the outputs, by which rounding of a parameter may move them.
     """
-    moved = squares[:, :-1] * (np.finfo(theta.dtype).eps * theta) ** 2
-    return (moved > max_share**2 * (power + squares[:, -1])[:, None]).any(axis=1)
+    moved = squares[..., :-1] * (np.finfo(squares.dtype).eps * theta) ** 2
+    return (moved > max_share**2 * (power + squares[..., -1])[..., None]).any(axis=-1)

@@ -1,37 +1,29 @@
-r"""Levenberg-Marquardt for many runs that share parameters and start each on its own.
+r"""Levenberg-Marquardt for many runs that share parameters and start each on its start_size.
 
-Optimistix's solver; its first steps are all but Gauss-Newton. Each run is given by a small square
-root of its normal equations. The Jacobian has the shape of an arrow: the initial states are
-eliminated run by run, for QR of the rows of each run leaves a small triangle (Å. Björck,
-*Numerical Methods for Least Squares Problems*, section 6.3).
+Its first steps are all but Gauss-Newton. Each run is given by a small square root of its normal
+equations. The Jacobian has the shape of an arrow: the initial states are eliminated run by run, for
+QR of the rows of each run leaves a small triangle (Å. Björck, *Numerical Methods for Least Squares
+Problems*, section 6.3). The trust region widens and narrows as in N. I. M. Gould, D. Orban,
+A. Sartenaer and Ph. L. Toint, *Sensitivity of trust-region algorithms to their parameters*, 4OR 3,
+2005.
+
+All of it is NumPy, over a leading axis of lanes: points that are followed side by side. The
+matrices are small, and the runs are called, not compiled in: no program depends on how many runs or
+unknowns there are.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from eoi_jax._types import Scalar
-from eoi_jax.compiler.callback import lent
-from eoi_jax.compiler.programs import jit
-from eoi_jax.models.step_scales import Scales, coordinates, linear_step, scaled_step, shortened
-from eoi_jax.refinement.free_run_sums import errors, signals
-from eoi_jax.refinement.problem import (
-    CONVERGED,
-    HostRuns,
-    Outcome,
-    Problem,
-    Unknowns,
-    scored_values,
-)
+from eoi_jax.models.step_scales import coordinates, linear_step, scaled_step, shortened
+from eoi_jax.refinement.free_run_sums import roots, signals, sums
+from eoi_jax.refinement.problem import CONVERGED, Outcome, Problem, Unknowns
 from eoi_jax.simulation import compiled_runs
-from eoi_jax.simulation.sensitivity import Host, added_up
+from eoi_jax.simulation.sensitivity import added_up
 
 Watch = Callable[[Any, Any], None]
 
@@ -42,7 +34,12 @@ class LevenbergMarquardtSettings:
 
     initial_damping: float = 1e-2  # of the first step
     min_damping: float = 1e-12  # of a full step: enough for what leaves no trace
-    widening: float = 0.75  # share of the predicted reduction from which on the region is widened
+    # Shares of the predicted reduction from which on a step is taken, and the region is widened;
+    # factors by which its size, the inverse of the damping, grows and shrinks.
+    acceptance: float = 0.01
+    widening: float = 0.75
+    growth: float = 3.5
+    shrinkage: float = 0.25
     min_step: float = 1e-4  # size of the trust region at which it gives up, relative to the first
     cost_floor: float = 1e-18  # mean square of weighed errors that is rounding, over `CONVERGED`
     # Kinks of dry friction: steps keep being taken that lower the cost by next to nothing, and by
@@ -50,38 +47,68 @@ class LevenbergMarquardtSettings:
     poor_reduction: float = 3e-4  # of the cost
     poor_ratio: float = 0.1  # of the predicted reduction
     max_poor_steps: int = 3  # in a row; they end the search
-    # Unknown parameters are filled up to a multiple of it by some that do nothing: models with one
-    # parameter more or less share a compiled program, which takes a second.
-    grain: int = 4
 
 
 _SETTINGS = LevenbergMarquardtSettings()
 
+Rows = Float[np.ndarray, "lanes runs size size"]
+Lanes = Float[np.ndarray, " lanes"]
+Free = Float[np.ndarray, "lanes free"]
 
-class _Reduced(eqx.Module):
-    """The linearised problem at the last accepted point, with columns of length one.
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The linearised problem of each lane at its last accepted point, with columns of length one.
 
     Attributes:
-        triangles: R of [J | error] of each run: its start, θ, the error.
-        start_lengths, shared: lengths of the columns of starts and of θ (over all runs).
-        theta: there. room: how far it may go down and up.
+        theta, starts: that point.
+        rows: the roots there: of each run, columns of its start, θ and the error.
+        triangles: R of these rows, with θ on its scales.
+        start_lengths, lengths: lengths of the columns of starts, and of θ (over all runs).
         predicted_reduction: share of the cost that a step without damping would take away.
-        cost: there. poor: accepted steps in a row that lowered it by next to nothing.
-        widest: largest trust region so far.
+        cost: there.
     """
 
-    triangles: Float[Array, "runs size size"]
-    start_lengths: Float[Host, "runs unknowns"]
-    shared: Float[Host, " free"]
-    theta: Float[Host, " free"]
-    room: Float[Array, "2 free"]
-    predicted_reduction: Scalar
-    cost: Scalar
-    poor: Int[Array, ""]
-    widest: Scalar
+    theta: Free
+    starts: Float[np.ndarray, "lanes runs own"]
+    rows: Rows
+    triangles: Rows
+    start_lengths: Float[np.ndarray, "lanes runs own"]
+    lengths: Free
+    predicted_reduction: Lanes
+    cost: Lanes
 
 
-class _Arrow(optx.AbstractDescent):
+@dataclass(frozen=True)
+class _Search:
+    """Where the search of each lane is.
+
+    Attributes:
+        reduced: the problem at the last accepted point.
+        size: of the trust region, relative to the first. widest: the largest so far.
+        poor: accepted steps in a row that lowered the cost by next to nothing.
+        steps: simulations with sensitivities so far.
+    """
+
+    reduced: _Reduced
+    size: Lanes
+    widest: Lanes
+    poor: Int[np.ndarray, " lanes"]
+    steps: Int[np.ndarray, " lanes"]
+
+    @property
+    def lost(self) -> Bool[np.ndarray, " lanes"]:
+        """Whether no step lowers the cost to speak of."""
+        return (self.size < _SETTINGS.min_step) | (self.poor >= _SETTINGS.max_poor_steps)
+
+    def ended(self, max_steps: int) -> Bool[np.ndarray, " lanes"]:
+        """Whether the cost is at its floor, no step lowers it to speak of, or time is up."""
+        converged = self.reduced.predicted_reduction < CONVERGED
+        return converged | self.lost | (self.steps >= max_steps)
+
+
+@dataclass(frozen=True)
+class _Arrow:
     """Damped least squares (Marquardt's scaling), starts eliminated run by run, bounds kept.
 
     Marquardt's steps are the same on any scale of a parameter; what they move is not. Parameters
@@ -89,158 +116,158 @@ class _Arrow(optx.AbstractDescent):
     divisor grows, its own column and theirs become one.
     """
 
-    lower: Float[Host, " free"]
-    upper: Float[Host, " free"]
-    faintest: Float[Host, " states"]
-    scored: Scalar
-    scales: Scales
+    problem: Problem
+    start_size: int  # unknowns of the start of a run
+    scored: int
 
-    def init(self, y: Unknowns, f_info_struct: Any) -> _Reduced:
-        """Anything of the right shape."""
-        del f_info_struct
-        runs, start_size = y.starts.shape
-        size = start_size + len(y.theta) + 1
-        unit = jnp.ones((), y.theta.dtype)
-        return _Reduced(
-            jnp.zeros((runs, size, size), y.theta.dtype), y.starts, y.theta, y.theta,
-            jnp.stack([y.theta, y.theta]), unit, jnp.inf * unit, jnp.asarray(0), unit,
-        )  # fmt: skip
+    @classmethod
+    def of(cls, problem: Problem, unknowns: Unknowns) -> "_Arrow":
+        return cls(problem, unknowns.starts.shape[-1], int(np.sum(problem.use)))
 
-    def query(self, y: Unknowns, f_info: Any, state: _Reduced) -> _Reduced:
-        """Linearise at an accepted point."""
-        start_size = y.starts.shape[1]
-        columns, error = _columns(f_info.jac, y), f_info.residual
+    def linearised(self, at: Unknowns, rows: Rows) -> _Reduced:
+        """The problem at a point, whose roots are given."""
+        problem, start_size, theta = self.problem, self.start_size, np.asarray(at.theta)
+        columns, error = rows[..., :-1].copy(), rows[..., -1]
         # On its bound, and the cost falls beyond it: not a direction to go.
-        slope = jnp.einsum("iru,ir->u", columns[..., start_size:], error)
-        stuck = ((y.theta <= self.lower) & (slope > 0)) | ((y.theta >= self.upper) & (slope < 0))
-        columns = columns.at[..., start_size:].multiply(jnp.where(stuck, 0.0, 1.0))
-        if not self.scales.trivial:
-            products = coordinates(y.theta, self.scales, jnp)
-            columns = columns.at[..., start_size:].set(columns[..., start_size:] @ products)
-        power = jnp.sum(columns**2, axis=1)
-        faintest = jnp.pad(self.faintest, (0, start_size - len(self.faintest)))
-        traced = power[:, :start_size] > faintest**2
-        columns = columns.at[..., :start_size].multiply(traced[:, None, :])
-        lengths = (
-            _length(jnp.where(traced, power[:, :start_size], 0.0)),
-            _length(jnp.sum(power[:, start_size:], axis=0)),
+        slope = np.einsum("lrnu,lrn->lu", columns[..., start_size:], error)
+        stuck = (theta <= problem.lower) & (slope > 0) | (theta >= problem.upper) & (slope < 0)
+        columns[..., start_size:] *= np.where(stuck, 0.0, 1.0)[:, None, None]
+        if not problem.scales.trivial:
+            columns[..., start_size:] = (
+                columns[..., start_size:] @ coordinates(theta, problem.scales)[:, None]
+            )
+        power = np.sum(columns**2, axis=2)
+        traced = (
+            power[..., :start_size]
+            > np.pad(problem.faintest, (0, start_size - len(problem.faintest))) ** 2
         )
-        scale = jnp.concatenate(
-            [lengths[0], jnp.broadcast_to(lengths[1], (len(error), len(y.theta)))], axis=1
-        )
-        stacked = jnp.concatenate([columns / scale[:, None, :], error[..., None]], axis=-1)
-        triangles = jnp.linalg.qr(stacked, mode="r")
-        room = jnp.stack([self.lower - y.theta, self.upper - y.theta])
-        damping = jnp.asarray(_SETTINGS.min_damping, error.dtype)
+        columns[..., :start_size] *= traced[:, :, None]
+        start_lengths = _length(np.where(traced, power[..., :start_size], 0.0))
+        lengths = _length(np.sum(power[..., start_size:], axis=1))
+        columns[..., :start_size] /= start_lengths[:, :, None]
+        columns[..., start_size:] /= lengths[:, None, None]
+        triangles = _triangle(np.concatenate([columns, error[..., None]], axis=-1))
+        damping = np.full(len(theta), _SETTINGS.min_damping)
         _, remaining_cost = _shared_step(
             _damped(triangles, start_size, damping), start_size, damping
         )
-        cost = jnp.sum(error**2)
+        cost = np.sum(error**2, axis=(1, 2))
         floor = _SETTINGS.cost_floor * self.scored
-        predicted_reduction = (cost - remaining_cost) / jnp.maximum(cost, floor)
-        lowered = 1.0 - cost / state.cost  # one at the very start
-        poor = lowered < _SETTINGS.poor_reduction
-        poor &= lowered < _SETTINGS.poor_ratio * state.predicted_reduction
-        count = jnp.where(poor, state.poor + 1, 0)
-        return _Reduced(
-            triangles, *lengths, y.theta, room, predicted_reduction, cost, count, state.widest
-        )
+        predicted_reduction = (cost - remaining_cost) / np.maximum(cost, floor)
+        return _Reduced(theta, np.asarray(at.starts), rows, triangles, start_lengths, lengths,
+                        predicted_reduction, cost)  # fmt: skip
 
-    def step(self, step_size: Scalar, state: _Reduced) -> tuple[Unknowns, optx.RESULTS]:
-        """The step of damping inverse to `step_size`."""
-        damping = _SETTINGS.initial_damping / step_size
-        start_size = state.start_lengths.shape[1]
-        rows = _damped(state.triangles, start_size, damping)
-        theta, _ = _shared_step(rows, start_size, damping)
-        theta = theta / state.shared
-        if not self.scales.trivial:
-            products = coordinates(state.theta, self.scales, jnp)
-            theta = shortened(state.theta, products @ theta, self.scales, jnp)
-            theta = scaled_step(state.theta, theta, self.scales, jnp)
-        theta = linear = jnp.clip(theta, state.room[0], state.room[1])
-        if not self.scales.trivial:
-            linear = linear_step(state.theta, theta, self.scales, jnp)
-            linear = jnp.linalg.solve(products, linear)
-        starts = _own_steps(rows[:, :start_size], linear * state.shared) / state.start_lengths
-        return Unknowns(theta, starts), optx.RESULTS.successful
+    def stepped(self, reduced: _Reduced, size: Lanes) -> Unknowns:
+        """Where the step of damping inverse to `size` leads."""
+        scales, at = self.problem.scales, reduced.theta
+        damping = _SETTINGS.initial_damping / size
+        rows = _damped(reduced.triangles, self.start_size, damping)
+        step = _shared_step(rows, self.start_size, damping)[0] / reduced.lengths
+        if not scales.trivial:
+            products = coordinates(at, scales)
+            step = shortened(at, (products @ step[..., None])[..., 0], scales)
+            step = scaled_step(at, step, scales)
+        step = linear = np.clip(step, self.problem.lower - at, self.problem.upper - at)
+        if not scales.trivial:
+            linear = linear_step(at, step, scales)
+            # (I - C)⁻¹ = I + C, for no product multiplies another: C² = 0.
+            linear = 2.0 * linear - (products @ linear[..., None])[..., 0]
+        own_steps = _own_steps(rows[..., : self.start_size, :], linear * reduced.lengths)
+        return Unknowns(at + step, reduced.starts + own_steps / reduced.start_lengths)
 
+    def begun(self, unknowns: Unknowns, rows: Rows) -> _Search:
+        """Before the first step, with the roots there."""
+        lanes = len(unknowns.theta)
+        unit, zeros = np.ones(lanes), np.zeros(lanes, int)
+        return _Search(self.linearised(unknowns, rows), unit, unit, zeros, zeros + 1)
 
-def _length(power: Array) -> Array:
-    """Of columns with these sums of squares; one for columns of zeros."""
-    return jnp.sqrt(jnp.where(power > 0, power, 1.0))
+    def moved(self, search: _Search, trial: Unknowns, rows: Rows, patient: bool) -> _Search:
+        """With the trial step of each lane taken, or a smaller trust region.
 
-
-def _damped(triangles: Array, start_size: int, damping: Scalar) -> Array:
-    """R of each run with damping rows on its start."""
-    rows = jnp.sqrt(damping) * jnp.eye(start_size, triangles.shape[-1], dtype=triangles.dtype)
-    rows = jnp.broadcast_to(rows, (len(triangles), *rows.shape))
-    return jnp.linalg.qr(jnp.concatenate([triangles, rows], axis=1), mode="r")
-
-
-def _shared_step(damped: Array, start_size: int, damping: Scalar) -> tuple[Array, Scalar]:
-    """Step of scaled θ over what the starts of the runs leave, and the cost that is then left."""
-    corners = damped[:, start_size:, start_size:]
-    size = corners.shape[-1] - 1
-    rows = jnp.sqrt(damping) * jnp.eye(size, size + 1, dtype=corners.dtype)
-    triangle = jnp.linalg.qr(jnp.concatenate([corners.reshape(-1, size + 1), rows]), mode="r")
-    step = jax.scipy.linalg.solve_triangular(triangle[:size, :size], -triangle[:size, size])
-    return step, triangle[size, size] ** 2
-
-
-def _own_steps(rows: Array, theta: Array) -> Array:
-    """Steps of the scaled starts, given that of scaled θ."""
-    start_size = rows.shape[1]
-    rhs = rows[..., start_size:-1] @ theta + rows[..., -1]
-    return jax.vmap(jax.scipy.linalg.solve_triangular)(rows[..., :start_size], -rhs)
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """Optimistix's Levenberg-Marquardt, ended by what a step promises, not by its length."""
-
-    rtol: float
-    atol: float
-    norm: Callable[[Any], Scalar]
-    descent: _Arrow
-    search: optx.ClassicalTrustRegion
-    verbose: Callable[..., None]
-    max_steps: Int[Host, ""]
-    watch: Watch | None
-    patient: bool
-
-    def step(
-        self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
-    ) -> tuple[Any, Any, Any]:
-        """One step; to the patient none is poor that leaves the trust region wider than ever.
-
-        Along a narrow valley the first damping allows next to no progress, and the region must
-        widen by orders of magnitude before there is any. Of many searches side by side most are
-        lost anyway, and all would wait for them.
+        To the patient no step is poor that leaves the trust region wider than ever: along a narrow
+        valley the first damping allows next to no progress, and the region must widen by orders of
+        magnitude before there is any. Of many searches side by side most are lost anyway, and all
+        would wait for them.
         """
-        y, new, aux = super().step(fn, y, args, options, state, tags)
-        if not self.patient:
-            return y, new, aux
-        reduced, size = new.descent_state, new.search_state.step_size
-        poor = jnp.where(size > reduced.widest, 0, reduced.poor)
-        widest = jnp.maximum(size, reduced.widest)
-        reduced = replace(reduced, poor=poor, widest=widest)
-        return y, eqx.tree_at(lambda state: state.descent_state, new, reduced), aux
+        old, size = search.reduced, search.size
+        new = self.linearised(trial, rows)
+        predicted, change = self._predicted(old, trial), 0.5 * (new.cost - old.cost)
+        accepted = change <= _SETTINGS.acceptance * predicted
+        good = (change < _SETTINGS.widening * predicted) & (predicted < 0)
+        size = size * np.where(accepted, np.where(good, _SETTINGS.growth, 1.0), _SETTINGS.shrinkage)
+        lowered = 1.0 - new.cost / old.cost
+        poor = lowered < _SETTINGS.poor_reduction
+        poor &= lowered < _SETTINGS.poor_ratio * old.predicted_reduction
+        count = np.where(accepted, np.where(poor, search.poor + 1, 0), search.poor)
+        if patient:
+            count = np.where(size > search.widest, 0, count)
+        widest = np.maximum(size, search.widest)
+        return _Search(_chosen(accepted, new, old), size, widest, count, search.steps + 1)
 
-    def terminate(
-        self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
-    ) -> tuple[Array, optx.RESULTS]:
-        """Whether the cost is at its floor, no step lowers it to speak of, or time is up."""
-        del fn, y, args, options, tags
-        if self.watch is not None:
-            half_cost = 0.5 * jnp.sum(state.f_info.residual**2)
-            jax.debug.callback(self.watch, state.num_steps, half_cost)
-        converged = state.descent_state.predicted_reduction < CONVERGED
-        end = converged | _lost(state) | (state.num_steps >= self.max_steps)
-        return ~state.first_step & end, state.result
+    def _predicted(self, reduced: _Reduced, trial: Unknowns) -> Lanes:
+        """Change of half of the cost that the linearised problem expects of a step."""
+        start_size, rows = self.start_size, reduced.rows
+        starts, theta = trial.starts - reduced.starts, trial.theta - reduced.theta
+        moved = np.einsum("lrnu,lru->lrn", rows[..., :start_size], starts) + rows[..., -1]
+        moved += np.einsum("lrnu,lu->lrn", rows[..., start_size:-1], theta)
+        return 0.5 * (np.sum(moved**2, axis=(1, 2)) - reduced.cost)
 
 
-def _lost(state: Any) -> Array:
-    short = state.search_state.step_size < _SETTINGS.min_step
-    return short | (state.descent_state.poor >= _SETTINGS.max_poor_steps)
+def _chosen(flags: Bool[np.ndarray, " lanes"], first: Any, second: Any) -> Any:
+    """Of each lane the first or the second of two dataclasses of arrays."""
+    chosen = {}
+    for field in fields(first):
+        pair = getattr(first, field.name), getattr(second, field.name)
+        if isinstance(pair[0], np.ndarray):
+            flag = flags.reshape(-1, *[1] * (pair[0].ndim - 1))
+            chosen[field.name] = np.where(flag, *pair)
+        else:
+            chosen[field.name] = _chosen(flags, *pair)
+    return type(first)(**chosen)
+
+
+def _length(power: np.ndarray) -> np.ndarray:
+    """Of columns with these sums of squares; one for columns of zeros."""
+    return np.sqrt(np.where(power > 0, power, 1.0))
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    """R of QR, of each matrix of a stack."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _damped(triangles: Rows, start_size: int, damping: Lanes) -> Rows:
+    """R of each run with damping rows on its start."""
+    rows = np.sqrt(damping)[:, None, None, None] * np.eye(start_size, triangles.shape[-1])
+    rows = np.broadcast_to(rows, (*triangles.shape[:2], *rows.shape[2:]))
+    return _triangle(np.concatenate([triangles, rows], axis=2))
+
+
+def _shared_step(damped: Rows, start_size: int, damping: Lanes) -> tuple[Free, Lanes]:
+    """Step of scaled θ over what the starts of the runs leave, and the cost that is then left."""
+    corners = damped[..., start_size:, start_size:]
+    lanes, size = len(corners), corners.shape[-1] - 1
+    rows = np.sqrt(damping)[:, None, None] * np.eye(size, size + 1)
+    stacked = np.concatenate([corners.reshape(lanes, -1, size + 1), rows], axis=1)
+    triangle = _triangle(stacked)
+    step = _solved(triangle[:, :size, :size], -triangle[:, :size, size])
+    return step, triangle[:, size, size] ** 2
+
+
+def _own_steps(rows: np.ndarray, theta: Free) -> Float[np.ndarray, "lanes runs own"]:
+    """Steps of the scaled starts, given that of scaled θ."""
+    start_size = rows.shape[-2]
+    rhs = (rows[..., start_size:-1] @ theta[:, None, :, None])[..., 0] + rows[..., -1]
+    return _solved(rows[..., :start_size], -rhs)
+
+
+def _solved(triangles: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions of upper triangular systems, by substitution."""
+    solution = np.zeros_like(right)
+    for i in reversed(range(right.shape[-1])):
+        inner = np.einsum("...j,...j->...", triangles[..., i, i + 1 :], solution[..., i + 1 :])
+        solution[..., i] = (right[..., i] - inner) / triangles[..., i, i]
+    return solution
 
 
 def solve(
@@ -250,7 +277,7 @@ def solve(
     max_steps: int,
     watch: Watch | None = None,
 ) -> tuple[Outcome, Float[np.ndarray, "runs time ny size"]]:
-    """Levenberg-Marquardt from `unknowns`, compiled once for each plant and shape of the runs.
+    """Levenberg-Marquardt from `unknowns`.
 
     Where it converges a full step follows. `CONVERGED` of the cost is little, but of N samples
     up to √(10⁻⁶ N) standard errors, far along a narrow valley; and the signals there are wanted
@@ -261,19 +288,14 @@ def solve(
         unknowns: to start from.
         sensitivities: `signals` there, so that they need not be simulated again.
         max_steps: at most.
-        watch: called with the number of steps done, from 0, and half of the cost; compiled in.
+        watch: called with the number of steps done, from 0, and half of the cost.
 
     Returns:
         Where it ended, and the signals there.
     """
-    start = replace(problem, start_sums=(unknowns, _sums(sensitivities, problem)))
-    with lent(problem) as number:
-        runs, begun = start, unknowns
-        if problem.compiled:
-            spare = -len(unknowns.theta) % _SETTINGS.grain
-            runs, begun = HostRuns.of(start, number).widened(spare), unknowns.widened(spare)
-        outcome = jax.block_until_ready(_solve(runs, begun, np.asarray(max_steps), watch))
-    outcome = outcome.narrowed(len(unknowns.theta))
+    first = _sums(sensitivities, problem)[None]
+    lanes = Unknowns(np.asarray(unknowns.theta)[None], np.asarray(unknowns.starts)[None])
+    outcome = _search(problem, lanes, first, max_steps, watch, patient=True).lane(0)
     if float(outcome.predicted_reduction) < CONVERGED:
         further = signals(outcome.further, problem)
         cost = np.sum(_sums(further, problem)[:, -1, -1])
@@ -289,72 +311,43 @@ def _sums(sensitivities: np.ndarray, problem: Problem) -> Float[np.ndarray, "run
 
 def solve_many(problem: Problem, unknowns: Unknowns, max_steps: int) -> Outcome:
     """The same from several points side by side (a leading axis), until the last one has ended."""
-    if problem.compiled:  # here: no program can be traced while the solver runs
+    if problem.compiled:
         problem = replace(problem, engine=compiled_runs.used(problem.kernel, len(unknowns.theta)))
-    with lent(problem) as number:
-        runs = HostRuns.of(problem, number) if problem.compiled else problem
-        return jax.block_until_ready(_solve_many(runs, unknowns, np.asarray(max_steps)))
-
-
-@jit(static=())
-def _solve_many(
-    problem: Problem | HostRuns, unknowns: Unknowns, max_steps: Int[Host, ""]
-) -> Outcome:
-    return jax.vmap(lambda lane: _search(problem, lane, max_steps, None, patient=False))(unknowns)
-
-
-@jit(static=("watch",))
-def _solve(
-    problem: Problem | HostRuns, unknowns: Unknowns, max_steps: Int[Host, ""], watch: Watch | None
-) -> Outcome:
-    return _search(problem, unknowns, max_steps, watch, patient=True)
+    lanes = Unknowns(np.asarray(unknowns.theta), np.asarray(unknowns.starts))
+    return _search(problem, lanes, None, max_steps, None, patient=False)
 
 
 def _search(
-    problem: Problem | HostRuns,
+    problem: Problem,
     unknowns: Unknowns,
-    max_steps: Int[Host, ""],
+    first_sums: Rows | None,
+    max_steps: int,
     watch: Watch | None,
     patient: bool,
 ) -> Outcome:
-    solver = _LevenbergMarquardt(
-        0.0, 0.0, optx.max_norm,
-        _Arrow(
-            problem.lower, problem.upper, problem.faintest, scored_values(problem), problem.scales
-        ),
-        optx.ClassicalTrustRegion(high_cutoff=_SETTINGS.widening), lambda **_: None,
-        max_steps, watch, patient,
-    )  # fmt: skip
-    solution = optx.least_squares(errors, solver, unknowns, problem, max_steps=None, throw=False)
-    steps = solution.stats["num_steps"]
-    full_step = jnp.asarray(_SETTINGS.initial_damping / _SETTINGS.min_damping)
-    full, _ = solver.descent.step(full_step, solution.state.descent_state)
+    arrow = _Arrow.of(problem, unknowns)
+    with np.errstate(all="ignore"):  # of a run that diverges
+        if watch is not None:
+            watch(0, 0.0)
+        square = sums(unknowns, problem) if first_sums is None else first_sums
+        search = arrow.begun(unknowns, roots(square, unknowns.theta, problem.power))
+        while True:
+            if watch is not None:
+                watch(search.steps[0], 0.5 * search.reduced.cost[0])
+            ended = search.ended(max_steps)
+            if np.all(ended):
+                break
+            trial = arrow.stepped(search.reduced, search.size)
+            rows = roots(sums(trial, problem), trial.theta, problem.power)
+            search = _chosen(ended, search, arrow.moved(search, trial, rows, patient))
+        full = np.full(len(ended), _SETTINGS.initial_damping / _SETTINGS.min_damping)
+        further = arrow.stepped(search.reduced, full)
+    reduced = search.reduced
     return Outcome(
-        solution.value,
-        jax.tree.map(jnp.add, solution.value, full),
-        jnp.sum(solution.state.f_info.residual**2),
-        solution.state.descent_state.predicted_reduction,
-        steps,
-        (steps >= max_steps) & ~_lost(solution.state),
-    )
-
-
-def _columns(jacobian: Any, unknowns: Unknowns) -> Float[Array, "runs rows unknowns"]:
-    """Columns of the Jacobian of each run with its own unknowns, starts first."""
-    columns = jax.vmap(lambda vector: jacobian.mv(_direction(unknowns, vector)))(
-        _unit_directions(unknowns)
-    )
-    return jnp.moveaxis(columns, 0, -1)
-
-
-def _unit_directions(unknowns: Unknowns) -> Float[Array, "unknowns unknowns"]:
-    """Directions along each unknown of a run alone, start first."""
-    return jnp.eye(unknowns.starts.shape[1] + len(unknowns.theta), dtype=unknowns.theta.dtype)
-
-
-def _direction(unknowns: Unknowns, vector: Float[Array, " unknowns"]) -> Unknowns:
-    """A direction of one run's unknowns, start first, in all runs at once: none sees another."""
-    start_size = unknowns.starts.shape[1]
-    return Unknowns(
-        vector[start_size:], jnp.broadcast_to(vector[:start_size], unknowns.starts.shape)
+        Unknowns(reduced.theta, reduced.starts),
+        further,
+        reduced.cost,
+        reduced.predicted_reduction,
+        search.steps,
+        (search.steps >= max_steps) & ~search.lost,
     )

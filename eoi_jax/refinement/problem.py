@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -19,7 +20,7 @@ from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.step_scales import ScaleArrays, Scales, StepScales, step_scales
+from eoi_jax.models.step_scales import StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
 from eoi_jax.refinement.spans import Span, starts_record
 from eoi_jax.simulation import compiled_runs
@@ -36,16 +37,6 @@ class Unknowns(eqx.Module):
 
     theta: Float[Host, "*lanes free"]
     starts: Float[Host, "*lanes runs unknowns"]
-
-    def widened(self, spare: int) -> "Unknowns":
-        """With zeros for so many parameters more."""
-        theta = np.asarray(self.theta)
-        zeros = np.zeros((*theta.shape[:-1], spare), theta.dtype)
-        return replace(self, theta=np.concatenate([theta, zeros], axis=-1))
-
-    def narrowed(self, count: int) -> "Unknowns":
-        """With the first parameters alone."""
-        return replace(self, theta=self.theta[..., :count])
 
 
 class Problem(eqx.Module):
@@ -70,7 +61,6 @@ class Problem(eqx.Module):
         faintest: shorter columns are no trace of a start; of its outputs and their derivatives,
             and of what its inputs were before.
         scale: 1/σ of each output. threshold: of Huber's loss, in σ; infinite for squares.
-        start_sums: where a fit begins, and the sums there; None if they are not known.
         scales: on which a step moves the unknown parameters (`models/step_scales.py`).
         substeps: rows of a sample.
         engine: of the runs: machine code by `engines.free_runs`, or scans, and why.
@@ -91,7 +81,6 @@ class Problem(eqx.Module):
     threshold: Float[Host, ""]
     lower: Float[Host, " free"]
     upper: Float[Host, " free"]
-    start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
     scales: StepScales = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
     engine: EngineUsed = eqx.field(static=True)
@@ -126,74 +115,6 @@ class Problem(eqx.Module):
     def y(self) -> Float[np.ndarray, "runs time ny"]:
         """Outputs; zero where not scored."""
         return _samples(self.kernel.plant, np.asarray(self.tables), self.substeps)[0]
-
-
-class HostRuns(eqx.Module):
-    """What a solver needs of a problem whose runs are machine code: arrays alone.
-
-    Its compiled program then serves every plant with as many unknowns and runs.
-
-    Attributes:
-        number: by which `borrowed` gives the problem.
-        scored: how many values are scored.
-        power, lower, upper, faintest, start_sums, scales: of the problem.
-    """
-
-    number: Int[Host, ""]
-    scored: Float[Host, ""]
-    power: Float[Host, " runs"]
-    lower: Float[Host, " free"]
-    upper: Float[Host, " free"]
-    faintest: Float[Host, " own"]
-    start_sums: tuple[Unknowns, Float[Host, "runs size size"]] | None
-    scales: Scales
-
-    @classmethod
-    def of(cls, problem: Problem, number: np.ndarray) -> "HostRuns":
-        """Of a problem that was lent under this number."""
-        return cls(
-            number, np.asarray(float(np.sum(problem.use))), problem.power, problem.lower,
-            problem.upper, problem.faintest, problem.start_sums, problem.scales.as_arguments,
-        )  # fmt: skip
-
-    def widened(self, spare: int) -> "HostRuns":
-        """With so many unknown parameters more, without bounds, that do nothing."""
-        start_sums = self.start_sums
-        if start_sums is not None:
-            start_sums = start_sums[0].widened(spare), widened_sums(start_sums[1], spare)
-        return replace(
-            self,
-            lower=np.pad(self.lower, (0, spare), constant_values=-np.inf),
-            upper=np.pad(self.upper, (0, spare), constant_values=np.inf),
-            start_sums=start_sums,
-            scales=_widened_scales(self.scales, spare),
-        )
-
-
-def _widened_scales(scales: Scales, spare: int) -> Scales:
-    """With so many parameters more, each moved by the step itself."""
-    if isinstance(scales, StepScales):  # as are all
-        return scales
-    exponents = np.pad(np.asarray(scales.exponents), (0, spare))
-    return ScaleArrays(np.pad(np.asarray(scales.scales), (0, spare)), exponents)
-
-
-def widened_sums(
-    sums: Float[Host, "*lanes size size"], spare: int
-) -> Float[np.ndarray, "*lanes wider wider"]:
-    """Sums with zeros for so many unknown parameters more, before the error."""
-    size = sums.shape[-1]
-    wider = np.zeros((*sums.shape[:-2], size + spare, size + spare), sums.dtype)
-    places = np.append(np.arange(size - 1), size - 1 + spare)
-    wider[..., places[:, None], places] = sums
-    return wider
-
-
-def scored_values(problem: Problem | HostRuns) -> Any:
-    """How many values are scored."""
-    if isinstance(problem, HostRuns):
-        return problem.scored
-    return problem.tables[..., -len(problem.scale) :].sum()
 
 
 def _samples(
@@ -235,7 +156,6 @@ def problem_of(
         threshold=np.asarray(np.inf),
         lower=np.asarray(plant.lower)[free],
         upper=np.asarray(plant.upper)[free],
-        start_sums=None,
         scales=step_scales(plant).of(free.tolist()),
         substeps=substeps,
         engine=compiled_runs.used(kernel),
@@ -452,11 +372,10 @@ class Outcome(eqx.Module):
     unknowns: Unknowns
     further: Unknowns
     cost: Float[Host, "*lanes"]
-    predicted_reduction: Float[Array, "*lanes"]
-    steps: Int[Array, "*lanes"]
-    exhausted: Bool[Array, "*lanes"]
+    predicted_reduction: Float[Host, "*lanes"]
+    steps: Int[Host, "*lanes"]
+    exhausted: Bool[Host, "*lanes"]
 
-    def narrowed(self, count: int) -> "Outcome":
-        """With the first parameters alone."""
-        unknowns, further = (part.narrowed(count) for part in (self.unknowns, self.further))
-        return replace(self, unknowns=unknowns, further=further)
+    def lane(self, number: int) -> "Outcome":
+        """One lane of several."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf[number]), self)

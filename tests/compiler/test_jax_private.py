@@ -15,8 +15,7 @@ import eoi_jax
 from eoi_jax.compiler import jax_private
 
 PACKAGE = Path(eoi_jax.__file__).parent
-PRIVATE = ("jax._src", "jax.extend", "jax.core", "jax.interpreters", "jaxlib",
-           "jax.experimental.buffer_callback")  # fmt: skip
+PRIVATE = ("jax._src", "jax.extend", "jax.core", "jax.interpreters", "jaxlib")
 
 
 def equation(function, *arguments, name):

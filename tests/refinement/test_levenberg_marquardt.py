@@ -1,0 +1,121 @@
+"""The solver: against dense least squares, from several points, by machine code and by scans."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax._status import EngineUsed
+from eoi_jax.models.step_scales import LINEAR, StepScales
+from eoi_jax.refinement.free_run_sums import signals
+from eoi_jax.refinement.levenberg_marquardt import solve, solve_many
+from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of
+from eoi_jax.refinement.spans import spans_of
+
+PERIOD = 0.02
+
+
+def oscillator(t, x, u, p):
+    position, rate = x.y
+    return (p.gain * u - p.damping * rate - p.stiffness * position) / p.mass
+
+
+def plant_of(**values):
+    nominal = {"gain": 1.2, "damping": 0.5, "stiffness": 9.0, "mass": 1.0, **values}
+    return eoi.Plant(oscillator, nominal, 2, ("u",), ("y",), fixed=("gain",))
+
+
+def runs_of(window):
+    """Runs of a window [s], noise of a thousandth, from parameters that are off."""
+    time = PERIOD * np.arange(501)
+    record = eoi.simulate(plant_of(), time, np.sin(2.0 * time) + np.cos(7.0 * time), [0.02, -0.1])
+    error = 1e-3 * np.random.default_rng(0).standard_normal((501, 1))
+    record = eoi.Record(time, record.inputs, record.outputs + error, hold=record.hold)
+    start, spans = plant_of(damping=0.8, mass=1.3), spans_of([record], window)
+    problem = problem_of(start, [record], spans, 2)
+    starts = guessed_starts(problem, [record], spans)
+    return problem, Unknowns(np.asarray(start.theta)[1:], starts)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return runs_of(5.0)
+
+
+def solved(runs, unknowns, steps=50):
+    return solve(runs, unknowns, signals(unknowns, runs), steps)[0]
+
+
+def lanes_of(unknowns, factors):
+    """The parameters times some factors, from the same initial states."""
+    starts = np.broadcast_to(unknowns.starts, (len(factors), *unknowns.starts.shape))
+    return Unknowns(np.asarray(factors)[:, None] * np.asarray(unknowns.theta), np.array(starts))
+
+
+def test_a_full_step_is_that_of_dense_least_squares(problem):
+    """Parameters that are affine move by it, and all starts, as if nothing were eliminated."""
+    runs, unknowns = problem
+    count = len(unknowns.theta)
+    affine = replace(runs, scales=StepScales((LINEAR,) * count, ((0.0,) * count,) * count))
+    rows, (count, own) = signals(unknowns, runs), unknowns.starts.shape
+    dense = np.zeros((count, rows[0].reshape(-1, rows.shape[-1]).shape[0], count * own + 3))
+    for i, run in enumerate(rows):
+        flat = run.reshape(-1, rows.shape[-1])
+        dense[i, :, i * own : (i + 1) * own], dense[i, :, -3:] = flat[:, :own], flat[:, own:-1]
+    error = rows[..., -1].ravel()
+    expected = -np.linalg.lstsq(dense.reshape(len(error), -1), error)[0]
+    further = solved(affine, unknowns, 1).further
+    np.testing.assert_allclose(further.theta - unknowns.theta, expected[-3:], rtol=1e-6)
+    moved = (further.starts - unknowns.starts).ravel()
+    np.testing.assert_allclose(moved, expected[:-3], rtol=1e-6, atol=1e-9)
+
+
+def test_points_side_by_side_end_where_each_ends_alone(problem):
+    runs, unknowns = problem
+    points = lanes_of(unknowns, [0.8, 1.0, 1.1, 1.2, 1.3])
+    together = solve_many(runs, points, 12)
+    for i in range(5):
+        alone = solve_many(runs, Unknowns(points.theta[[i]], points.starts[[i]]), 12)
+        assert together.steps[i] == alone.steps[0]
+        np.testing.assert_allclose(together.cost[i], alone.cost[0], rtol=1e-9)
+        np.testing.assert_allclose(together.unknowns.theta[i], alone.unknowns.theta[0], rtol=1e-7)
+
+
+def test_a_point_whose_runs_diverge_stops_no_other(problem):
+    runs, unknowns = problem
+    points = lanes_of(unknowns, [1.0, 1.0])
+    points.theta[1, 0] = -1e6
+    outcome = solve_many(runs, points, 12)
+    assert np.isfinite(outcome.cost[0])
+    assert np.isnan(outcome.cost[1])
+    np.testing.assert_array_equal(outcome.unknowns.theta[1], points.theta[1])
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_scans_end_where_machine_code_does(problem, several):
+    runs, unknowns = problem
+    scanned = replace(runs, engine=EngineUsed("scan", "asked for"))
+    points = lanes_of(unknowns, [1.0, 1.2] if several else [1.0])
+    native, by_scan = (solve_many(one, points, 12) for one in (runs, scanned))
+    np.testing.assert_array_equal(native.steps, by_scan.steps)
+    np.testing.assert_allclose(native.unknowns.theta, by_scan.unknowns.theta, rtol=1e-8)
+
+
+def test_runs_of_any_number_are_solved_without_a_compilation(problem):
+    """In machine code, which is there after the first runs of a plant."""
+    solved(*problem)
+    other = runs_of(2.0)
+    compiled = []
+
+    def noted(name, seconds, **_):
+        if heard and "backend_compile" in name:
+            compiled.append(seconds)
+
+    heard = True
+    jax.monitoring.register_event_duration_secs_listener(noted)
+    assert solved(*other).steps > 2
+    jax.jit(lambda x: 3.0 * x + 1.25)(np.ones(7))
+    heard = False
+    assert len(compiled) == 1  # the one beside the solver
