@@ -27,6 +27,7 @@ from eoi_jax.models.known_starts import StartItems, checked_starts, internal_sta
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
 from eoi_jax.models.sampled_states import SampledStates
 from eoi_jax.models.start_weights import open_starts
+from eoi_jax.models.traced_equations import evaluated
 from eoi_jax.models.traced_shapes import traced_shape
 from eoi_jax.models.velocities import velocity_rows
 
@@ -306,7 +307,7 @@ class Plant(eqx.Module):
 
     def derivative(self, t: Scalar, x: State, u: Input, theta: Float[Array, " np"]) -> Output:
         """f(t, x, u; θ): the highest derivative of each output [its unit / s^r]."""
-        value = jnp.asarray(self.dynamics(t, x, u, self.named(theta)))
+        value = evaluated(self.dynamics, self.names, t, x, u, theta)
         return jnp.reshape(value, (len(self.outputs),))
 
     def output(self, t: Scalar, x: State, u: Input | None, theta: Float[Array, " np"]) -> Output:
@@ -329,7 +330,7 @@ class Plant(eqx.Module):
         """g(t, x, u; θ): the rate of the internal states [their unit / s]."""
         if self.internal is None:
             return jnp.zeros_like(x.z)
-        value = jnp.asarray(self.internal(t, x, u, self.named(theta)))
+        value = evaluated(self.internal, self.names, t, x, u, theta)
         return jnp.reshape(value, x.z.shape)
 
     def driven(
@@ -483,7 +484,7 @@ class Plant(eqx.Module):
         def shapes(field: str, function: Dynamics) -> tuple[int, ...]:
             def call(theta, z):
                 x = State(jnp.zeros((r, ny)), z)
-                return jnp.asarray(function(jnp.zeros(()), x, jnp.zeros((nu,)), self.named(theta)))
+                return evaluated(function, self.names, jnp.zeros(()), x, jnp.zeros((nu,)), theta)
 
             return traced_shape(field, function, call, theta, start)
 

@@ -1,0 +1,46 @@
+"""The equations of a model inside functions that are traced: once for all of these.
+
+A step of Runge-Kutta evaluates them four times; its derivatives, the fastest mode of the model and
+the scales of its parameters are programs of their own. What JAX remembers of a function it uses
+again where the function is the same: here it is the same for equal equations.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from eoi_jax._types import Scalar
+from eoi_jax.compiler.jax_private import tracing
+from eoi_jax.models.parameters import parameter_type
+
+
+def evaluated(
+    function: Callable, names: tuple[str, ...], t: Scalar, x: Any, u: Any, theta: Any
+) -> Float[Array, "..."]:
+    """A function of the model, f or g, at an instant.
+
+    Args:
+        function: hashable, equal to what computes the same.
+        names: of the parameters.
+        t: the instant [s].
+        x: state there.
+        u: inputs there.
+        theta: values of the parameters, shape (np,).
+    """
+    if tracing():
+        return _traced_once(function, names)(t, x, u, theta)
+    return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
+
+
+@functools.lru_cache(maxsize=64)
+def _traced_once(function: Callable, names: tuple[str, ...]) -> Callable:
+    """For the models that were used last; what JAX remembers of a function goes with it."""
+
+    def equations(t: Any, x: Any, u: Any, theta: Any) -> Array:
+        return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
+
+    return jax.jit(equations)
