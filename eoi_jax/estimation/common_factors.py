@@ -215,12 +215,13 @@ def _null_space(matrix: Float[np.ndarray, "rows columns"], free: int) -> np.ndar
     largest = np.max(np.abs(scaled), axis=1, keepdims=True)
     # Rows count alike: a probe far out must not hide another.
     scaled = scaled[largest[:, 0] > 0] / largest[largest[:, 0] > 0]
-    again = np.sqrt(np.sum(scaled**2, axis=0))
-    again = np.where(again > 0, again, 1.0)
-    _, values, vectors = np.linalg.svd(np.concatenate([scaled / again, np.zeros((1, len(again)))]))
-    values = np.concatenate([values, np.zeros(len(again) - len(values))])
+    weight = np.sqrt(np.sum(scaled**2, axis=0))
+    weight = np.where(weight > 0, weight, 1.0)
+    # At least as many rows as columns, so that there is a vector for each column.
+    square = np.concatenate([scaled / weight, np.zeros((len(weight), len(weight)))])
+    _, values, vectors = np.linalg.svd(square, full_matrices=False)
     threshold = _SETTINGS.max_rounding * np.finfo(jnp.result_type(float)).eps * values[0]
-    null = (vectors[values <= threshold] / (again * scale)).T[:free]
+    null = (vectors[values <= threshold] / (weight * scale)).T[:free]
     # Some move internal states only, which shows in no parameter.
     basis, weights, _ = np.linalg.svd(null * scale[:free, None], full_matrices=False)
     return (
