@@ -160,11 +160,11 @@ class Graph:
         """A number, or true or false."""
         is_bool = isinstance(value, bool | np.bool_)
         value = bool(value) if is_bool else float(value) + 0.0  # no negative zero
-        return self._node("constant", (), is_bool, value)
+        return self._leaf("constant", is_bool, value)
 
     def input(self, value: Any, is_bool: bool = False) -> Node:
         """What has a value only when the program runs."""
-        return self._node("input", (), is_bool, value)
+        return self._leaf("input", is_bool, value)
 
     def make(self, op: str, *args: Node) -> Node:
         """An operation, simplified."""
@@ -172,13 +172,15 @@ class Graph:
         if simpler is not None:
             return simpler
         operation = OPERATIONS[op]
-        if all(arg.op == "constant" for arg in args):
+        for arg in args:
+            if arg.op != "constant":
+                break
+        else:
             with np.errstate(all="ignore"):
                 return self.constant(operation.function(*(arg.value for arg in args)))
-        if operation.commutes and not self.as_written:
-            args = tuple(sorted(args, key=lambda arg: arg.order))
-        is_bool = args[1].is_bool if op == "select" else operation.is_bool
-        return self._node(op, args, is_bool, None)
+        if operation.commutes and not self.as_written and args[0].order > args[1].order:
+            args = args[::-1]
+        return self._operation(op, args)
 
     def keep(self, matrix: np.ndarray, right: list[Node]) -> LinearSystem:
         """A linear system of `systems`; equal ones are the same."""
@@ -191,11 +193,19 @@ class Graph:
         self.systems.append(system)
         return system
 
-    def _node(self, op: str, args: tuple[Node, ...], is_bool: bool, value: Any) -> Node:
+    def _operation(self, op: str, args: tuple[Node, ...]) -> Node:
+        key = (op, *[arg.order for arg in args])
+        node = self._nodes.get(key)
+        if node is None:
+            is_bool = args[1].is_bool if op == "select" else OPERATIONS[op].is_bool
+            node = self._nodes[key] = Node(op, args, is_bool, None, next(self._order))
+        return node
+
+    def _leaf(self, op: str, is_bool: bool, value: Any) -> Node:
         # repr, because NaN does not equal itself; `is_bool`, because True equals 1.0.
-        key = (op, *(arg.order for arg in args), is_bool, repr(value))
+        key = (op, is_bool, repr(value))
         if key not in self._nodes:
-            self._nodes[key] = Node(op, args, is_bool, value, next(self._order))
+            self._nodes[key] = Node(op, (), is_bool, value, next(self._order))
         return self._nodes[key]
 
 

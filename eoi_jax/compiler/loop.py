@@ -352,12 +352,16 @@ def _merge_carries(
     leaders = [initial.index(node) for node in initial]
     constant = [node.op == "constant" for node in initial]
     carried = [Levels([])(node) for node in initial]
+    replaced: dict[Node, Node] = {}
+    new: list[Node] = []
     while True:
+        last_replaced = replaced
         replaced = {
             node: start if stays else inputs[first]
             for node, start, stays, first in zip(inputs, initial, constant, leaders, strict=True)
         }
-        new = rewrite(step.updated, replaced, make)
+        if replaced != last_replaced or not new:
+            new = rewrite(step.updated, replaced, make)
         level, previous_answer = Levels(carried), (leaders, constant, carried)
         constant = [
             stayed and node is start
@@ -382,6 +386,9 @@ class Levels:
 
     def __call__(self, node: Node) -> int:
         """Either of `FIXED`, `LANE`, `ROW`, `LANE_ROW`."""
+        level = self._levels.get(node)
+        if level is not None:
+            return level
         waiting = [node]
         while waiting:
             top = waiting[-1]
@@ -408,8 +415,16 @@ class _Lowering:
 
     def __init__(self, graph: Graph, level: Levels):
         self._graph, self._level = graph, level
+        self._lowered_nodes: dict[tuple, Node] = {}
 
     def __call__(self, op: str, *args: Node) -> Node:
+        key = (op, *[arg.order for arg in args])
+        node = self._lowered_nodes.get(key)
+        if node is None:
+            node = self._lowered_nodes[key] = self._lowered(op, *args)
+        return node
+
+    def _lowered(self, op: str, *args: Node) -> Node:
         if op == "div":
             a, b = args
             if self._level(a) & ~self._level(b) and a.op != "constant":
