@@ -75,7 +75,16 @@ def driven(plant: Plant, time: Values, u: Values) -> Values:
         time: middle of each step, (S,) [s].
         u: mean over each step, (S, nu).
     """
-    return u if plant.actuator is None else np.asarray(_driven(plant, time, u))
+    if plant.actuator is None:
+        return u
+    if has_sampled_actuator(plant):
+        return plant.actuator.sampled(time, u, plant.parameters)  # pyright: ignore
+    return np.asarray(_driven(plant, time, u))
+
+
+def has_sampled_actuator(plant: Plant) -> bool:
+    """Whether the actuators are effects of the library: NumPy evaluates them too (`sampled`)."""
+    return getattr(plant.actuator, "shapes", None) is not None
 
 
 @jit(static=())

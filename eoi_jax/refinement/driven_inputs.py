@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host
-from eoi_jax.simulation.simulate import actuated, parabolas
+from eoi_jax.simulation.simulate import actuated, actuated_on_host
 
 
 class DrivenInputs(eqx.Module):
@@ -78,7 +78,9 @@ def driven_on_host(
 
     def inputs_of_all(theta: np.ndarray, levels: np.ndarray) -> np.ndarray:
         parts = zip(record_drives, levels, strict=True)
-        return np.concatenate([_sampled(plant, theta, part, level) for part, level in parts])
+        return np.concatenate(
+            [actuated_on_host(plant, theta, part, level) for part, level in parts]
+        )
 
     inputs = inputs_of_all(theta, levels)
     slope = np.zeros((*inputs.shape, len(theta)))
@@ -117,18 +119,6 @@ def _difference(
     change = step * min(float(part.step) for part in record_drives)
     below = max(value - change, 0.0) if value >= 0.0 else value - change
     return (function(value + change) - function(below)) / (value + change - below)
-
-
-def _sampled(
-    plant: Plant, theta: np.ndarray, driven_by: Drive, past: np.ndarray
-) -> Float[np.ndarray, "steps 3 nu"]:
-    """`actuated` by NumPy."""
-    values = dict(zip(plant.names, theta.tolist(), strict=True))
-
-    def behind(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
-        return plant.actuator.sampled(middles, mean, values)  # pyright: ignore
-
-    return parabolas(np, plant, behind, driven_by, past)
 
 
 def _with_slope(function: Callable[[Array], Array], theta: Array) -> tuple[Array, Array]:

@@ -22,6 +22,7 @@ from eoi_jax.compiler.derivatives import jvp
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, run_in_threads
+from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
 
@@ -130,7 +131,7 @@ def supports(kernel: RunKernel, lanes: int = 1) -> str | None:
     plant = kernel.plant
     start_size = len(kernel.rows)
     if plant.actuator is not None:
-        if getattr(plant.actuator, "shapes", None) is None:
+        if not has_sampled_actuator(plant):
             return "inputs behind an actuator of the user's own"
         start_size += len(plant.inputs)  # their levels before the record
         lanes = 1  # inputs depend on the parameters: lanes share no rows, and run one by one

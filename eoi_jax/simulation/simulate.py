@@ -30,6 +30,7 @@ from eoi_jax.data.input_holds import (
 )
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
+from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.plant import Plant, State, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
@@ -225,7 +226,7 @@ def acted(plant: Plant, driven_by: Drive, theta: Theta | None = None) -> Drive:
     if plant.actuator is None:
         return driven_by
     if theta is None:
-        inputs = np.asarray(actuated(plant, jnp.asarray(plant.theta), driven_by))
+        inputs = _actuated_by_values(plant, driven_by)
     else:
         inputs = actuated(plant, theta, driven_by)
     steps, last = len(driven_by.time), inputs[-1, 0 if plant.has_algebraic else 2]
@@ -300,7 +301,14 @@ def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu
         plant: at its parameters.
         driven_by: of a whole record; no past of inputs matters without an actuator.
     """
-    return np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
+    if not has_sampled_actuator(plant):
+        return np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
+    theta, levels = np.asarray(plant.theta), np.eye(len(plant.inputs))
+    settled = actuated_on_host(plant, theta, driven_by, 0.0 * levels[0])
+    moved = [actuated_on_host(plant, theta, driven_by, level) for level in levels]
+    return (
+        np.stack(moved, axis=-1)[: len(driven_by.time)] - settled[: len(driven_by.time), ..., None]
+    )
 
 
 @jit
@@ -308,6 +316,28 @@ def _past_slopes(plant: Plant, theta: Theta, driven_by: Drive) -> Array:
     settled = jnp.zeros(len(plant.inputs), theta.dtype)
     slopes = jax.jacfwd(lambda past: actuated(plant, theta, driven_by, past))(settled)
     return slopes[: driven_by.time.shape[0]]
+
+
+def actuated_on_host(
+    plant: Plant,
+    theta: Float[np.ndarray, " np"],
+    driven_by: Drive,
+    past: Float[np.ndarray, " nu"] | None = None,
+) -> Float[np.ndarray, "steps 3 nu"]:
+    """`actuated` by NumPy, where `has_sampled_actuator` says so; arguments as there."""
+    values = dict(zip(plant.names, theta.tolist(), strict=True))
+
+    def behind(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
+        return plant.actuator.sampled(middles, mean, values)  # pyright: ignore
+
+    return parabolas(np, plant, behind, driven_by, past)
+
+
+def _actuated_by_values(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu"]:
+    """At the plant's own parameters."""
+    if has_sampled_actuator(plant):
+        return actuated_on_host(plant, np.asarray(plant.theta), driven_by)
+    return np.asarray(actuated(plant, jnp.asarray(plant.theta), driven_by))
 
 
 # -- starts ------------------------------------------------------------------------------

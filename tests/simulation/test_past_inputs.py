@@ -1,12 +1,13 @@
 """Inputs behind lags and delays that were at another level before the record."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
 from eoi_jax.models.equations.text_model import plant_from_text
-from eoi_jax.simulation.simulate import acted, actuated, drive, past_slopes
+from eoi_jax.simulation.simulate import acted, actuated, actuated_on_host, drive, past_slopes
 
 SLOW, LAG, NOISE = 3.0, 0.7, 1e-3
 
@@ -66,3 +67,19 @@ def test_levels_before_the_record_fade_behind_a_lag_and_pass_behind_a_delay():
     means = np.mean(past_slopes(late, driven_by)[:, [0, 1, 1, 2], 0, 0], axis=1)
     assert means[:2] == pytest.approx(1.0)
     assert means[6:] == pytest.approx(0.0)
+
+
+def test_numpy_gives_the_inputs_behind_actuators_and_their_slopes_as_jax_does():
+    plant, time = _plant(), np.arange(60) * 0.1
+    driven_by = drive(time, np.cumsum(np.sin(time))[:, None], "linear")
+    theta, level = jnp.asarray(plant.theta), jnp.asarray([0.7])
+
+    def behind(past):
+        return actuated(plant, theta, driven_by, past)
+
+    found = actuated_on_host(plant, np.asarray(plant.theta), driven_by, np.asarray(level))
+    np.testing.assert_allclose(found, behind(level), rtol=1e-12, atol=1e-12)
+    inputs = acted(plant, driven_by).inputs
+    np.testing.assert_allclose(inputs, actuated(plant, theta, driven_by), rtol=1e-12, atol=1e-12)
+    wanted = jax.jacfwd(behind)(level)
+    np.testing.assert_allclose(past_slopes(plant, driven_by), wanted, atol=1e-12)
