@@ -54,12 +54,17 @@ def jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple[Any, Any]:
         return values
 
     closed = jax.make_jaxpr(flat)(*leaves)
-    if _names(closed.jaxpr) & _BY_JAX:
+    if differentiated_by_jax(closed.jaxpr):
         return jax.jvp(function, primals, tangents)
     slopes = jax.tree.leaves(tangents)
     values = JVP.bind(*closed.consts, *leaves, *slopes, jaxpr=closed.jaxpr)
     count = len(values) // 2
     return tuple(jax.tree.unflatten(result[0], part) for part in (values[:count], values[count:]))
+
+
+def differentiated_by_jax(jaxpr: Any) -> bool:
+    """Whether a traced function has a part whose derivative is JAX's to take."""
+    return bool(_names(jaxpr) & _BY_JAX)
 
 
 def _names(jaxpr: Any) -> set[str]:

@@ -6,6 +6,8 @@ every such function for every length of record, which takes longer than most rec
 
     forces = along(force, ("fixed", "rows"), theta, (time, y))  # as `jax.vmap`, with named axes
 
+    slopes = slopes_along(force, ("fixed", "rows"), 0, theta, (time, y))  # ∂force/∂θ
+
 Rows are taken in blocks, so that what is computed on the way stays in the processor's cache.
 """
 
@@ -20,10 +22,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from eoi_jax.compiler.derivatives import derivatives, differentiated_by_jax
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable, topological_order
 from eoi_jax.compiler.jit import cached_translation
 from eoi_jax.compiler.programs import jit
-from eoi_jax.compiler.trace import translate
+from eoi_jax.compiler.trace import translate, translated
 
 # Leading axes that the arrays of an argument may have.
 AXES = {"fixed": 0, "rows": 1, "grid": 1, "grid rows": 2}
@@ -48,6 +51,38 @@ def along(function: Callable, axes: tuple[str, ...], *args: Any) -> Any:
         argument has a grid.
     """
     return Along(function, axes, *args)(slice(None))
+
+
+def slopes_along(
+    function: Callable, axes: tuple[str, ...], argument: int, *args: Any
+) -> np.ndarray:
+    """The Jacobian of a function with one of its arguments, at every row; as of `jax.jacfwd`.
+
+    The derivative is that of the scalar program, which takes a fraction of the time that JAX takes
+    to trace one, but where JAX must take it (`derivatives.py`).
+
+    Args:
+        function: as of `along`, with one array as its result.
+        axes: as of `along`.
+        argument: number of the argument, which is one array.
+        args: trees of arrays.
+
+    Returns:
+        Leading axes as of `along`, then those of the result, then those of the argument.
+    """
+    return along(_Jacobian(function, argument), axes, *args)
+
+
+@dataclass(frozen=True)
+class _Jacobian:
+    """The derivative of a function of one array with an argument that is one."""
+
+    function: Callable
+    argument: int
+
+    def __call__(self, *args: Any) -> Any:
+        """By JAX."""
+        return jax.jacfwd(self.function, self.argument)(*args)
 
 
 class Along:
@@ -216,7 +251,7 @@ def _program(
     inputs = [_inputs(graph, leaf, shape) for leaf, shape in enumerate(shapes)]
     results: list[tuple[int, ...]] = []
 
-    def flat(*leaves: Any) -> list:
+    def flat(function: Callable, *leaves: Any) -> list:
         nonlocal structure
         iterator = iter(leaves)
         parts = [list(itertools.islice(iterator, count)) for count in counts]
@@ -229,7 +264,16 @@ def _program(
         return arrays
 
     with jax.enable_x64(dtype == np.float64):
-        arrays = translate(graph, flat, shapes, inputs)
+        if isinstance(function, _Jacobian):
+            closed = jax.make_jaxpr(functools.partial(flat, function.function))(*shapes)
+            if differentiated_by_jax(closed.jaxpr):
+                arrays = translate(graph, functools.partial(flat, function), shapes, inputs)
+            else:
+                place = sum(counts[: function.argument])
+                arrays = [_jacobian(graph, translated(graph, closed, inputs)[0], inputs[place])]
+                results[:] = [arrays[0].shape]
+        else:
+            arrays = translate(graph, functools.partial(flat, function), shapes, inputs)
     outputs = [node for array in arrays for node in array.ravel()]
     needed = topological_order(outputs)
     return _Program(
@@ -241,6 +285,14 @@ def _program(
         shapes=tuple(results),
         dtype=dtype,
     )
+
+
+def _jacobian(graph: Graph, values: np.ndarray, argument: np.ndarray) -> np.ndarray:
+    """Derivatives of nodes with inputs."""
+    slopes = np.empty((values.size, argument.size), object)
+    for k, node in enumerate(argument.ravel()):
+        slopes[:, k] = derivatives(graph, values.ravel().tolist(), [(node, graph.constant(1.0))])
+    return slopes.reshape(*values.shape, *argument.shape)
 
 
 def _steps(nodes: Sequence[Node], outputs: Sequence[Node]) -> tuple[_Step, ...]:

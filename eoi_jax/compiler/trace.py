@@ -56,7 +56,11 @@ def translate(
     Raises:
         Untranslatable: an operation that is no arithmetic on components known in advance.
     """
-    closed = jax.make_jaxpr(function)(*shapes)
+    return translated(graph, jax.make_jaxpr(function)(*shapes), inputs)
+
+
+def translated(graph: Graph, closed: ClosedJaxpr, inputs: Sequence) -> list[np.ndarray]:
+    """The same of a function that is traced already."""
     with np.errstate(all="ignore"):  # of constants that are folded
         return _run(graph, closed, inputs)
 

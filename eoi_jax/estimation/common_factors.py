@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import is_or_are
-from eoi_jax.compiler.pointwise import along
+from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.estimation.regression.identifiability import (
     groups_of,
     identifiable_combinations,
@@ -157,8 +157,7 @@ def _conditions(plant: Plant, theta: Float[np.ndarray, " np"]) -> Float[np.ndarr
     points *= draw.choice([-1.0, 1.0], points.shape)
     time, points = np.abs(points[:, 0]), points[:, 1:]
     y, u, z = np.split(points, [r * ny, r * ny + nu], axis=1)
-    probes = time, y.reshape(-1, r, ny), u, z
-    rows = along(_rows, ("fixed", "rows"), plant.with_parameters(theta), probes)
+    rows = _rows(plant, theta, (time, y.reshape(-1, r, ny), u), z)
     start = np.asarray(_start_rows(plant, jnp.asarray(theta)))
     actuated = _actuator_rows(plant, theta)
     matrix = np.concatenate([rows.reshape(-1, rows.shape[-1]), start, actuated])
@@ -167,19 +166,26 @@ def _conditions(plant: Plant, theta: Float[np.ndarray, " np"]) -> Float[np.ndarr
     return matrix[np.all(np.isfinite(matrix), axis=1)]
 
 
-def _rows(plant: Plant, probe: tuple[Any, ...]) -> Any:
-    t, y, u, z = probe
-    theta = jnp.asarray(plant.theta)
+def _rows(
+    plant: Plant,
+    theta: Float[np.ndarray, " np"],
+    probes: tuple[np.ndarray, ...],
+    z: Float[np.ndarray, "probes nz"],
+) -> Float[np.ndarray, "probes equations columns"]:
+    """Rows of f and g at each probe."""
+    axes, args = ("fixed", "rows", "fixed", "rows"), (plant, probes, theta, z)
+    by_theta, by_z = (slopes_along(_rates, axes, number, *args) for number in (2, 3))
+    ny, nz = len(plant.outputs), z.shape[1]
+    shifts = np.zeros((len(z), ny + nz, nz))
+    shifts[:, ny + np.arange(nz), np.arange(nz)] = along(_rates, axes, *args)[:, ny:]
+    return np.concatenate([by_theta, by_z * z[:, None] - shifts, by_z], axis=2)
 
-    def both(theta: Any, z: Any) -> Any:
-        x = State(y, z)
-        f = plant.derivative(t, x, u, theta)
-        return jnp.concatenate([f, plant.internal_rate(t, x, u, theta)])
 
-    by_theta, by_z = jax.jacfwd(both, argnums=(0, 1))(theta, z)
-    rate = both(theta, z)[len(plant.outputs) :]
-    own = jnp.concatenate([jnp.zeros((len(plant.outputs), len(z))), jnp.diag(rate)])
-    return jnp.concatenate([by_theta, by_z * z - own, by_z], axis=1)
+def _rates(plant: Plant, probe: tuple[Any, ...], theta: Any, z: Any) -> Any:
+    """f and g."""
+    t, y, u = probe
+    f = plant.derivative(t, State(y, z), u, theta)
+    return jnp.concatenate([f, plant.internal_rate(t, State(y, z), u, theta)])
 
 
 def _start_rows(plant: Plant, theta: Any) -> Any:

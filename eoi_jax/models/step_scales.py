@@ -24,7 +24,7 @@ too: there e_j = -1, and a' changes its sign with θ_j.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.compiler.pointwise import along
+from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.models.plant import Plant, State
 
 LINEAR, LOGARITHMIC, RECIPROCAL, SIGNED_RECIPROCAL = 0, 1, 2, 3
@@ -133,8 +133,8 @@ def _structure(
     plant, values = _plant_of(structure, theta), np.asarray(theta)
     tolerance = float(np.sqrt(jnp.finfo(dtype).eps))
     free = np.flatnonzero(np.asarray(plant.free) * (values != 0)).tolist()
-    nominal = _evaluated(plant, values, _slopes)
-    doubled = {i: _evaluated(plant, _moved(values, i, 2.0 * theta[i]), _slopes) for i in free}
+    nominal = _slopes(plant, values)
+    doubled = {i: _slopes(plant, _moved(values, i, 2.0 * theta[i])) for i in free}
     bent = np.zeros(len(values), dtype=bool)
     for i in free:
         bent[i] = _power(nominal[..., i], doubled[i][..., i], tolerance) != 0.0
@@ -195,28 +195,27 @@ def _rates(plant: Plant, probe: tuple[Any, ...], theta: Any) -> Any:
     return jnp.concatenate([f, plant.internal_rate(t, State(y, z), u, theta)])
 
 
-def _both(plant: Plant, probe: tuple[Any, ...]) -> Any:
-    return _rates(plant, probe, jnp.asarray(plant.theta))
+def _evaluated(plant: Plant, theta: Float[np.ndarray, " np"]) -> np.ndarray:
+    """f and g at fixed pseudo-random points."""
+    with np.errstate(all="ignore"):
+        return along(_rates, ("fixed", "rows", "fixed"), plant, _probes(plant), theta)
 
 
-def _evaluated(
-    plant: Plant, theta: Float[np.ndarray, " np"], function: Callable = _both
-) -> np.ndarray:
-    """f and g, or another function, at fixed pseudo-random points."""
+def _slopes(plant: Plant, theta: Float[np.ndarray, " np"]) -> np.ndarray:
+    """∂f/∂θ and ∂g/∂θ there."""
+    with np.errstate(all="ignore"):
+        return slopes_along(_rates, ("fixed", "rows", "fixed"), 2, plant, _probes(plant), theta)
+
+
+def _probes(plant: Plant) -> tuple[np.ndarray, ...]:
+    """Times, states and inputs."""
     draw = np.random.default_rng(0)
     r, ny, nu, nz = plant.rows, len(plant.outputs), len(plant.inputs), len(plant.initial_internal)
     low, high = np.log(_SETTINGS.magnitudes)
     size = _SETTINGS.probes, 1 + r * ny + nu + nz
     points = np.exp(draw.uniform(low, high, size)) * draw.choice([-1.0, 1.0], size)
     y, u, z = np.split(points[:, 1:], [r * ny, r * ny + nu], axis=1)
-    probes = np.abs(points[:, 0]), y.reshape(-1, r, ny), u, z
-    with np.errstate(all="ignore"):
-        return along(function, ("fixed", "rows"), plant.with_parameters(theta), probes)
-
-
-def _slopes(plant: Plant, probe: tuple[Any, ...]) -> Any:
-    """∂f/∂θ and ∂g/∂θ."""
-    return jax.jacfwd(lambda theta: _rates(plant, probe, theta))(jnp.asarray(plant.theta))
+    return np.abs(points[:, 0]), y.reshape(-1, r, ny), u, z
 
 
 def _is_singular(plant: Plant, theta: Float[np.ndarray, " np"], i: int) -> bool:

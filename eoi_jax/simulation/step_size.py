@@ -18,12 +18,11 @@ from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax.compiler.pointwise import along
+from eoi_jax.compiler.pointwise import slopes_along
 from eoi_jax.data.record import Record
 from eoi_jax.models.jacobians import driven
 from eoi_jax.models.plant import Plant, State
@@ -107,8 +106,11 @@ def mode_along(
     instants = np.arange(len(time)) if usable is None else np.flatnonzero(usable)
     # Always as many, so that a plant which only XLA evaluates is compiled once.
     index = instants[np.linspace(0, len(instants) - 1, RULES.instants).astype(int)]
-    signals = time[index], np.stack(rows, axis=1)[index], acted_inputs[index]
-    slopes = along(_state_slope, ("fixed", "rows"), plant, signals)
+    y = np.stack(rows, axis=1)[index].reshape(len(index), -1)
+    z = np.broadcast_to(plant.initial_internal, (len(index), len(plant.initial_internal)))
+    signals = time[index], acted_inputs[index]
+    x = np.concatenate([y, z], axis=1)
+    slopes = slopes_along(_rates, ("fixed", "rows", "rows"), 2, plant, signals, x)
     slopes = slopes[np.all(np.isfinite(slopes), axis=(1, 2))]
     if not slopes.size:
         return 0.0
@@ -187,15 +189,10 @@ def finest_steps(records: Sequence[Sized]) -> int:
     return min(RULES.finest, max(RULES.total // sum(map(len, records)), RULES.coarsest))
 
 
-def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Float[Array, "states states"]:
-    """Jacobian of dx/dt with x, all outputs with their derivatives first."""
-    t, y, u = row
-    theta = jnp.asarray(plant.theta)
-    z = plant.internal_start(theta)
-
-    def rate(x: Array) -> Array:
-        state = State(jnp.reshape(x[: y.size], y.shape), x[y.size :])
-        slope = rate_of(plant, theta, t, state, u)
-        return jnp.concatenate([jnp.ravel(slope.y), slope.z])
-
-    return jax.jacfwd(rate)(jnp.concatenate([jnp.ravel(y), z]))
+def _rates(plant: Plant, row: tuple[Any, ...], x: Array) -> Float[Array, " states"]:
+    """dx/dt, all outputs with their derivatives first."""
+    (t, u), ny = row, len(plant.outputs)
+    size = plant.rows * ny
+    state = State(jnp.reshape(x[:size], (plant.rows, ny)), x[size:])
+    slope = rate_of(plant, jnp.asarray(plant.theta), t, state, u)
+    return jnp.concatenate([jnp.ravel(slope.y), slope.z])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eoi_jax.compiler.pointwise import Along, along
+from eoi_jax.compiler.pointwise import Along, along, slopes_along
 
 DRAW = np.random.default_rng(0)
 THETA, ROWS, GRID = DRAW.normal(size=2), DRAW.normal(size=(50, 3)), DRAW.normal(size=(4, 2))
@@ -41,3 +41,36 @@ def test_an_argument_may_have_both_axes():
     axes = ("rows", "grid", "grid rows")
     found = along(lambda row, point, one: row[0] * point[0] + one, axes, ROWS, GRID, both)
     np.testing.assert_allclose(found, GRID[:, :1] * ROWS[:, 0] + both, rtol=1e-12, atol=1e-14)
+
+
+@jax.custom_jvp
+def smooth(x):
+    return jnp.abs(x)
+
+
+smooth.defjvp(lambda primals, tangents: (smooth(*primals), 3.0 * tangents[0]))
+
+
+def by_scalars(theta, row):
+    return jnp.stack([jnp.sin(theta[0] * row[0]) / theta[1], jnp.maximum(row[1], theta[0] ** 2)])
+
+
+def by_its_author(theta, row):
+    return jnp.stack([smooth(theta[0]) * row[0], theta[1] * smooth(row[1])])
+
+
+@pytest.mark.parametrize("function", [by_scalars, by_its_author])
+@pytest.mark.parametrize("argument", [0, 1])
+def test_slopes_are_those_of_jacfwd(function, argument):
+    """Of the scalar program, or, where an author says what a derivative is, of JAX."""
+    wanted = jax.vmap(jax.jacfwd(function, argument), (None, 0))(THETA, ROWS)
+    found = slopes_along(function, ("fixed", "rows"), argument, THETA, ROWS)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
+
+
+def test_slopes_of_what_no_scalar_program_expresses_are_those_of_jacfwd():
+    def factor(row):
+        return factorised(THETA, row, GRID[0])[0]
+
+    found = slopes_along(factor, ("rows",), 0, ROWS)
+    np.testing.assert_allclose(found, jax.vmap(jax.jacfwd(factor))(ROWS), rtol=1e-12)
