@@ -13,16 +13,17 @@ changes of the free run itself, and the gain is near one.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.compiler.programs import jit
+from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
@@ -131,12 +132,12 @@ class LinearisedRuns:
         response = response_of(
             plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
         )
-        stages = tuple(jnp.asarray(start) for start in _stages(problem, inputs, y, z))
+        stages = _stages(problem, inputs, y, z)
         return cls(plant, problem, stages, basis, residual, tuple(records), response)
 
     def signal_statistics(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
-        _, u, y, _ = (np.asarray(record) for record in self.stages)
+        _, u, y, _ = self.stages
         rows = (0, min(placed.row, y.shape[-2] - 1))
         level, rate = (placed.coordinate(y[..., row, :]).ravel() for row in rows)
         channel = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
@@ -251,8 +252,8 @@ class LinearisedRuns:
             channel = u[..., 0] if u.shape[-1] else 0.0 * t
             z = None
             if effect.states:
-                period = float(np.mean(np.asarray(t)[:, 0, 2] - np.asarray(t)[:, 0, 0]))
-                z = jnp.asarray(effect.states_along(np.asarray(level), period, shape))
+                period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
+                z = jnp.asarray(effect.states_along(level, period, shape))
             at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=z)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
@@ -264,7 +265,7 @@ class LinearisedRuns:
         """What one unit of an effect adds to y^(r) of each output, (runs, samples, 3, ny)."""
         if placed.through is None:
             return np.arange(len(self.plant.outputs)) == placed.output
-        return np.asarray(_pushed(self.plant, self.stages, placed.through))
+        return _pushed(self.plant, self.stages, placed.through)
 
     def _changed(self, placed: Placed, shape: np.ndarray) -> np.ndarray:
         """f with the changed input less f."""
@@ -274,20 +275,24 @@ class LinearisedRuns:
         if isinstance(effect, AbstractActuator):
             mean = (u[..., 0, i] + 4.0 * u[..., 1, i] + u[..., 2, i]) / 6.0
             for run in range(len(u)):
-                times, means = np.asarray(t[run, :, 1]), np.asarray(mean[run])
-                late = effect.sampled(times, means, np.reshape(shape, (1, -1)))[0]
+                late = effect.sampled(t[run, :, 1], mean[run], np.reshape(shape, (1, -1)))[0]
                 new[run, ..., i] += (late - mean[run])[:, None]
         else:
             assert isinstance(effect, AbstractInputEffect)
-            at = At(t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i], None)
-            new[..., i] = np.asarray(effect.changed(at, shape))
-        unchanged, changed = (_drift(self.plant, t, y, z, inputs) for inputs in (u, new))
-        return np.asarray(changed - unchanged)
+            along_runs = (t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i])
+            time, level, rate, channel = map(jnp.asarray, along_runs)
+            new[..., i] = np.asarray(effect.changed(At(time, level, rate, channel, None), shape))
+        return _drift(self.plant, t, new, y, z) - self._unchanged
+
+    @cached_property
+    def _unchanged(self) -> np.ndarray:
+        """f of the plant along the runs."""
+        return _drift(self.plant, *self.stages)
 
     def _sensed(self, placed: Placed, grid: np.ndarray) -> Columns:
         """What a sensor behind the output does to it at each shape, weighed."""
         assert isinstance(placed.effect, AbstractCascade)
-        t, _, y, _ = (np.asarray(part) for part in self.stages)
+        t, _, y, _ = self.stages
         j, period = placed.channel, float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
         y = np.concatenate([y[..., 0, 0, j], y[:, -1:, 2, 0, j]], axis=1)
         scale, use = np.asarray(self.problem.scale), self.problem.use
@@ -385,26 +390,28 @@ def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[
     return time, u, *(at(state) for state in states)
 
 
-@jit
-def _rates(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> Any:
-    def rate(t: Any, y: Any, z: Any, u: Any) -> Any:
-        return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
-
-    return jax.vmap(jax.vmap(jax.vmap(rate)))(t, y, z, u)
+def _rates(plant: Plant, row: tuple[Any, ...], u: Any) -> Any:
+    t, y, z = row
+    return plant.derivative(t, State(y, z), u, jnp.asarray(plant.theta))
 
 
-@jit
-def _pushed(plant: Plant, stages: tuple[Any, ...], i: int) -> Any:
+def _pushed(plant: Plant, stages: tuple[np.ndarray, ...], i: int) -> np.ndarray:
     """∂f/∂u_i along runs, (runs, samples, 3, ny)."""
-
-    def slope(t: Any, u: Any, y: Any, z: Any) -> Any:
-        return plant.input_slopes(t, State(y, z), u, jnp.asarray(plant.theta))[:, i]
-
-    return jax.vmap(jax.vmap(jax.vmap(slope)))(*stages)
+    t, u, y, z = map(_as_rows, stages)
+    slopes = slopes_along(_rates, ("fixed", "rows", "rows"), 2, plant, (t, y, z), u)
+    return slopes[..., i].reshape(*stages[0].shape, -1)
 
 
-def _drift(plant: Plant, t: Any, y: Any, z: Any, u: Any) -> np.ndarray:
-    return np.asarray(_rates(plant, *map(jnp.asarray, (t, y, z, u))))
+def _drift(plant: Plant, *stages: np.ndarray) -> np.ndarray:
+    """f along runs, of times, inputs, y and z, (runs, samples, 3, ny)."""
+    t, u, y, z = map(_as_rows, stages)
+    f = along(_rates, ("fixed", "rows", "rows"), plant, (t, y, z), u)
+    return f.reshape(*stages[0].shape, -1)
+
+
+def _as_rows(array: np.ndarray) -> np.ndarray:
+    """Runs, samples and their three instants on one axis."""
+    return array.reshape(math.prod(array.shape[:3]), *array.shape[3:])
 
 
 def _flat(sensitivities: np.ndarray) -> Float[np.ndarray, "runs rows size"]:

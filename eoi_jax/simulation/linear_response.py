@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from eoi_jax.compiler.pointwise import slopes_along
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import advanced, frictional
@@ -114,16 +115,47 @@ def response_of(
     shape = np.shape(time)
     parts = (time, inputs, y, z, np.broadcast_to(np.reshape(steps, (-1, 1)), shape))
     rows = [np.reshape(array, (np.size(time), *np.shape(array)[2:])) for array in parts]
-    slopes = _slopes(_pushed(plant), jnp.asarray(plant.theta), frictional(plant), *rows)
+    pushed, friction = _pushed(plant), frictional(plant)
+    if any(friction):
+        slopes = _slopes(pushed, jnp.asarray(plant.theta), friction, *rows)
+    else:
+        slopes = _smooth_slopes(pushed, *rows)
     free, forced = (array.reshape(*shape, *array.shape[1:]) for array in slopes)
     return Response(*_by_sample(free, forced, substeps))
+
+
+def _smooth_slopes(
+    plant: Plant,
+    time: np.ndarray,
+    inputs: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    steps: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A and B of every step, where none has a stop in it."""
+    ny = len(plant.outputs)
+    x = np.concatenate([y.reshape(len(y), -1), z, np.zeros((len(y), 3 * ny))], axis=1)
+    axes = ("fixed", "rows", "rows")
+    slopes = slopes_along(_smooth_flow, axes, 2, plant, (time, inputs, steps), x)
+    free, forced = np.split(slopes, [-3 * ny], axis=2)
+    return free, forced.reshape(*free.shape[:2], 3, ny)
+
+
+def _smooth_flow(plant: Plant, row: tuple[Any, ...], moved: Array) -> Array:
+    """The state after a step, from that at its start and the forces on it."""
+    (t, u, h), ny = row, len(plant.outputs)
+    size = plant.rows * ny
+    start = State(jnp.reshape(moved[:size], (plant.rows, ny)), moved[size : -3 * ny])
+    inputs = jnp.concatenate([u, jnp.reshape(moved[-3 * ny :], (3, ny))], axis=1)
+    end = advanced(plant, jnp.asarray(plant.theta), t, h, inputs, start, (0,) * ny)
+    return jnp.concatenate([end.y.ravel(), end.z])
 
 
 @jit
 def _slopes(
     plant: Plant, theta: Array, friction: tuple[int, ...], *rows: Any
 ) -> tuple[Array, Array]:
-    """A and B of every step."""
+    """A and B of every step of a plant that sticks."""
     ny = len(plant.outputs)
 
     def slopes_at(row: tuple) -> tuple[Array, Array]:
