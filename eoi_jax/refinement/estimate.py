@@ -3,25 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._checks import counted
 from eoi_jax._status import Status
-from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import long_run
-from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.fit import Fit, log_cost, rms
 from eoi_jax.refinement.problem import CONVERGED
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.refinement.spans import FEWEST_STEPS, Span
-from eoi_jax.simulation.sensitivity import Host, RunKernel
 
 
 def refinement_of(
@@ -136,8 +133,7 @@ def _starts(
     fit: Fit, plant: Plant, records: Sequence[Record], spans: Sequence[Span]
 ) -> tuple[Start, ...]:
     unknowns, theta = fit.outcome.unknowns, np.asarray(plant.theta)
-    x = _started(fit.problem.kernel, unknowns.starts, theta, fit.problem.declared)
-    x = jax.tree.map(np.asarray, x)
+    x = fit.problem.kernel.started(unknowns.starts, theta, fit.problem.declared)
     past: Sequence[np.ndarray | None] = [None] * len(spans)
     if fit.problem.places is not None:
         past = list(np.asarray(unknowns.starts)[:, -len(plant.inputs) :])
@@ -145,12 +141,6 @@ def _starts(
         Start(records[span.record].name, float(records[span.record].time[span.first]), y, z, levels)
         for span, y, z, levels in zip(spans, x.y, x.z, past, strict=True)
     )
-
-
-@jit(static=())
-def _started(kernel: RunKernel, starts: Host, theta: Host, declared: Host) -> State:
-    """The states of all windows in one call."""
-    return jax.vmap(kernel.start, in_axes=(0, None, 0))(starts, theta, declared)
 
 
 @dataclass(frozen=True)

@@ -144,9 +144,7 @@ def outputs(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "runs tim
     nu, ny = len(plant.inputs), len(plant.outputs)
     time, inputs, _, _ = compiled_runs.columns(nu, ny)
     drivers = tables[..., inputs].reshape(*tables.shape[:2], 3, nu)
-    starts = jax.vmap(lambda start, declared: kernel.start(start, theta, declared))(
-        values, problem.declared
-    )
+    starts = kernel.started(values, theta, problem.declared)
     y_hat = np.empty((len(tables), (tables.shape[1] - 1) // problem.substeps + 1, ny))
     for step in np.unique(steps):  # a loop has one
         runs = np.flatnonzero(steps == step)

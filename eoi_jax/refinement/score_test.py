@@ -19,10 +19,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.orthonormal import orthonormal
@@ -42,6 +44,7 @@ from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span
+from eoi_jax.simulation.chained_runs import states_of
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.linear_response import Response, response_of
 from eoi_jax.simulation.simulate import free_run
@@ -358,16 +361,30 @@ def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
     time, inputs = tables[:, :-1, 0], tables[:, :-1, 1 : 1 + 3 * nu]
     inputs = inputs.reshape(*time.shape, 3, nu)
     last = tables[:, -1, 1 : 1 + nu]
-    theta, parts = jnp.asarray(problem.theta), []
+    theta, friction = np.asarray(problem.theta), problem.kernel.friction
     if problem.places is not None:
         acted = np.asarray(driven(problem, theta, unknowns.starts).inputs)
         inputs, last = acted[:, :-1], acted[:, -1, 0]
+    starts = problem.kernel.started(unknowns.starts, theta, problem.declared)
+    parts = []
     for i in range(len(tables)):
-        start = problem.kernel.start(unknowns.starts[i], theta, problem.declared[i])
         run_drive = Drive(time[i], np.asarray(h[i]), inputs[i], 1, last[i])
-        parts.append(free_run(plant, theta, run_drive, start, problem.kernel.friction))
-    y, z = (np.stack([np.asarray(part[k]) for part in parts]) for k in range(2))
+        parts.append(_states(plant, run_drive, State(starts.y[i], starts.z[i]), friction))
+    y, z = (np.stack(part) for part in zip(*parts, strict=True))
     return time, inputs, y, z
+
+
+def _states(
+    plant: Plant, driven_by: Drive, start: State, friction: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """y and z of a run before each step and after the last."""
+    try:
+        drives, starts = jax.tree.map(lambda part: np.asarray(part)[None], (driven_by, start))
+        x = states_of(plant, drives, starts, friction)
+        return np.asarray(x.y)[0], np.asarray(x.z)[0]
+    except Untranslatable:
+        y, z = free_run(plant, jnp.asarray(plant.theta), driven_by, start, friction)
+        return np.asarray(y), np.asarray(z)
 
 
 def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[np.ndarray, ...]:

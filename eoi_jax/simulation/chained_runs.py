@@ -48,12 +48,17 @@ class _Model(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class _Chain(AbstractLoop):
-    """What is traced. There is one lane, and nothing of it is a lane's own."""
+    """What is traced. There is one lane, and nothing of it is a lane's own.
+
+    Attributes:
+        shows: ``"outputs"`` after each step, or the whole state, ``"states"``.
+    """
 
     model: _Model
     lane: Any
     step: _Row
     dtype: np.dtype
+    shows: str
     branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
 
     @property
@@ -72,12 +77,14 @@ class _Chain(AbstractLoop):
         return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, self.dtype), self.step.start)
 
     def advance(self, lane: Any, fixed: tuple, carry: State, row: _Row) -> tuple[State, Any]:
-        """One step; the outputs after it are shown."""
+        """One step, and what is shown after it."""
         del lane
         (model, h), first = fixed, row.begins > 0
         x = jax.tree.map(lambda old, new: jnp.where(first, new, old), carry, row.start)
         plant = model.plant
         x = advanced(plant, jnp.asarray(plant.theta), row.time, h, row.inputs, x, model.friction)
+        if self.shows == "states":
+            return x, jnp.concatenate([x.y.ravel(), x.z])
         theta, end = jnp.asarray(plant.theta), row.time + h
         return x, output_of(plant, theta, end, x, row.following, model.friction)
 
@@ -103,14 +110,45 @@ def outputs_of(
         Outputs at every sample, the first one too.
     """
     try:
-        code = _code(plant, starts, friction)
+        y = _shown(plant, drives, starts, friction, "outputs", chunk)
     except Untranslatable:
         return _scanned(plant, drives, starts, friction)
+    last_substeps = slice(drives.substeps - 1, None, drives.substeps)
+    first_sample = first_outputs(plant, drives, starts)
+    return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
+
+
+def states_of(
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], chunk: int = 8192
+) -> State:
+    """States of several runs before each step and after the last; arguments as of `outputs_of`.
+
+    Raises:
+        Untranslatable: of a plant whose runs cannot be compiled.
+    """
+    runs, (rows, ny) = len(starts.y), starts.y.shape[1:]
+    moved = _shown(plant, drives, starts, friction, "states", chunk)
+    y, z = np.split(moved, [rows * ny], axis=2)
+    y = np.concatenate([starts.y[:, None], y.reshape(runs, -1, rows, ny)], axis=1)
+    return State(y, np.concatenate([starts.z[:, None], z], axis=1))
+
+
+def _shown(
+    plant: Plant,
+    drives: Drive,
+    starts: State,
+    friction: tuple[int, ...],
+    shows: str,
+    chunk: int,
+) -> Float[np.ndarray, "runs steps shown"]:
+    """What a chain shows after every step."""
+    code = _code(plant, starts, friction, shows)
     runs, steps = np.shape(drives.time)
     time, inputs = np.ravel(drives.time), np.reshape(drives.inputs, (runs * steps, -1))
     first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
+    width = len(plant.outputs) if shows == "outputs" else first.shape[1]
     fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
-    begun, output_parts = code.begin(np.zeros((1, 1)), fixed), []
+    begun, parts = code.begin(np.zeros((1, 1)), fixed), []
     following = np.reshape(drives.following, (runs * steps, -1)) if plant.has_algebraic else None
     for at in range(0, runs * steps, chunk):
         index = np.arange(at, min(at + chunk, runs * steps))
@@ -120,14 +158,11 @@ def outputs_of(
         columns += [] if following is None else [following[index]]
         rows = np.concatenate(columns, axis=1)
         (part,) = begun.outputs(rows, len(rows))
-        output_parts.append(part[:, : len(plant.outputs)].copy())  # not the whole vector
-    y = np.concatenate(output_parts).reshape(runs, steps, -1)
-    last_substeps = slice(drives.substeps - 1, None, drives.substeps)
-    first_sample = first_outputs(plant, drives, starts)
-    return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
+        parts.append(part[:, :width].copy())  # not the whole vector
+    return np.concatenate(parts).reshape(runs, steps, -1)
 
 
-def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoop:
+def _code(plant: Plant, starts: State, friction: tuple[int, ...], shows: str) -> CompiledLoop:
     dtype, zero = np.dtype(float), np.zeros(())
     start = State(starts.y[0], starts.z[0])
     nu = len(plant.inputs)
@@ -135,7 +170,7 @@ def _code(plant: Plant, starts: State, friction: tuple[int, ...]) -> CompiledLoo
     row = _Row(zero, np.zeros((3, nu)), zero, start, following)
     model, lane, step = shapes_of((_Model(plant, friction), zero, row), dtype)
     columns = 2 + 3 * nu + start.y.size + start.z.size + (nu if plant.has_algebraic else 0)
-    return compiled_loop(_Chain(model, lane, step, dtype), columns, 1, True)
+    return compiled_loop(_Chain(model, lane, step, dtype, shows), columns, 1, True)
 
 
 def _scanned(

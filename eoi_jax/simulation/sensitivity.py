@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.start_weights import proportional_starts, starts_anywhere
 from eoi_jax.simulation.integrator import advanced, output_of
@@ -129,6 +130,10 @@ class RunKernel(eqx.Module):
             places, leaders, weights = proportional_starts(initial, z.size)
             z = z.at[places].set(weights * z[leaders])
         return State(y, z)
+
+    def started(self, values: Host, theta: Host, declared: Host) -> State:
+        """Initial states of several runs, a leading axis, as NumPy arrays."""
+        return along(_start, ("fixed", "rows", "fixed"), self, (values, declared), theta)
 
     def directions(self, start_size: int) -> Direction:
         """Of each unknown; so many are in the start."""
@@ -249,6 +254,11 @@ class RunKernel(eqx.Module):
         weight, excess = _huber(jnp, scored[:, -1], lane.threshold)
         square = (weight[:, None] * scored).T @ scored
         return square.at[-1, -1].add(jnp.sum(excess))
+
+
+def _start(kernel: RunKernel, row: tuple[Any, Any], theta: Any) -> State:
+    values, declared = row
+    return kernel.start(values, theta, declared)
 
 
 def _derived(
