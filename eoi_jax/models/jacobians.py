@@ -77,7 +77,9 @@ def driven(plant: Plant, time: Values, u: Values) -> Values:
     """
     if plant.actuator is None:
         return u
-    if has_sampled_actuator(plant):
+    time, u = np.asarray(time), np.asarray(u)
+    is_line = len(time) > 1 and time[1] > time[0]  # else they are instants, of which XLA makes NaN
+    if is_line and has_sampled_actuator(plant):
         return plant.actuator.sampled(time, u, plant.parameters)  # pyright: ignore
     return np.asarray(_driven(plant, time, u))
 

@@ -24,16 +24,24 @@ def evaluated(
     """A function of the model, f or g, at an instant.
 
     Args:
-        function: hashable, equal to what computes the same.
+        function: equal to what computes the same; traced anew each time where it has no hash.
         names: of the parameters.
         t: the instant [s].
         x: state there.
         u: inputs there.
         theta: values of the parameters, shape (np,).
     """
-    if tracing():
+    if tracing() and _has_hash(function):
         return _traced_once(function, names)(t, x, u, theta)
     return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
+
+
+def _has_hash(function: Callable) -> bool:
+    try:
+        hash(function)
+    except TypeError:
+        return False
+    return True
 
 
 @functools.lru_cache(maxsize=64)

@@ -81,6 +81,17 @@ def test_their_values_are_those_of_python():
     )
 
 
+def test_equations_without_a_hash_are_traced_each_time():
+    class Listed(Counted):
+        __hash__ = None  # type: ignore[assignment]
+
+    plant, (t, x, u) = plant_of(Listed()), POINT
+    theta = jnp.asarray(plant.theta)
+    found = jax.make_jaxpr(lambda *args: plant.derivative(*args))(t, x, u, theta)
+    value = jax.core.eval_jaxpr(found.jaxpr, found.consts, t, x.y, x.z, u, theta)[0]
+    np.testing.assert_allclose(value, plant.derivative(t, x, u, theta), rtol=1e-15)
+
+
 def test_models_of_long_ago_are_forgotten():
     def traced(equations):
         plant = plant_of(equations)
