@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
+
+from tests import checked_types
 
 # Each thread of the compiler would have a pool of its own, that keeps what another could use: some
 # hundred megabytes of a worker. Before JAX starts these threads; as MALLOC_ARENA_MAX=1 does.
@@ -45,7 +47,9 @@ _MODULES = [
     if path.stem not in {"__init__", "stored_classes", "commands", *_SCALAR}
 ]
 
-install_import_hook(_MODULES, "beartype.beartype")  # for good: names are imported at first use
+jaxtyping.jaxtyped = checked_types.jaxtyped
+# For good: names are imported at first use.
+jaxtyping.install_import_hook(_MODULES, "beartype.beartype")
 
 from eoi_jax.compiler.jax_setup import configure  # noqa: E402
 

@@ -96,7 +96,7 @@ class _PairRows(eqx.Module):
     y_next: Float[Array | np.ndarray, "*runs S 2 ny"]
     previous_direction: Float[Array | np.ndarray, "*runs S ny"] | None
 
-    def part(self, first: int, length: int) -> "_Stretch":
+    def part(self, first: int, length: int) -> "_PairRows":
         """`length` steps from `first`; beyond the end the last step repeats, with weight zero."""
         excess = max(first + length - self.y.shape[1], 0)
 
