@@ -210,6 +210,14 @@ def test_progress_is_drawn_on_a_terminal_and_quiet_draws_nothing(tmp_path: Path)
         assert shown is None
 
 
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """The time that help takes [s]."""
+    folder, began = tmp_path_factory.mktemp("help"), time.perf_counter()
+    subprocess.run([*START, "--help"], env=environment(folder), capture_output=True, check=True)
+    return time.perf_counter() - began
+
+
 @pytest.mark.parametrize(
     ("wait", "number"),
     [
@@ -221,13 +229,10 @@ def test_progress_is_drawn_on_a_terminal_and_quiet_draws_nothing(tmp_path: Path)
     ],
 )
 def test_a_signal_ends_with_130_and_leaves_no_half_written_run(
-    tmp_path: Path, wait: float, number: signal.Signals
+    tmp_path: Path, unit: float, wait: float, number: signal.Signals
 ):
     """At some times, counted in the time that help takes: machines differ, and their load."""
     (tmp_path / "rig.toml").write_text(CONFIG)
-    began = time.perf_counter()
-    subprocess.run([*START, "--help"], env=environment(tmp_path), capture_output=True, check=True)
-    unit = time.perf_counter() - began
     run = subprocess.Popen(
         [*START, "identify", "rig.toml"],
         cwd=tmp_path,

@@ -543,7 +543,7 @@ def test_best_of_nothing_says_so():
         ({"observers": HighOrder(3.0, degree=3)}, "relative degree of the plant"),
         ({"observers": SecondOrder(1.0, 1.0, [1.0, 2.0])}, "`observer.c3` must be one number"),
         ({"records": []}, "`records` must hold at least one.*no lane"),
-        ({"records": [3]}, "`records` must be a Record|parameter 'records'"),
+        ({"records": [3]}, "`records` must be a Record|parameter records"),
         ({"lowpass": []}, "`lowpass` must hold at least one.*no lane"),
         ({"lowpass": [20.0]}, "`lowpass` must be filters"),
         ({"starts": []}, "`starts` must hold at least one.*no lane"),
