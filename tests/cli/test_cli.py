@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from eoi_jax import _atomic
 from eoi_jax._atomic import write_folder
 from eoi_jax._status import Status
-from eoi_jax.cli import actions, build
+from eoi_jax.cli import actions, build, html_report
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
@@ -55,6 +55,12 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch):
+    """Without the page, which another test of the same run has."""
+    monkeypatch.setattr(html_report, "write_report", lambda folder: folder)
+
+
 def eoi(*arguments: object):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
@@ -74,7 +80,7 @@ def test_a_run_prints_its_table_and_writes_its_files(config: Path, tmp_path: Pat
     assert copied == SHORT
 
 
-def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_path: Path):
+def test_json_is_one_object_that_holds_what_a_program_needs(config: Path, tmp_path: Path, undrawn):
     done = eoi("identify", config, "--output", tmp_path / "runs", "--json")
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
@@ -116,13 +122,13 @@ def test_an_inspection_is_shown_from_nothing_on(tmp_path: Path):
     assert seen == [("reading", 0, None, ""), ("drawing", 0, None, "")]
 
 
-def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
+def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path, undrawn):
     done = eoi("identify", config, "--output", tmp_path / "runs", "--quiet")
     assert done.exit_code == 0
     assert done.stdout == f"{tmp_path / 'runs' / 'short'}\n"
 
 
-def test_passes_of_the_call_replace_those_of_the_config(config: Path, tmp_path: Path):
+def test_passes_of_the_call_replace_those_of_the_config(config: Path, tmp_path: Path, undrawn):
     done = eoi("identify", config, "--output", tmp_path / "runs", "--json", "--passes", 1)
     result = json.loads(done.stdout)
     assert len(result["index"]) == 1

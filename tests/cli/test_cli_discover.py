@@ -10,7 +10,7 @@ from found import discovery
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
-from eoi_jax.cli import actions, build, run_folder
+from eoi_jax.cli import actions, build, html_report, run_folder
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
@@ -84,6 +84,12 @@ def known(found, monkeypatch: pytest.MonkeyPatch):
     return asked
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch):
+    """Without the page, which another test of the same run has."""
+    monkeypatch.setattr(html_report, "write_report", lambda folder: folder)
+
+
 def run_command(*arguments: object):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
@@ -105,7 +111,9 @@ OBSERVER = '[observer]\nkind = "second_order"\nc1 = 20.0\nc2 = 100.0\nc3 = 500.0
         ("", None),
     ],
 )
-def test_tables_that_a_discovery_does_not_take_are_named(known, config, tmp_path, tables, said):
+def test_tables_that_a_discovery_does_not_take_are_named(
+    known, config, tmp_path, tables, said, undrawn
+):
     config.write_text(HIDDEN.replace("[discover]", f"{tables}[discover]"))
     done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
@@ -162,13 +170,13 @@ def test_json_is_one_object_with_everything(known, found, config, tmp_path):
 
 
 @pytest.mark.slow
-def test_quiet_prints_only_the_folder(known, config, tmp_path):
+def test_quiet_prints_only_the_folder(known, config, tmp_path, undrawn):
     done = run_command("discover", config, "--output", tmp_path / "runs", "--quiet")
     assert done.stdout == f"{tmp_path / 'runs' / 'hidden'}\n"
 
 
 @pytest.mark.slow
-def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_path):
+def test_a_config_may_begin_with_the_mark_of_its_encoding(known, config, tmp_path, undrawn):
     config.write_text(HIDDEN, encoding="utf-8-sig")
     done = run_command("discover", config, "--output", tmp_path / "runs")
     assert done.exit_code == 0, done.output
@@ -212,7 +220,7 @@ def test_a_fit_that_fails_ends_with_1_and_writes_nothing(known, found, config, t
     assert not (tmp_path / "runs").exists()
 
 
-def test_the_discover_table_reaches_discover(known, config, tmp_path):
+def test_the_discover_table_reaches_discover(known, config, tmp_path, undrawn):
     text = HIDDEN.replace(
         "[discover]", "[discover]\nalpha = 0.05\nmost = 2\nwindow = 1.5\nrefine = true"
     )

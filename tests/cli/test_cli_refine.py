@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import eoi_jax as eoi
 from eoi_jax._status import Status
-from eoi_jax.cli import actions
+from eoi_jax.cli import actions, html_report
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
 
@@ -65,6 +65,12 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch):
+    """Without the page, which another test of the same run has."""
+    monkeypatch.setattr(html_report, "write_report", lambda folder: folder)
+
+
 def run(*words: object):
     return CliRunner().invoke(app, ["refine", *map(str, words)])
 
@@ -84,7 +90,7 @@ def test_a_run_prints_its_tables_and_writes_its_files(config: Path, tmp_path: Pa
     assert copied == SHORT
 
 
-def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Path):
+def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Path, undrawn):
     done = run(config, "--output", tmp_path, "--json")
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
@@ -105,7 +111,7 @@ def test_json_is_one_object_with_errors_and_intervals(config: Path, tmp_path: Pa
     assert result["config"]["refine"] == table
 
 
-def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path):
+def test_quiet_prints_only_the_folder(config: Path, tmp_path: Path, undrawn):
     done = run(config, "--output", tmp_path, "--quiet")
     assert done.exit_code == 0
     assert done.stdout == f"{tmp_path / 'short'}\n"
