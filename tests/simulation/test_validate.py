@@ -17,7 +17,7 @@ from eoi_jax.models.library import (
     pendulum,
     three_mass_spring_damper,
 )
-from eoi_jax.simulation.initial_state import _descend
+from eoi_jax.simulation.initial_state import _descend, _Heads
 from eoi_jax.simulation.simulate import simulate
 from eoi_jax.simulation.validate import _record, validate
 
@@ -266,11 +266,14 @@ def test_predictions_are_what_simulate_gives_from_the_same_start():
     assert result.predictions[0].name == "simulation (free run)"
 
 
-class Heads:
+class Heads(_Heads):
     """Two runs of one unknown v each, with the error unit·(exp(v) - 1)."""
 
+    unit: np.ndarray
+    sign: float
+
     def __init__(self, unit, sign=1.0):
-        self.unit, self.sign = unit, sign
+        vars(self).update(unit=unit, sign=sign)  # the parent is frozen
 
     def part(self, which):
         return Heads(self.unit[which], self.sign)
