@@ -310,7 +310,8 @@ def steam_exchanger(folder: Path) -> Rig:
 
     return Rig(
         plant, _parts(read, ["est"], ["held"], ["untouched"]),
-        {"temperature": (0.6781, 0.6731)}, {"temperature": (0.3874, 0.3875)}, ("cells_in_series",), "K",
+        {"temperature": (0.6781, 0.6731)}, {"temperature": (0.3874, 0.3875)},
+        ("cells_in_series",), "K",
     )  # fmt: skip
 
 
