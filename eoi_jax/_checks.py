@@ -9,6 +9,7 @@ import inspect
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import PurePath
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -38,9 +39,15 @@ def warn_caller(message: str, category: type[Warning]) -> None:
         category: of the warning.
     """
     frame, level = inspect.currentframe(), 1
-    while frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in _INSIDE:
+    while frame is not None and _is_inside(frame):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
+
+
+def _is_inside(frame: FrameType) -> bool:
+    """Whether a frame is of a package that leads here, or of a wrapper hidden from tracebacks."""
+    package = frame.f_globals.get("__name__", "").split(".")[0]
+    return package in _INSIDE or "__tracebackhide__" in frame.f_locals
 
 
 def check(

@@ -51,6 +51,7 @@ def _function(function: FunctionType, check_of: Callable[..., Any]) -> Callable[
     @functools.wraps(function)
     def call(*values: Any, **named: Any) -> Any:
         nonlocal check
+        __tracebackhide__ = True
         if check is None:
             check = check_of(function)
         try:

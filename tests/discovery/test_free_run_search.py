@@ -174,7 +174,7 @@ def drifting(seed, count, gain):
     """A plate whose lamp has this gain; exact, for an input that is held."""
     voltage, random = staircase(seed)[:count], np.random.default_rng(seed)
     pole, rise = np.exp(-PERIOD / TRUE["tau"]), gain * TRUE["tau"]
-    warmer = lfilter([0.0, (1.0 - pole) * rise], [1.0, -pole], voltage)
+    warmer = np.asarray(lfilter([0.0, (1.0 - pole) * rise], [1.0, -pole], voltage))
     noise = NOISE * random.standard_normal(count)
     return eoi.Record(
         PERIOD * np.arange(count), voltage, TRUE["ambient"] + warmer + noise, f"run {seed}",

@@ -72,11 +72,11 @@ def test_the_probability_is_student_s_of_the_mean_error_over_blocks():
     ours, theirs = (square / np.mean(square) for square in squares)
     error = np.std(0.5 * (theirs - ours), ddof=1) / np.sqrt(10)
     runs = runs_with(first), runs_with(second)
-    assert probability_better(*runs) == pytest.approx(student.cdf(fall / error, 9))
-    assert probability_better(*runs[::-1]) == pytest.approx(student.sf(fall / error, 9))
-    assert (probability_better(*runs) > 0.5) == (runs[0][0].rmse[0] < runs[1][0].rmse[0])
+    assert probability_better(runs[0], runs[1]) == pytest.approx(student.cdf(fall / error, 9))
+    assert probability_better(runs[1], runs[0]) == pytest.approx(student.sf(fall / error, 9))
+    assert (probability_better(runs[0], runs[1]) > 0.5) == (runs[0][0].rmse[0] < runs[1][0].rmse[0])
     shifted = student.cdf((fall - 0.2) / error, 9)
-    assert probability_better(*runs, 0.2) == pytest.approx(shifted)
+    assert probability_better(runs[0], runs[1], 0.2) == pytest.approx(shifted)
 
 
 def test_the_probability_is_right_where_models_are_alike():
