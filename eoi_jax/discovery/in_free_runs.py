@@ -335,9 +335,11 @@ def _added(
 
 def _standings_of(discovery: Discovery) -> dict[Placed, Standing]:
     """The standings of the effects of an answer."""
+    items = {(item.effect, tuple(item.parameters)): item for item in discovery.added}
+    pairs = ((placed, items[placed.effect, placed.names]) for placed in placed_effects(discovery))
     return {
         placed: Standing(item.probability, item.rivals)
-        for placed, item in zip(placed_effects(discovery), discovery.added, strict=True)
+        for placed, item in pairs
         if item.probability is not None
     }
 

@@ -151,7 +151,9 @@ def from_contests(
     remainder, standings = _power(best.error) - _power(noise_level(best.runs)), {}
     for placed in effects:
         place = _place_of(placed)
-        contest = next((one for one in contests if place in _places(one.chosen)), None)
+        added = (contest for contest in contests
+                 if place in _places(contest.chosen) - _places(contest.origin))  # fmt: skip
+        contest = next(added, None)
         if contest is None:
             continue
         chosen = contest.chosen

@@ -167,3 +167,5 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
     assert found[OFFSET].probability == pytest.approx(expected)
     assert found[OFFSET].rivals == ()
     assert from_contests(MASS, both, both.placed, []) == {}
+    # What was in the model from the start was chosen in none of these rounds.
+    assert from_contests(MASS, both, both.placed, [second]).keys() == {OFFSET}
