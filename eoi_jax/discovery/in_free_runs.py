@@ -69,7 +69,9 @@ def leaves_open(discovery: Discovery) -> bool:
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
     if code == "nothing_missing":
-        return bool(beyond_noise(discovery.windows_after, discovery.held_out))
+        runs = discovery.windows_after
+        small = runs is None or bool(np.all(runs.nrmse < _RULES.small))
+        return not small and bool(beyond_noise(runs, discovery.held_out))
     return code == "unexplained" or (code == "complete" and in_time)
 
 
