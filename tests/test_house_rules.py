@@ -271,7 +271,7 @@ def test_the_api_is_a_list_of_explicit_names(room):
 # every version or build has.
 IN_FUNCTIONS = {
     *("diffrax", "h5py", "jinja2", "latex2mathml", "markupsafe", "matplotlib", "pandas"),
-    *("pyarrow", "rich", "scipy", "xarray", "zarr"),
+    *("optimistix", "pyarrow", "rich", "scipy", "xarray", "zarr"),
     *("jax._src.xla_bridge", "jax.experimental.pallas"),
 }
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax._display import Result
 from eoi_jax._status import Status
-from eoi_jax.comparison.methods import AbstractComparator, Estimate, standard
+from eoi_jax.comparison.methods import AbstractComparator, Estimate, on_request, standard
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
@@ -113,7 +113,8 @@ def compare(
         validation: hold-out records, on which free runs are scored; default: the records of the
             fit.
         truth: true parameters of the records by name, if known.
-        methods: comparators, and names of those in `comparators.standard()`; default: all of these.
+        methods: comparators, and names of those in `comparators.standard()` and
+            `comparators.on_request()`; default: all of the former.
 
     Returns:
         One entry for each method. A method that fails has a status that says how, and does not
@@ -156,10 +157,9 @@ def compare(
 def _methods(
     methods: Sequence[AbstractComparator | str] | None,
 ) -> tuple[AbstractComparator, ...]:
-    library = {method.name: method for method in standard()}
-    requested = (
-        [methods] if isinstance(methods, str) else list(library) if methods is None else methods
-    )
+    library = {method.name: method for method in (*standard(), *on_request())}
+    requested = [methods] if isinstance(methods, str) else methods
+    requested = standard() if requested is None else requested
     check_kind("methods", requested, Iterable, "comparators or their names")
     chosen = []
     for method in requested:

@@ -294,7 +294,7 @@ def shown(plant: eoi.Plant, effect: Any) -> str:
 def test_the_page_on_comparing_has_every_method():
     text = (DOCS / "compare.md").read_text()
     assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == [
-        one.name for one in eoi.comparators.standard()
+        one.name for one in (*eoi.comparators.standard(), *eoi.comparators.on_request())
     ]
 
 
@@ -392,6 +392,7 @@ PUBLISHED = {
     "HighOrder",
     "Hysteresis",
     "InternalOverflow",
+    "OptimistixOutputError",
     "OutputError",
     "SecondOrder",
     "StateVariableFilter",
