@@ -358,10 +358,13 @@ def _digest_atoms(atoms: Any, number: Callable[[Any], str], add: Callable[[bytes
 def _digest_value(value: Any, add: Callable[[bytes], None]) -> None:
     """A constant, or a parameter of an operation, which may hold functions: jaxprs, or Python's.
 
-    The latter are told apart by their address; a program that is kept keeps them.
+    The latter, and numbers that JAX traces, are told apart by their address; a program that is kept
+    keeps them.
     """
     if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
         _digest(value, add)
+    elif isinstance(value, Tracer):  # that a rule for derivatives keeps of the function around it
+        add(f"{value.aval} {id(value)};".encode())
     elif isinstance(value, _ARRAYS):
         array = np.asarray(value)
         add(f"{array.shape}{array.dtype}".encode())

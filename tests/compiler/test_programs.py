@@ -11,7 +11,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.compiler import programs as compilation
-from eoi_jax.compiler.programs import MemorySettings, fingerprint, jit
+from eoi_jax.compiler.programs import MemorySettings, _digest_value, fingerprint, jit
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +133,21 @@ def test_named_arguments_are_static_wherever_they_stand():
 def test_static_values_that_are_equal_but_of_other_types_are_told_apart():
     kinds = [powered(np.ones(1), 1.0, 1, kind=one).dtype.kind for one in (1, 1.0, True)]
     assert kinds == ["i", "f", "b"]
+
+
+def test_a_number_that_jax_traces_is_told_apart_by_its_address():
+    """Rules for derivatives may hold some of the function around them (loops in JAX 0.12)."""
+    digests = []
+
+    def function(x):
+        for value in (x, x, x + 1.0):
+            parts: list[bytes] = []
+            _digest_value(value, parts.append)
+            digests.append(b"".join(parts))
+        return x
+
+    jax.make_jaxpr(function)(1.0)
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_fingerprints_are_of_what_is_computed():

@@ -52,7 +52,7 @@ class OptimistixSettings:
         bound_distance: of a parameter from its bound, over its size, that is none.
         weight_tolerance: relative change of the weights below which they have settled.
         min_distance: of an unknown from its bound at the start, where the solver sees no slope.
-        min_residual: σ of an output without error, over its size.
+        min_residual: σ of an output without error, over its spread.
         min_trace: smallest singular value of derivatives of length one that is a trace.
         min_share: of a parameter in a direction without a trace, from which on it is named.
     """
@@ -88,12 +88,13 @@ class OptimistixOutputError(AbstractComparator):
         reason = _not_covered(plant, records)
         if reason:
             return not_applicable(reason)
-        if not all(np.any(scored_samples(record)) for record in records):
+        is_scored = np.any([np.any(scored_samples(one), axis=0) for one in records], axis=0)
+        if not np.all(is_scored):
             return Estimate(None, None, Status("no_data", _NO_DATA))
         return _fitted(_Runs.of(plant, records))
 
 
-_NO_DATA = "a record has no sample to score: it is masked, or shorter than its burn-in"
+_NO_DATA = "an output has no sample to score: it is masked, or records are shorter than the burn-in"
 
 
 def _not_covered(plant: Plant, records: Sequence[Record]) -> str:
@@ -295,8 +296,8 @@ def _start(
     run = Run(plant, frictional(plant), substeps)
     values = initial_states(run, lane, y, valid, begins=begins)
     rows, columns = owned(plant)
-    scored = np.where(record.output_valid, record.outputs, np.nan)
-    reach = np.nanstd(scored, axis=0)[columns] / (count * record.sample_period) ** rows
+    spread = _spread(record.outputs, record.output_valid)
+    reach = spread[columns] / (count * record.sample_period) ** rows
     z = np.abs(values[0, len(rows) :]) * ~begins
     sizes = np.concatenate([np.where(reach > 0, reach, 1.0), np.where(z > 0, z, ~begins)])
     fixed = known_starts(plant, begins, values.shape)
@@ -344,9 +345,8 @@ def _solved(runs: _Runs, begin: _Unknowns, weights: Float[Any, " ny"]) -> _Solut
 def _fitted(runs: _Runs) -> Estimate:
     """Fits until the outputs are weighed by their residuals, and what is on a bound is held."""
     plant = runs.model.plant
-    samples = np.where(runs.use, runs.y, np.nan)
-    weights = 1.0 / _positive(np.nanstd(samples, axis=(0, 1)))
-    smallest = _SETTINGS.min_residual * _positive(np.nanmax(np.abs(samples), axis=(0, 1)))
+    spread = _positive(_spread(runs.y, runs.use))
+    weights, smallest = 1.0 / spread, _SETTINGS.min_residual * spread
     begin = _Unknowns(np.zeros(len(runs.coordinates.size)), np.zeros(runs.starts.shape))
     for _ in range(_SETTINGS.fits):
         solution = jax.tree.map(np.asarray, _solved(runs, begin, weights))
@@ -387,6 +387,16 @@ _UNTRACED = (
 _CONVERGED = "no step changes the cost or an unknown by more than {:.2g} of it"
 
 
+def _spread(
+    y: Float[np.ndarray, "*records time ny"], use: Bool[np.ndarray, "*records time ny"]
+) -> Float[np.ndarray, " ny"]:
+    """Standard deviation of each output over the samples in use."""
+    axes = tuple(range(y.ndim - 1))
+    count, samples = np.maximum(np.sum(use, axes), 1), np.where(use, y, 0.0)
+    mean = np.sum(samples, axes) / count
+    return np.sqrt(np.sum(np.where(use, samples - mean, 0.0) ** 2, axes) / count)
+
+
 def _positive(values: np.ndarray) -> np.ndarray:
     """With ones in place of zeros."""
     return np.where(values > 0, values, 1.0)
@@ -415,4 +425,4 @@ def _untraced(plant: Plant, columns: _Unknowns, on_bound: np.ndarray) -> list[st
 
 def _tolerance() -> float:
     """Half of the digits of a number."""
-    return float(np.sqrt(jnp.finfo(float).eps))
+    return float(np.sqrt(jnp.finfo(jnp.result_type(float)).eps))
