@@ -11,6 +11,7 @@ import eoi_jax as eoi
 from eoi_jax import comparators
 from eoi_jax.comparison.methods import output_error_optimistix
 from eoi_jax.comparison.methods.output_error_optimistix import _Coordinates
+from eoi_jax.models.sampled_states import SampledStates
 
 TIME = np.arange(0.0, 2.5, 1e-2)
 INPUT = eoi.excitation.prbs(TIME, amplitude=1.0, switching_period=0.1, seed=3)
@@ -214,6 +215,13 @@ def changed(**options) -> eoi.Record:
     return eoi.Record(TIME, INPUT, np.sin(TIME), **options)
 
 
+def anywhere(p):
+    return jnp.zeros(1)
+
+
+anywhere.weights = (1.0,)  # type: ignore[attr-defined]
+
+
 def gap() -> eoi.Record:
     u = INPUT.copy()
     u[100:120] = np.nan
@@ -230,6 +238,20 @@ def gap() -> eoi.Record:
         (mass(), [changed(hold="zero").with_delayed_inputs([0.004])], "earlier or later"),
         (mass(), [gap()], "have gaps"),
         (mass(actuator=lambda t, u, p: u), [changed(hold="zero")], "before the record"),
+        (
+            mass(internal=lambda t, x, u, p: -x.z, internal_initial=anywhere),
+            [changed(hold="zero")],
+            "effects that start at any value",
+        ),
+        (
+            mass(
+                internal=lambda t, x, u, p: jnp.array([0.0, -1.0]),
+                internal_initial=[0.0, 0.0],
+                sampled=SampledStates(lambda *_: 0.0, 1, 0.1),
+            ),
+            [changed(hold="zero")],
+            "change at samples only",
+        ),
     ],
 )
 def test_what_rollout_does_not_cover_is_not_applicable(plant, record, text):
