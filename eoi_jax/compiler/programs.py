@@ -365,7 +365,7 @@ def _digest_value(value: Any, add: Callable[[bytes], None]) -> None:
         _digest(value, add)
     elif isinstance(value, Tracer):  # that a rule for derivatives keeps of the function around it
         add(f"{value.aval} {id(value)};".encode())
-    elif isinstance(value, _ARRAYS):
+    elif hasattr(value, "__array__"):  # JAX 0.8 has arrays that are neither NumPy's nor its own
         array = np.asarray(value)
         add(f"{array.shape}{array.dtype}".encode())
         add(array.tobytes())
