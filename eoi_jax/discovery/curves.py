@@ -25,7 +25,7 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, Curve, InputCurve, standard, wider
-from eoi_jax.models.effects.curve import knots_of
+from eoi_jax.models.effects.curve import knots_of, varies
 from eoi_jax.models.effects.effect import (
     AbstractEffect,
     AbstractInputEffect,
@@ -193,7 +193,7 @@ def _curves(model: Judged, signals: Container[str], least: float) -> list[Placed
         if passed_over or placed.through is not None:
             continue
         signal = _signal(runs.signal_statistics(placed), placed)
-        if not np.ptp(signal) > 0.0:
+        if not varies(signal):
             continue
         knots = knots_of(signal, count)
         if isinstance(effect, InputCurve):

@@ -147,11 +147,16 @@ class InputCurve(AbstractInputEffect):
         return np.asarray(value(x, self.knots, list(values), self.offset))
 
 
+def varies(values: Float[np.ndarray, " samples"]) -> bool:
+    """Whether a signal varies by more than rounding: behind a lag a constant one does so."""
+    return bool(np.ptp(values) > 1e-9 * np.max(np.abs(values)))
+
+
 def knots_of(values: Float[np.ndarray, " samples"], count: int) -> tuple[float, ...]:
     """Knots for a curve of a signal: half way between equal distances and equal shares of samples.
 
     Args:
-        values: of the signal, not all equal.
+        values: of the signal, which varies.
         count: of the knots, at least 4.
     """
     shares = np.linspace(0.0, 1.0, count)

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 import eoi_jax as eoi
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Curve, InputCurve
-from eoi_jax.models.effects.curve import knots_of
+from eoi_jax.models.effects.curve import knots_of, varies
 from eoi_jax.models.effects.effect import At
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.storage import save
@@ -77,6 +77,15 @@ def test_gradient_is_finite_at_a_knot(values):
     spline = CubicSpline(KNOTS, whole(values), bc_type="natural")
     for knot in KNOTS:
         assert slope(knot) == pytest.approx(float(spline(knot, 1)), abs=1e-10)
+
+
+def test_what_varies_by_rounding_alone_gets_no_curve():
+    constant = np.full(50, 100.0)
+    constant[::3] = np.nextafter(100.0, 101.0)
+    assert not varies(constant)
+    assert not varies(np.zeros(50))
+    assert varies(constant + 1e-6 * np.arange(50))
+    Curve("u", knots_of(constant + 1e-6 * np.arange(50), 5))  # knots that rise
 
 
 def test_knots_lie_between_equal_distances_and_equal_shares():
