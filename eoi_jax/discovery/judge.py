@@ -122,7 +122,10 @@ def noise_level(runs: FreeRuns) -> float:
     for run in runs:
         if run is not None:
             noise = np.max([record.noise for record in run.records], axis=0)
-            levels.append(noise * run.nrmse / run.rmse)
+            measured = np.isfinite(run.rmse) & (run.rmse > 0.0)
+            levels.append(
+                noise * np.divide(run.nrmse, run.rmse, np.zeros(noise.shape), where=measured)
+            )
     return float(np.mean(np.log(np.maximum(levels, np.finfo(float).tiny))))
 
 
@@ -136,12 +139,8 @@ def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
             as makes these stay.
     """
     better = probability_better(rival, chosen, _RULES.min_fall * max(further, 0))
-    return float(
-        min(
-            better / max(1.0 - better, 1.0 / RULES.probability.largest_odds),
-            RULES.probability.largest_odds,
-        )
-    )
+    largest = RULES.probability.largest_odds
+    return float(min(better / max(1.0 - better, 1.0 / largest), largest))
 
 
 def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -> float:

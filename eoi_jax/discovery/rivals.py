@@ -90,7 +90,7 @@ def standings(
             alias = [law for law in chosen if law == placed or reads_as(law, placed)]
             if alias:
                 laws = {law: odds[placed] for law, odds in wider.items() if placed in odds}
-                placed_standing = from_sets(plant, placed, chosen, step.plausible(), laws)
+                placed_standing = from_sets(plant, placed, chosen, step.plausible, laws)
                 found[placed] = placed_standing.beside(step.removed(alias), remainder)
                 break
     return found

@@ -316,6 +316,7 @@ class Round:
         pairs = zip(sets, residuals, strict=True)
         return {fit.keys: float(np.sum(residual**2 / power)) for fit, residual in pairs}
 
+    @cached_property
     def plausible(self) -> list[tuple[frozenset[Placed], float]]:
         """Sets that may be the answer, with twice their negative log-likelihood and penalty.
 

@@ -98,6 +98,12 @@ def test_what_diverges_does_not_predict_better():
     assert odds(good, diverged) == 1e6
 
 
+def test_errors_of_zero_or_that_diverge_have_no_noise_to_compare_with():
+    for errors in (np.zeros(COUNT), np.full(COUNT, np.inf)):
+        run = run_with(errors)
+        assert np.isfinite(noise_level((run, run)))
+
+
 def test_a_rival_with_more_effects_must_be_better_by_what_makes_them_stay():
     level = np.exp(np.random.default_rng(1).normal(-0.02, 0.05, 10))
     rival, chosen = runs_with(0.1 * level), runs_with(np.full(10, 0.1))
